@@ -1,4 +1,5 @@
-"""``python -m softrobot_twin``: simulate, explain, bench, accuracy, choose, reduce-vertebrae, demo.
+"""``python -m softrobot_twin``: simulate, explain, workspace, bench, accuracy, choose,
+reduce-vertebrae, demo.
 """
 
 import argparse
@@ -14,6 +15,7 @@ from softrobot_twin.command_line.commands import (
     add_explain,
     add_reduce_vertebrae,
     add_simulate,
+    add_workspace,
 )
 from softrobot_twin.errors import SoftRobotTwinError
 
@@ -37,7 +39,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Simulate and control soft robots. All values are in SI units.")
     parser.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
-    for add in (add_simulate, add_explain, add_bench, add_accuracy, add_choose,
+    for add in (add_simulate, add_explain, add_workspace, add_bench, add_accuracy, add_choose,
                 add_reduce_vertebrae, add_demo):
         add(commands)
     return parser

@@ -21,7 +21,9 @@ from softrobot_twin.study.direct_run import (
 )
 from softrobot_twin.study.explain import explain
 from softrobot_twin.study.offline_run import simulate
+from softrobot_twin.study.stiffness import print_stiffness
 from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
+from softrobot_twin.study.workspace import workspace
 
 EXIT_CODES = """exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or
 an argument cannot be used, 130 stopped by Ctrl-C"""
@@ -160,6 +162,12 @@ def add_explain(commands) -> None:
     add_scene(parser)
     parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
                         help="leave out this estimate, which takes longer than everything else")
+    parser.add_argument("--stiffness", action="store_true",
+                        help="print instead how the effectors yield to forces while the actuators "
+                        "hold, and how each actuator moves them")
+    parser.add_argument("--at", nargs="+", metavar="COLUMN=VALUE",
+                        help="with --stiffness: the actuation, with columns of a commands file, "
+                        "such as north_shortening_m=0.01 (default: at rest)")
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
@@ -188,7 +196,8 @@ def _simulate(chosen: argparse.Namespace) -> int:
 def _check_outputs(chosen: argparse.Namespace) -> None:
     """Refuses an output that would overwrite an input or another output."""
     taken = {str(path.resolve()): path
-             for path in (chosen.scene, chosen.targets, chosen.commands) if path is not None}
+             for path in (chosen.scene, getattr(chosen, "targets", None),
+                          getattr(chosen, "commands", None)) if path is not None}
     for option in ("output", "picture"):
         path = getattr(chosen, option)
         if path is None:
@@ -204,6 +213,9 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
 
 
 def _explain(chosen: argparse.Namespace) -> int:
+    if chosen.stiffness:
+        return print_stiffness(chosen.scene, chosen.at or ())
+    refuse(chosen, "--stiffness", "at")
     return explain(chosen.scene, chosen.mesh_error)
 
 
@@ -237,6 +249,45 @@ def _bench(chosen: argparse.Namespace) -> int:
             raise OptionError("--contacts", "times a block of its own and takes no scene")
         return bench_contacts(chosen.steps, chosen.output)
     return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands)
+
+
+def add_workspace(commands) -> None:
+    """Declares ``workspace``."""
+    parser = add_command(
+        commands, "workspace", _workspace, "sample where a robot gets, and how stiff it is there",
+        "Sample the setpoints of a scene's actuators over their bounds, and write where the "
+        "effectors come to rest, their stiffness, and the efforts of the actuators, a row for each "
+        "sample; samples that do not come to rest are written with their status. Sample 0 is the "
+        "robot at rest; each other one is reached from there on a straight line of setpoints, so "
+        "that the file does not depend on the workers. After Ctrl-C the rows so far are in "
+        "FILE.csv.part, and the same command goes on from there.")
+    add_scene(parser)
+    parser.add_argument("--output", required=True, metavar="FILE.csv", type=Path,
+                        help="file to write")
+    parser.add_argument("--picture", metavar="FILE.png", type=Path,
+                        help="draw the places, coloured by stiffness (needs matplotlib)")
+    parser.add_argument("--samples", type=positive_count, default=200, metavar="N",
+                        help="samples, that at rest included (default 200); more of them begin "
+                        "with the same ones")
+    parser.add_argument("--seed", type=count, default=0, metavar="S",
+                        help="seed of their places (default 0)")
+    parser.add_argument("--range", nargs="+", default=(), metavar="COLUMN=LOW:HIGH", dest="ranges",
+                        help="bounds in place of the scene's, with columns of a commands file, "
+                        "such as north_shortening_m=0:0.01")
+    parser.add_argument("--workers", type=positive_count, metavar="N",
+                        help="processes on this machine (default: one on each core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="compute on the Dask cluster of this scheduler instead, such as "
+                        "tcp://10.0.0.1:8786 (needs distributed)")
+
+
+def _workspace(chosen: argparse.Namespace) -> int:
+    _check_outputs(chosen)
+    if chosen.scheduler is not None and chosen.workers is not None:
+        raise OptionError("--workers", "has no effect with --scheduler")
+    enable_interrupts()
+    return workspace(chosen.scene, chosen.output, chosen.picture, chosen.samples, chosen.seed,
+                     chosen.ranges, chosen.workers, chosen.scheduler)
 
 
 def add_accuracy(commands) -> None:
@@ -293,13 +344,14 @@ def add_demo(commands) -> None:
     parser = add_command(
         commands, "demo", _demo, "drive a simulated robot live over ROS 2",
         "Start twin, device and target as three processes, follow a path open loop "
-        "and again closed loop, and report the tracking errors.")
+        "and again closed loop, and report the tracking errors; a robot that is driven directly "
+        "plays its commands, and the device is compared with the twin.")
     parser.add_argument("--robot", default="diamond", metavar="NAME",
                         help="name of a file config/NAME.yaml (default diamond)")
     parser.add_argument("--output", default=Path("out/demo"), metavar="FOLDER", type=Path,
                         help="folder for report.json, run.rrd and tracking.png (default out/demo)")
     parser.add_argument("--seconds", default=30.0, type=seconds, metavar="S",
-                        help="length of each of the two runs [s] (default 30)")
+                        help="length of each run [s] (default 30)")
     parser.add_argument("--no-view", dest="view", action="store_false",
                         help="neither serve nor open a live view; run.rrd is still recorded")
 

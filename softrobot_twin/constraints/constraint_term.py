@@ -153,10 +153,13 @@ class YieldingTerm(ConstraintTerm, Protocol):
         yields: True.
         compliance: C at the state evaluated last and the told efforts, so that C λ is exact there
             [unit of δ / unit of λ], shape (k, k), diagonal.
+        stretch_ratios: By how much more the path moves than its winch, exactly: where the winch
+            turns by dδ, H dq + C dλ is this many times dδ, shape (k,).
     """
 
     yields: ClassVar[bool]
     compliance: np.ndarray
+    stretch_ratios: np.ndarray
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the efforts at which the compliance is evaluated from now on.

@@ -51,6 +51,11 @@ class ElasticCables(Cables):
         super().__init__(paths, free_index, rest_positions, points)
         self._set_compliance(self.rest_lengths)
 
+    @property
+    def stretch_ratios(self) -> np.ndarray:
+        """1 + λ / EA of each cable at the told tensions, shape (row_count,)."""
+        return 1.0 + self._told / self.axial_stiffness
+
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the tensions [N], shape (row_count,); see `YieldingTerm.tell_efforts`."""
         self._told = np.array(efforts, float)

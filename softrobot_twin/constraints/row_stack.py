@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 
@@ -195,6 +196,7 @@ class RowStack:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
+        positions = writable(positions)
         # Allocated anew: a linearization keeps the values of its own state.
         self.values = np.empty(self.row_count)
         for term, blocks, rows in self._parts:
@@ -204,6 +206,26 @@ class RowStack:
             self.row_index = carried.row_index[:count]
             self.node_index = carried.node_index[:count]
             self.blocks = carried.blocks[:count]
+
+    def actuator_blocks_at(self, positions: np.ndarray) -> np.ndarray:
+        """Entries of the actuators' rows at another state, which come first in `blocks`.
+
+        Nothing is stored. Only for rows that do not act at carried points.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Shape (actuator_entry_count, 3).
+        """
+        parts = [part for part in self._parts if part[0].group == "actuators"]
+        blocks, values = np.empty((sum(len(own) for _, own, _ in parts), 3)), np.empty(self.row_count)
+        entry = 0
+        for term, own, rows in parts:
+            entries = slice(entry, entry + len(own))
+            term.evaluate(positions, blocks[entries], values[rows])
+            entry = entries.stop
+        return blocks
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the efforts at which an `EffortTerm` or a `YieldingTerm` is evaluated; does nothing
@@ -249,6 +271,17 @@ class RowStack:
         for term, rows in self._yielding:
             compliance[rows] = term.compliance.diagonal()
         return compliance
+
+    def stretch_ratios(self) -> np.ndarray:
+        """By how much more the path of each actuator moves than its winch; see `YieldingTerm`.
+
+        Returns:
+            At the told efforts, one without stretch, shape (actuator_row_count,).
+        """
+        ratios = np.ones(self.groups.actuators.stop)
+        for term, rows in self._yielding:
+            ratios[rows] = term.stretch_ratios
+        return ratios
 
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:
         """λ of all rows in the last solution [N], shape (row_count,).
@@ -297,6 +330,7 @@ class RowStack:
             storage: The factorization's storage [N/m]; added to.
             projected: True for a part of it that is never negative.
         """
+        positions = writable(positions)
         for term, _, rows in self._parts:
             term.add_stiffness(positions, multipliers[rows], storage, projected)
 

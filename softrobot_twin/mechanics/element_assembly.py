@@ -26,7 +26,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import product, product_transposed, scaled_matrix, transform
+from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
+    product,
+    product_transposed,
+    scaled_matrix,
+    transform,
+)
 from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
@@ -36,7 +42,9 @@ from softrobot_twin.mechanics.element_batches import (
     matrix_at,
     of_node,
     put_matrix,
+    put_rows,
     put_vector,
+    rows_at,
     scratch,
     vector_at,
 )
@@ -177,15 +185,21 @@ def linearize_all(law, F, R, upright, projected, L):
     """What the differential needs of the deformation at one point."""
     for e in range(BATCH):
         V, is_upright = seen_by_law(law, F, R, e), upright[e] > 0.0
-        put_matrix(L, 0, e, linearize(law, V, is_upright, projected))
+        put_rows(L, 0, linearize(law, V, is_upright, projected), e)
+
+
+@njit(**UNCACHED, forceinline=True)
+def linearized_rows(law):
+    """As many rows as `linearize` returns."""
+    return linearize(law, IDENTITY, True, False)
 
 
 @njit(**UNCACHED)
 def differentiate_node(law, b, weights, g, L, T):
     """w ∂P : e_i g_bᵀ at one point for i = 0, 1, 2."""
-    gradients, zero = of_node(g, b), (0.0, 0.0, 0.0)
+    gradients, zero, like = of_node(g, b), (0.0, 0.0, 0.0), linearized_rows(law)
     for e in range(BATCH):
-        at_point = matrix_at(L, 0, e)
+        at_point = rows_at(L, 0, like, e)
         row = scaled(vector_at(gradients, 0, e), weights[e])
         put_matrix(T, 0, e, differential(law, at_point, (row, zero, zero)))
         put_matrix(T, 1, e, differential(law, at_point, (zero, row, zero)))
@@ -228,7 +242,7 @@ def project(C):
 def project_all(law, L, C):
     """The projected derivatives of all elements at one point."""
     for e in range(BATCH):
-        fill_derivative(law, matrix_at(L, 0, e), C[e])
+        fill_derivative(law, rows_at(L, 0, linearized_rows(law), e), C[e])
         project(C[e])
 
 
@@ -363,7 +377,8 @@ def add_stiffness(
     S, change = scratch(9), scratch(1)
     least_volumes, nearly_flat_count = no_volumes_yet(), 0
     # What each point keeps until the blocks are summed.
-    g, L = np.empty((point_count, width)), np.empty((point_count, 9 * BATCH))
+    g = np.empty((point_count, width))
+    L = np.empty((point_count, 3 * len(linearized_rows(law)) * BATCH))
     by_matrix = projected and not law_projects(law)
     C = np.empty((point_count, BATCH if by_matrix else 0, 9, 9))
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
@@ -407,18 +422,99 @@ def add_stiffness(
     return nearly_flat_count
 
 
+@njit(**KERNEL)
+def deform_along(D, F, step, shifted):
+    """F + h D of each element at one point, with h D of the size `step`; writes it, and gives 1/h.
+
+    Args:
+        D: A change of F by a direction.
+        F: The deformation.
+        step: Largest entry of h D.
+        shifted: Takes F + h D.
+    """
+    inverse = np.empty(BATCH)
+    for e in range(BATCH):
+        largest = 0.0
+        for entry in range(9):
+            largest = max(largest, abs(D[at(entry, e)]))
+        inverse[e] = largest / abs(step)
+        share = step / largest if largest > 0.0 else 0.0
+        for entry in range(9):
+            shifted[at(entry, e)] = F[at(entry, e)] + share * D[at(entry, e)]
+    return inverse
+
+
+@njit(**UNCACHED)
+def differentials_along(law, F, D, R, upright, weights, S):
+    """S = w ∂P/∂F : D at one point; where the law turns, its answer times R."""
+    for e in range(BATCH):
+        V, A = seen_by_law(law, F, R, e), seen_by_law(law, D, R, e)
+        at_point = linearize(law, V, upright[e] > 0.0, False)
+        answer = scaled_matrix(differential(law, at_point, A), weights[e])
+        if law_turns(law):
+            answer = product(answer, matrix_at(R, 0, e))
+        put_matrix(S, 0, e, answer)
+
+
+def add_force_curvature(
+    law, moves, direction, cells, free, gradients, weights, step, curvature
+):  # fmt: skip
+    """Add ∂²f/∂h² of the internal forces f = ∂E/∂q along q + h x: the third derivative of the energy.
+
+    It is the central difference of the exact differential ∂P/∂F : D at F ± h D, D = Σ x_a ∇N_aᵀ,
+    with a step of its own for each point and element.
+
+    Args:
+        law, moves, cells, free, gradients, weights: See `add_forces`.
+        direction: x of all nodes, zero where they are fixed, shape (node_count, 3).
+        step: Largest entry of h D.
+        curvature: Takes the sum, shape (free_node_count, 3); added to.
+    """
+    point_count, width = weights.shape[1], gradients.shape[2]
+    U, X, P = np.empty(width), np.empty(width), np.empty(width)
+    F, D, S, shifted = scratch(9), scratch(9), scratch(9), scratch(9)
+    other, R, upright, change = scratch(9), scratch(9), scratch(1), scratch(1)
+    for k in range(len(cells)):
+        gather(moves, cells[k], U)
+        gather(direction, cells[k], X)
+        P[:] = 0.0
+        for q in range(point_count):
+            deform(U, gradients[k, q], F)
+            deform(X, gradients[k, q], D)
+            for e in range(BATCH):
+                D[at(0, e)] -= 1.0
+                D[at(4, e)] -= 1.0
+                D[at(8, e)] -= 1.0
+            inverse = deform_along(D, F, step, shifted)
+            find_state(law, shifted, R, upright, change)
+            differentials_along(law, shifted, D, R, upright, weights[k, q], S)
+            deform_along(D, F, -step, shifted)
+            find_state(law, shifted, R, upright, change)
+            differentials_along(law, shifted, D, R, upright, weights[k, q], other)
+            for entry in range(9):
+                for e in range(BATCH):
+                    i = at(entry, e)
+                    S[i] = 0.5 * (S[i] - other[i]) * inverse[e]
+            add_stress_to_nodes(S, gradients[k, q], P)
+        for i in range(width):
+            P[i] = -P[i]
+        subtract_forces(free[k], P, curvature)
+
+
 class Assembly(NamedTuple):
-    """The three loops over elements, compiled for a law when they are first called.
+    """The loops over elements, compiled for a law when they are first called.
 
     Attributes:
         add_energies: See the function of this name; so the others.
         add_forces: Forces.
         add_stiffness: Stiffness, with forces unless they are known.
+        add_force_curvature: Second derivative of the forces along a direction.
     """
 
     add_energies: Callable
     add_forces: Callable
     add_stiffness: Callable
+    add_force_curvature: Callable
 
 
 @cache
@@ -436,7 +532,8 @@ def assembly_of(parameters: type) -> Assembly:
 
 
 def _assembly(options: dict) -> Assembly:
-    return Assembly(*(njit(**options)(loop) for loop in (add_energies, add_forces, add_stiffness)))
+    loops = (add_energies, add_forces, add_stiffness, add_force_curvature)
+    return Assembly(*(njit(**options)(loop) for loop in loops))
 
 
 _PACKAGE = __name__.split(".")[0] + "."

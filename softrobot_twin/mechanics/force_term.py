@@ -7,6 +7,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 
+# Places and weights of a second derivative of fourth order, in steps.
+SECOND_DIFFERENCE = (
+    (-2.0, -1.0 / 12.0), (-1.0, 4.0 / 3.0), (1.0, 4.0 / 3.0), (2.0, -1.0 / 12.0), (0.0, -2.5),
+)  # fmt: skip
+
+
 class DenseRows(NamedTuple):
     """A part Σ k h hᵀ of a stiffness that couples too many unknowns for blocks.
 
@@ -134,6 +140,32 @@ class ForceTerm(Protocol):
             A share of the move, at most one.
         """
         return 1.0
+
+    def add_force_curvature(
+        self, positions: np.ndarray, direction: np.ndarray, reach: float, curvature: np.ndarray
+    ) -> None:
+        """Add ∂²f/∂h² of the internal forces f = ∂E/∂q at q + h x, h = 0: D³E[x, x].
+
+        Here by central differences of fourth order of the forces. Terms whose stiffness can be
+        differentiated more exactly do that. Only for scenes whose unknowns are nodes.
+
+        Args:
+            positions: q: node positions [m], shape (node_count, 3).
+            direction: x of all nodes, zero where they are fixed, same shape.
+            reach: Largest displacement |h x| of a node that differences are taken over [m].
+            curvature: Takes the sum, shape (free_node_count, 3); added to.
+        """
+        longest = float(np.sqrt((direction * direction).sum(axis=1).max(initial=0.0)))
+        if longest == 0.0:
+            return
+        step = 0.5 * reach / longest
+        total = np.zeros_like(curvature)
+        # The state itself comes last: what a term remembers of it is as it was.
+        for place, weight in SECOND_DIFFERENCE:
+            forces = np.zeros_like(curvature)
+            self.add_forces(positions + place * step * direction, forces)
+            total -= weight * forces
+        curvature += total / step**2
 
     def energy(self, positions: np.ndarray) -> float:
         """Elastic energy stored at a state [J]; zero for a term that stores none.

@@ -37,3 +37,6 @@ class Gravity(ForceTerm):
     def add(self, positions, forces, storage, projected) -> None:
         """Add the weight; it has no stiffness."""
         forces += self.weights
+
+    def add_force_curvature(self, positions, direction, reach, curvature) -> None:
+        """Adds nothing: the weight is constant."""

@@ -59,15 +59,6 @@ class Divided(NamedTuple):
     bulk_modulus: float
 
 
-def has_bulk_modulus(parameters: type) -> bool:
-    """Whether a law's energy of volume changes is κ U(J), with a parameter `bulk_modulus`.
-
-    Args:
-        parameters: The type of the law's parameters.
-    """
-    return "bulk_modulus" in parameters._fields
-
-
 def element_bulk(mesh) -> float:
     """Largest bulk modulus that elements keep, by their shear modulus.
 

@@ -10,13 +10,23 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import (
+    Point,
+    PointStamped,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Vector3,
+    Wrench,
+    WrenchStamped,
+)
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2, PointField
-from std_msgs.msg import Header
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.simulation.pulleys import Pulleys
+from softrobot_twin.simulation.touches import TouchState
 
 _CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])
@@ -109,6 +119,27 @@ def angles_message(
     )
 
 
+def touch_message(touches: TouchState, index: int, header: Header) -> JointState:
+    """A touch as a message: the names x, y, z, as positions the displacement of the point since the
+    touch began [m], and as efforts the force on the robot [N].
+
+    Args:
+        touches: The touches of a step.
+        index: Index of the touch.
+        header: Frame and time.
+    """
+    return JointState(
+        header=header, name=["x", "y", "z"], position=touches.displacements[index].tolist(),
+        effort=touches.forces[index].tolist(),
+    )  # fmt: skip
+
+
+def wrench_message(force: np.ndarray, header: Header) -> WrenchStamped:
+    """A force [N], shape (3,), as a message without torque."""
+    x, y, z = map(float, force)
+    return WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=x, y=y, z=z)))
+
+
 def pressure_message(pressure: float, header: Header, variance: float = 0.0) -> FluidPressure:
     """An absolute pressure [Pa] as a message; a variance [Pa²] of 0 is unknown."""
     return FluidPressure(
@@ -143,6 +174,46 @@ def contacts_message(positions: np.ndarray, forces: np.ndarray, header: Header) 
     for column, name in enumerate("xyz"):
         points[name], points[f"f{name}"] = positions[:, column], forces[:, column]
     return _cloud(points, header, is_dense=True)
+
+
+def matrix_message(
+    matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str], header: Header
+) -> Float64MultiArray:
+    """A matrix as a message. Its layout names rows and columns, separated by spaces.
+
+    A Float64MultiArray has no header: the stamp is in the two numbers before the matrix, seconds
+    and nanoseconds, which `layout.data_offset` tells to skip.
+
+    Args:
+        matrix: Shape (row_count, column_count).
+        rows: Name and unit of each row, such as ``x_m``.
+        columns: Name and unit of each column, such as ``north_shortening_m``.
+        header: Frame and time.
+    """
+    stamp = [float(header.stamp.sec), float(header.stamp.nanosec)]
+    row_count, column_count = matrix.shape
+    return Float64MultiArray(
+        layout=MultiArrayLayout(
+            dim=[
+                MultiArrayDimension(
+                    label=" ".join(rows), size=row_count, stride=row_count * column_count
+                ),
+                MultiArrayDimension(
+                    label=" ".join(columns), size=column_count, stride=column_count
+                ),
+            ],
+            data_offset=len(stamp),
+        ),
+        data=stamp + np.asarray(matrix, dtype=float).ravel().tolist(),
+    )
+
+
+def read_matrix(message: Float64MultiArray) -> tuple[np.ndarray, Time]:
+    """The matrix of `matrix_message`, and its stamp."""
+    layout, data = message.layout, message.data
+    shape = [dimension.size for dimension in layout.dim]
+    matrix = np.array(data[layout.data_offset :]).reshape(shape)
+    return matrix, Time(sec=int(data[0]), nanosec=int(data[1]))
 
 
 def _cloud(points: np.ndarray, header: Header, is_dense: bool) -> PointCloud2:

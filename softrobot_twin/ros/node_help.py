@@ -29,6 +29,8 @@ motors of hinges have angles and torques there, in rad and N m.
         ~/pressures/<cavity>  sensor_msgs/FluidPressure    Pa (absolute)
         ~/effectors/<effector>, ~/effector_poses/<effector>, ~/predicted_markers,
         ~/bodies/<body>, ~/poses/<body>, ~/contacts, /diagnostics
+        ~/compliance/<effector>  std_msgs/Float64MultiArray  m/N, after actuation
+        ~/jacobian/<effector>    std_msgs/Float64MultiArray  by actuator, see its labels
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
     "device": """\
 A simulated robot: receives a twin's cable lengths and pressures, publishes measured ones and

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, Twist
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist, WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
-from std_msgs.msg import Header
+from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 
 from softrobot_twin.control.arrival import Refusal
@@ -33,18 +33,21 @@ from softrobot_twin.ros.messages import (
     cables_message,
     contacts_message,
     markers_message,
+    matrix_message,
     point_message,
     pose_message,
     pressure_message,
     read_markers,
     read_pose,
     stamp_of,
+    touch_message,
 )
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 from softrobot_twin.view.frame import OtherActuator
 
@@ -94,6 +97,49 @@ class SolidOutputs:
         if self._contacts is not None and contacts is not None:
             message = contacts_message(contacts.positions, contacts.forces, header)
             self._contacts.publish(message)
+
+
+class ComplianceOutputs:
+    """Publishes compliances and Jacobians of the effectors. Nothing is computed, nor memory
+    allocated for it, until one of them is received.
+
+    Args:
+        node: The twin.
+        loop: Its loop.
+    """
+
+    _WORLD = ("x_m", "y_m", "z_m")
+    _FORCES = ("fx_N", "fy_N", "fz_N")
+
+    def __init__(self, node: Node, loop: TwinLoop):
+        self._loop = loop
+        self._compliance: EffectorCompliance | None = None
+        self._compliances, self._jacobians = (
+            [node.create_publisher(Float64MultiArray, f"~/{topic}/{name}", NEWEST)
+             for name in loop.simulation.effector_names]
+            for topic in ("compliance", "jacobian")
+        )  # fmt: skip
+
+    def publish(self, outcome: TickOutcome, header: Header) -> None:
+        """Publishes a tick to those who listen."""
+        publishers = (*self._compliances, *self._jacobians)
+        if not any(publisher.get_subscription_count() for publisher in publishers):
+            return
+        loop = self._loop
+        if self._compliance is None:
+            self._compliance = EffectorCompliance(loop.simulation)
+        found = self._compliance.after_step(loop.driven_by_efforts(outcome))
+        self._send(self._compliances, found.compliance, self._FORCES, header)
+        actuators = loop.simulation.actuators
+        quantities = actuators.driven_quantities(found.is_by_effort)
+        columns = [f"{name}_{quantity.word}_{quantity.unit}"
+                   for name, quantity in zip(actuators.names, quantities, strict=True)]  # fmt: skip
+        self._send(self._jacobians, found.jacobian, columns, header)
+
+    def _send(self, publishers, matrices: np.ndarray, columns, header: Header) -> None:
+        for publisher, matrix in zip(publishers, matrices, strict=True):
+            if publisher.get_subscription_count():
+                publisher.publish(matrix_message(matrix, self._WORLD, columns, header))
 
 
 OPEN_TENSION = 10.0
@@ -374,7 +420,12 @@ class TwinNode(TickingNode):
         self._markers = None
         if len(simulation.marker_ids):
             self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
+        self._touches = [
+            self.create_publisher(JointState, f"~/touch/{name}", NEWEST)
+            for name in simulation.touch_names
+        ]
         self._solids = SolidOutputs(self, simulation)
+        self._compliances = ComplianceOutputs(self, self.loop)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
     def _open_inputs(self) -> None:
@@ -410,6 +461,15 @@ class TwinNode(TickingNode):
             measurements.append(
                 self._listen(JointState, "~/measured_angles", NEWEST_OF_A_SENSOR,
                              self._take_measured_angles)
+            )
+        for index, name in enumerate(self.loop.touches.names):
+            measurements.append(
+                self._listen(WrenchStamped, f"~/touch_force/{name}", NEWEST_OF_A_SENSOR,
+                             partial(self._take_touch_force, index))
+            )
+            measurements.append(
+                self._listen(PointStamped, f"~/touch_position/{name}", NEWEST_OF_A_SENSOR,
+                             partial(self._take_touch_position, index))
             )
         measurements.append(
             self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
@@ -484,6 +544,18 @@ class TwinNode(TickingNode):
             message.name, message.position, message.effort, self.arrival(message.header)
         )
 
+    def _take_touch_force(self, touch: int, message: WrenchStamped) -> Refusal | None:
+        force = message.wrench.force
+        return self.loop.touches.accept_force(
+            touch, (force.x, force.y, force.z), self.arrival(message.header)
+        )
+
+    def _take_touch_position(self, touch: int, message: PointStamped) -> Refusal | None:
+        point = message.point
+        return self.loop.touches.accept_place(
+            touch, (point.x, point.y, point.z), self.arrival(message.header)
+        )
+
     def _take_markers(self, message: PointCloud2) -> Refusal | None:
         content = read_markers(message)
         if isinstance(content, Refusal):
@@ -539,7 +611,10 @@ class TwinNode(TickingNode):
         if self._markers is not None:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
+        for index, publisher in enumerate(self._touches):
+            publisher.publish(touch_message(outcome.result.touches, index, header))
         self._solids.publish(outcome, header)
+        self._compliances.publish(outcome, header)
 
     @property
     def loop_frame(self) -> str:

@@ -36,6 +36,7 @@ def check_names(scene) -> None:
         (_either(scene), actuators),
         ("sealed cavity", {"sealed_cavities": scene.sealed_cavities}),
         ("effector", {"effectors": scene.effectors}),
+        ("touch", {"touches": scene.touches}),
         ("marker id", {"markers": scene.markers}),
         ("body or obstacle", bodies),
         ("spring", springs),
@@ -89,6 +90,8 @@ def check_references(scene) -> None:
         for index, entry in enumerate(getattr(scene, section)):
             check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),
                           deformable, framed)  # fmt: skip
+    for index, touch in enumerate(scene.touches):
+        check_carrier(f"touches[{index}].body", touch.name, touch.body, deformable, [])
     for index, fibre in enumerate(scene.fibres):
         check_carrier(f"fibres[{index}].on", fibre.name, fibre.on, deformable, [])
     for index, marker in enumerate(scene.markers):

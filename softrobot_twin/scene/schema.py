@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -27,7 +28,7 @@ from softrobot_twin.scene.body_entries import (
     Spring,
     Tube,
 )
-from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
+from softrobot_twin.scene.entry import Acceleration, Entry, Name, OpenNumber, Vector, unit
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.solvers import FACTORIZATIONS
@@ -96,6 +97,9 @@ class Marker(Entry):
     point: Vector
 
 
+WantedStiffness = Annotated[float | None, unit("N/m", gt=0.0)]
+
+
 class EffectorOrientation(Entry):
     """What an effector asks for beside its position: how its body is turned from rest."""
 
@@ -116,6 +120,19 @@ class EffectorOrientation(Entry):
         return self
 
 
+class EffectorStiffness(Entry):
+    """What an effector asks for beside its position: how stiff a touch finds it."""
+
+    target: tuple[WantedStiffness, WantedStiffness, WantedStiffness] = (None, None, None)
+    """Stiffness along x, y and z, felt by a force along that axis while the actuators hold what they
+    hold; null where it is free. Messages on ``~/target_stiffness/<effector>`` replace it."""
+    weight: Annotated[float, unit("", ge=0.0)] = 1.0
+    """Weight of its error; zero as if the entry were not there."""
+    length: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Distance from the target that counts as much as a stiffness that is wrong by all of its
+    target; by default a tenth of the size of the robot."""
+
+
 class Effector(Entry):
     """A point that follows a target: the mean of its points."""
 
@@ -130,6 +147,7 @@ class Effector(Entry):
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
     orientation: EffectorOrientation | None = None
     """Directions may be empty with it."""
+    stiffness: EffectorStiffness | None = None
     measured_by: tuple[int, ...] = ()
     """Ids of the markers that move with it; in closed loop they measure the effector."""
 
@@ -137,6 +155,32 @@ class Effector(Entry):
     def _directions(self):
         if not self.directions and self.orientation is not None:
             return self
+        if not self.directions or len(set(self.directions)) != len(self.directions):
+            raise ValueError("directions must be x, y or z, each at most once")
+        return self
+
+
+class Touch(Entry):
+    """Where a body may be touched, by a measured force or at a measured place: at the mean of some
+    points, over which the force is shared."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
+
+    name: Name
+    body: Name | None = None
+    """The deformable body it is on; optional when there is only one."""
+    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    """The points under a finger. A single one yields the more, the finer the mesh is."""
+    directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
+    """Axes along which a touch acts; along the others the touching finger slides."""
+    while_touched: Literal["hold_actuators", "follow_targets"] = "hold_actuators"
+    """What a robot that follows targets does: wait, so that its stiffness is felt, or go on, and
+    counteract the touch."""
+    force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
+    """A greater measured force is refused; by default none is."""
+
+    @model_validator(mode="after")
+    def _directions(self):
         if not self.directions or len(set(self.directions)) != len(self.directions):
             raise ValueError("directions must be x, y or z, each at most once")
         return self
@@ -189,6 +233,7 @@ class Scene(Entry):
     slides: tuple[Slide, ...] = ()
     hinge_motors: tuple[HingeMotor, ...] = ()
     effectors: tuple[Effector, ...] = ()
+    touches: tuple[Touch, ...] = ()
     markers: tuple[Marker, ...] = ()
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)

@@ -10,6 +10,7 @@ from softrobot_twin.simulation.command import (
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.touches import Touched
 
 __all__ = [
     "Command",
@@ -22,4 +23,5 @@ __all__ = [
     "Status",
     "StepReport",
     "StepResult",
+    "Touched",
 ]

@@ -55,7 +55,7 @@ from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
-from softrobot_twin.solvers.superlu import SuperLU
+from softrobot_twin.solvers.superlu import SuperLU, laid_out_like
 
 # ρ as a multiple of the stiffness that the body at rest has along an actuator.
 AUGMENTATION = 10.0
@@ -201,6 +201,7 @@ class AugmentedTangent:
         of, cables = self._cables.cable_of_stretch, len(self.stiffness)
         more = len(of) - cables
         own = self._cables.stretch_of_entry
+        self._H = H
         rows = np.concatenate([own, H.row_index[len(own) :] + more])
         count = H.row_count + more
         found = self._factorization.condense(NodeRows(rows, H.node_index, H.blocks, count), b)
@@ -233,6 +234,20 @@ class AugmentedTangent:
         of_stretches = self._sums.T @ multipliers
         y = np.linalg.solve(self._L.T, self._z + self._Z @ of_stretches)
         return self._factorization.expand(of_stretches + self._U @ y)
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
+        found = self._factorization.solve(b)
+        if not self._U.shape[1]:
+            return found
+        own, H = self._cables.stretch_of_entry, self._H
+        nodes, blocks = H.node_index[: len(own)], H.blocks[: len(own)]
+        stretched = np.zeros(len(self._U))
+        np.add.at(stretched, own, np.einsum("ij,ij->i", blocks, found[nodes]))
+        y = np.linalg.solve(self._L.T, np.linalg.solve(self._L, self._U.T @ stretched))
+        forces = np.array(b)
+        np.add.at(forces, nodes, blocks * (self._U @ y)[own][:, None])
+        return self._factorization.solve(forces)
 
     def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
         """What turns λ̂ into λ.
@@ -335,23 +350,11 @@ class AugmentedLU:
     def factor(self, positions: np.ndarray) -> bool:
         """Factorize A; False only where it is singular."""
         if self._lu is None:
-            self._lay_out()
+            # The place of each of its entries in the other storage.
+            self._lu, self._places = laid_out_like(self._factorization)
         self._lu.storage[:] = self._factorization.storage[self._places]
         self._lu.factor()
         return self._lu.negative_count is not None
-
-    def _lay_out(self) -> None:
-        """Lay out the LU, and find the place of each of its entries in the other storage."""
-        rows, columns = self._factorization.blocks()
-        self._lu = SuperLU(rows, columns, len(self._factorization.elimination_rank))
-        source, _ = self._factorization.slots(rows, columns)
-        target, _ = self._lu.slots(np.maximum(rows, columns), np.minimum(rows, columns))
-        j, i = np.divmod(np.arange(9), 3)
-        transposed = (rows < columns)[:, None]
-        self._places = np.empty(len(self._lu.storage), np.int64)
-        self._places[target[:, None] + np.arange(9)] = source[:, None] + np.where(
-            transposed, 3 * i + j, 3 * j + i
-        )
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
         """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
@@ -359,7 +362,7 @@ class AugmentedLU:
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `AugmentedTangent.condense`."""
         found = self._lu.condense(H, b)
-        self._k = np.flatnonzero(self.stiffness)
+        self._k, self._H = np.flatnonzero(self.stiffness), H
         G = found.W[:, self._k]
         M = np.diag(1.0 / self.stiffness[self._k]) + G[self._k]
         eigenvalues, vectors = np.linalg.eigh(M)
@@ -367,6 +370,7 @@ class AugmentedLU:
             raise np.linalg.LinAlgError("held actuators do not stabilise the bodies")
         inverse = vectors / eigenvalues @ vectors.T
         self._of_multipliers, self._of_forces = inverse @ G.T, inverse @ found.free[self._k]
+        self._inverse = inverse
         W = found.W - G @ self._of_multipliers
         return Condensed(0.5 * (W + W.T), found.free - G @ self._of_forces)
 
@@ -375,6 +379,19 @@ class AugmentedLU:
         loads = multipliers.copy()
         loads[self._k] -= self._of_forces + self._of_multipliers @ multipliers
         return self._lu.expand(loads)
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
+        found, H = self._lu.solve(b), self._H
+        moved = np.zeros(H.row_count)
+        np.add.at(
+            moved, H.row_index, np.einsum("ij,ij->i", H.blocks, found[H.node_index])
+        )
+        loads = np.zeros(H.row_count)
+        loads[self._k] = self._inverse @ moved[self._k]
+        forces = np.array(b)
+        np.subtract.at(forces, H.node_index, H.blocks * loads[H.row_index][:, None])
+        return self._lu.solve(forces)
 
     def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
         """What turns λ̂ into λ; see `AugmentedTangent`."""

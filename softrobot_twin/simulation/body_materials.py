@@ -19,7 +19,7 @@ from softrobot_twin.mechanics.material import (
     lame_parameters,
     shear_modulus,
 )
-from softrobot_twin.mechanics.patch_volumes import has_bulk_modulus
+from softrobot_twin.mechanics.point_law import has_bulk_modulus
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import RegionMaterial
@@ -36,8 +36,9 @@ class MaterialPart:
     Attributes:
         key: Key of its entry, such as ``body.material`` or ``body.materials[0]``.
         law: Name of its law.
-        young_modulus: [Pa].
-        poisson_ratio: [1].
+        law_parameters: Parameters of its law.
+        young_modulus: At rest [Pa].
+        poisson_ratio: At rest.
         density: [kg/m³].
         cells: Its cells, int64, shape (cell_count,); None for a body of one material.
         volume: Their volume [m³].
@@ -45,6 +46,7 @@ class MaterialPart:
 
     key: str
     law: str
+    law_parameters: tuple
     young_modulus: float
     poisson_ratio: float
     density: float
@@ -57,18 +59,13 @@ class MaterialPart:
         return self.law != "linear"
 
     @property
-    def law_parameters(self) -> tuple:
-        """Parameters of its law."""
-        return law_named(self.law).of_moduli(self.young_modulus, self.poisson_ratio)
-
-    @property
     def shear_modulus(self) -> float:
         """µ at rest [Pa]."""
         return shear_modulus(self.young_modulus, self.poisson_ratio)
 
     @property
     def lame_parameters(self) -> LameParameters:
-        """Lamé's constants [Pa]."""
+        """Lamé's constants at rest [Pa]."""
         if self.poisson_ratio == 0.5:
             mu = self.shear_modulus
             return LameParameters(bulk_modulus(self.young_modulus, 0.5) - 2.0 * mu / 3.0, mu)
@@ -106,12 +103,6 @@ def _check_volume(
 ) -> None:
     """Refuse what needs a bulk modulus of laws that have none, and tell what 0.5 stands for."""
     if part.poisson_ratio == 0.5:
-        if not has_bulk_modulus(law_named(part.law).parameters):
-            raise SceneError(
-                scene.path, f"{part.key}.poisson_ratio", part.poisson_ratio, "",
-                f"the law {part.law} is not defined for an incompressible material: give less than "
-                "0.5, or a law with a bulk modulus, such as neo_hookean",
-            )  # fmt: skip
         kappa = INCOMPRESSIBLE * part.shear_modulus
         notes.append(
             f"{part.key}.poisson_ratio = 0.5: incompressible, by a bulk modulus of {kappa:.3g} Pa, "
@@ -141,8 +132,7 @@ def _parts_of_cells(
     if not entry.materials:
         volume = float(mesh.volume)
         density = base.total_mass / volume if base.density is None else base.density
-        return (MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                             density, None, volume),)  # fmt: skip
+        return (MaterialPart(f"{key}.material", base.law, *base.at_rest, density, None, volume),)
     owner = np.full(mesh.cell_count, -1)
     made = []
     for index, other in enumerate(entry.materials):
@@ -151,16 +141,15 @@ def _parts_of_cells(
         _refuse_claimed_twice(cells, owner, index, other, key, scene)
         owner[cells] = index
         made.append(MaterialPart(
-            place, _or(other.law, base.law), other.young_modulus,
-            _or(other.poisson_ratio, base.poisson_ratio), _or(other.density, base.density), cells,
-            float(mesh.volumes[cells].sum()),
+            place, _or(other.law, base.law), *entry.part_at_rest(index),
+            _or(other.density, base.density), cells, float(mesh.volumes[cells].sum()),
         ))  # fmt: skip
     rest = np.flatnonzero(owner < 0)
     if not len(rest):
         notes.append(f"{key}.material is not used: {key}.materials claims every cell")
         return tuple(made)
-    own = MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                       base.density, rest, float(mesh.volumes[rest].sum()))  # fmt: skip
+    own = MaterialPart(f"{key}.material", base.law, *base.at_rest, base.density, rest,
+                       float(mesh.volumes[rest].sum()))  # fmt: skip
     return (own, *made)
 
 

@@ -9,6 +9,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import build_actuators
+from softrobot_twin.simulation.apparent_stiffness import why_no_stiffness
 from softrobot_twin.simulation.constraint_building import effector_term, marker_mapping
 from softrobot_twin.simulation.contact_building import contact_term
 from softrobot_twin.simulation.force_building import force_terms
@@ -41,6 +42,7 @@ def build_model(
     """
     try:
         model = _model_of(scene, factorization_type)
+        _check_stiffness(model)
         if with_warnings:
             model.notes.extend(unit_slips(model))
             model.notes.extend(model.actuators.doubts(model))
@@ -87,6 +89,20 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
         actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
         factorization, guides, notes, layout.superelements, layout.beams,
     )  # fmt: skip
+
+
+def _check_stiffness(model: Model) -> None:
+    """Refuse wanted stiffnesses in scenes for which their derivative is not built."""
+    scene, reason = model.scene, ""
+    for index, effector in enumerate(scene.effectors):
+        if effector.stiffness is None or effector.stiffness.weight == 0.0:
+            continue
+        reason = reason or why_no_stiffness(model)
+        if reason:
+            raise SceneError(
+                scene.path, f"effectors[{index}].stiffness", effector.name, "",
+                f"in a scene with {reason} a wanted stiffness is not built into this version",
+            )  # fmt: skip
 
 
 def _factorization(made_by: type, stiff: list, free_node_count: int):

@@ -20,12 +20,16 @@ class FollowTargets:
         orientations: Wanted turn of each effector from rest as a quaternion (x, y, z, w), of any
             length but zero, shape (effector_count, 4); NaN where it is free, as for effectors that
             ask for no orientation. None: all are free.
+        stiffness: Wanted apparent stiffness of each effector along x, y and z [N/m], NaN where it
+            is free, as for effectors that ask for no stiffness, shape (effector_count, 3). None:
+            those of the scene.
     """
 
     targets: np.ndarray
     time_step: float
     commanded: np.ndarray | None = None
     orientations: np.ndarray | None = None
+    stiffness: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

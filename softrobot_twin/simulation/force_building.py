@@ -40,6 +40,7 @@ from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.beam_bodies import all_elements
 from softrobot_twin.simulation.cavity_walls import cavity_surface
@@ -49,6 +50,9 @@ from softrobot_twin.simulation.scene_layout import Layout
 # The end of a spring on a mass-spring body must be this near to one of its points, as a share of
 # the body's size: files have six or seven digits.
 AT_POINT = 1.0e-5
+# A point that a touch holds is held by this multiple of E L, the stiffness of a block of its body's
+# material and size: far above that of any body, and below what the arithmetic of a step notices.
+HELD_STIFFNESS = 10.0
 
 
 def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
@@ -83,6 +87,8 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     if (scene.springs or scene.tubes or scene.fibres
             or any(body.springs for body in scene.mass_springs)):
         yield spring_term(layout, notes)
+    if scene.touches:
+        yield _touch_loads(layout, notes)
     if scene.sealed_cavities:
         yield _sealed_gas(layout, notes)
     if any(scene.gravity) and any(cavity.liquid_density for cavity in scene.cavities):
@@ -90,6 +96,33 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     if scene.integration != "quasi_static":
         _check_resisted(layout)
         yield from _motion_terms(layout)
+
+
+def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
+    """All touches of a scene in one term."""
+    scene, mappings, stiffness = layout.scene, [], []
+    for index, touch in enumerate(scene.touches):
+        body = layout.body_named(touch.body)
+        if body.vertebrae is not None:
+            raise SceneError(
+                scene.path, f"touches[{index}].body", body.name, "",
+                "is reduced to vertebrae: touches on such bodies are not built",
+            )  # fmt: skip
+        key = f"touches[{index}].points"
+        mappings.append(_mean(layout.carried(touch.body, touch.points, key, notes)))
+        size = size_of_points(body.mesh.node_positions)
+        stiffest = max(part.young_modulus for part in body.materials)
+        stiffness.append(HELD_STIFFNESS * stiffest * size)
+    axes = [[axis in touch.directions for axis in "xyz"] for touch in scene.touches]
+    points = reduce(BarycentricMapping.followed_by, mappings)
+    return TouchLoads(points, np.array(axes), np.array(stiffness), layout.nodes.free_index)
+
+
+def _mean(points: BarycentricMapping) -> BarycentricMapping:
+    """The mean of points as one point, each of its nodes once."""
+    nodes, place = np.unique(points.nodes, return_inverse=True)
+    shares = points.barycentric_weights.ravel() / points.point_count
+    return BarycentricMapping(nodes[None], np.bincount(place.ravel(), shares, len(nodes))[None])
 
 
 def _beam_terms(layout: Layout) -> Iterator[ForceTerm]:

@@ -21,6 +21,7 @@ from softrobot_twin.simulation.direct_actuation import DirectActuation, reachabl
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.stiffness_targets import StiffnessRows
 from softrobot_twin.simulation.target_trust import Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
@@ -49,6 +50,8 @@ LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
 # With friction along cables the least energy is another where cables slip one way, the other way, or
 # stick. Towards it go ever smaller shares, so that no cycle between these lasts.
 LEAST_PROXIMAL_WEIGHT_WITH_FRICTION = 99.0
+# With wanted stiffnesses, which change with the square of efforts that leave the targets alone.
+LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS = 9.0
 # A path beyond its bound by less, as a share of its natural scale, is on it.
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
@@ -258,6 +261,8 @@ class InverseActuation:
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if model.cable_friction is not None:
             self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
+        if model.weighs_stiffness:
+            self._least_weight = max(self._least_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
         self.trust = TargetTrust(
             actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance
         )
@@ -288,8 +293,9 @@ class InverseActuation:
         self._begins, self._is_balanced = True, is_balanced
 
     def solve(
-        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
-    ) -> tuple[Actuation, Actuation]:
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        stiffness: StiffnessRows | None = None,
+    ) -> tuple[Actuation, Actuation]:  # fmt: skip
         """Solve the inverse problem around one state.
 
         Args:
@@ -298,6 +304,7 @@ class InverseActuation:
                 shape (effector_row_count,).
             held: What the actuators do when they stay.
             bounds: Bounds of this step.
+            stiffness: Rows of wanted stiffnesses; None if none is wanted.
 
         Returns:
             The actuation, or the held one with `solved` False; and what a shorter step than that
@@ -311,12 +318,13 @@ class InverseActuation:
             if self._posed is not None:
                 # Coordinates of orientations are those at the present target.
                 self.trust.rest = _rest_rows(self._posed)
-            self.trust.begin(Situation(
+            situation = Situation(
                 np.where(weights > 0.0, target_rows, 0.0), weights,
                 linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
                 drives, np.where(commanded, most, np.nan),
                 self._is_balanced,
-            ))  # fmt: skip
+            )  # fmt: skip
+            self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
         if commanded.any():
             held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
@@ -328,27 +336,37 @@ class InverseActuation:
         if self.trust.approach is Approach.RETRACE:
             return self._retrace(linear, held, bounds), held
         errors = linear.effectors - linear.effectors_now - asked
+        extra = None
+        if stiffness is not None:
+            errors = np.concatenate([errors, stiffness.free - stiffness.now - stiffness.asked])
+            weights = np.concatenate([weights, stiffness.weights])
+            extra = stiffness.motion
         found = None
         if self._alone and linear.augmentation is None and not commanded.any():
-            found = self._by_guess(linear, errors, weights, held, bounds)
+            found = self._by_guess(linear, errors, weights, held, bounds, extra)
         if found is None:
-            found = self._by_search(linear, errors, weights, held, bounds, commanded)
+            found = self._by_search(linear, errors, weights, held, bounds, commanded, extra)
         if found is None:
             return held._replace(solved=False), held
         if self._learns:
-            self.trust.expect(
-                linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
-            )
+            places = linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
+            if stiffness is not None:
+                places = np.concatenate([places, stiffness.places(found.efforts)])
+            self.trust.expect(places)
         return found, held
 
     def _by_guess(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds,
+        bounds: Bounds, extra: np.ndarray | None,
     ) -> Actuation | None:  # fmt: skip
         """The actuation from the last active set, without contacts; None where it is not proved."""
+        W, effectors = linear.W, linear.groups.effectors
+        if extra is not None:
+            W = np.concatenate([W[: effectors.stop, : effectors.start], extra])
+            effectors = slice(effectors.start, len(W))
         efforts = self._solver.efforts_by_guess(
-            linear.W, linear.groups.effectors, errors, weights, self._energy_weight,
-            self.trust.weight / self._energy_weight, self._centre(linear, held, self._all_free),
+            W, effectors, errors, weights, self._energy_weight,
+            self._least_weight + self.trust.weight / self._energy_weight, self._centre(linear, held, self._all_free),
             linear.actuators, linear.actuator_displacements(held.efforts, NO_FORCES), bounds,
         )  # fmt: skip
         if efforts is None:
@@ -359,12 +377,12 @@ class InverseActuation:
 
     def _by_search(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, commanded: np.ndarray,
+        bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
     ) -> Actuation | None:  # fmt: skip
         """The actuation of any inverse problem; None where it has no solution."""
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
         unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
-        problem = self._problem(linear, errors, weights, held, bounds, unknowns)
+        problem = self._problem(linear, errors, weights, held, bounds, unknowns, extra)
         solution = self._solution(linear, problem, held, unknowns)
         if not solution.solved:
             return None
@@ -385,9 +403,19 @@ class InverseActuation:
 
     def _problem(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, unknowns: Unknowns,
+        bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
     ) -> QPCC:  # fmt: skip
-        """The inverse problem around one state; `errors` are δ_e,free less the targets [m]."""
+        """The inverse problem around one state.
+
+        Args:
+            linear: The condensed system.
+            errors: δ_e,free less the targets, then those of further rows [m].
+            weights: Their weights.
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+            unknowns: Order of the unknowns.
+            extra: Change of the further rows by the multipliers of the actuators, or None.
+        """
         count, commanded = linear.groups.actuators.stop, unknowns.commanded
         prescribed = bounds.displacement_max[:count]
         within, contact_bounds = reachable(linear, held, bounds), NO_CONTACTS
@@ -401,6 +429,8 @@ class InverseActuation:
                 np.concatenate([bounds.effort_max[:count][commanded], limits]),
             )
         system = inverse_system(linear, errors, commanded, prescribed)
+        if extra is not None:
+            system = with_effector_rows(system, extra, commanded)
         problem = build_inverse_problem(
             system, weights, self._energy_weight, within, contact_bounds,
             self._centre(linear, held, unknowns),
@@ -637,6 +667,38 @@ def inverse_system(
         W[e, own], W[e, one_sided], W[np.ix_(own, own)], W[np.ix_(own, one_sided)],
         W[np.ix_(one_sided, one_sided)], G_e, np.zeros((len(own), G_e.shape[1])),
         np.concatenate([np.zeros((len(taut), G_e.shape[1])), G_c]), errors, free[own], gaps,
+    )  # fmt: skip
+
+
+def with_effector_rows(
+    system: InverseSystem, extra: np.ndarray, commanded: np.ndarray
+) -> InverseSystem:
+    """Add rows below those of the effectors, which neither contacts nor moves change.
+
+    Args:
+        system: See `inverse_system`; its effectors contain the errors of these rows already.
+        extra: Change of the rows by the multipliers of the actuators, shape (n, actuator_row_count).
+        commanded: Which actuators are commanded, shape (actuator_row_count,).
+    """
+    taut = np.zeros((len(extra), system.W_ec.shape[1]))
+    taut[:, : np.count_nonzero(commanded)] = extra[:, commanded]
+    moved = np.zeros((len(extra), system.G_e.shape[1]))
+    return system._replace(
+        W_ea=np.concatenate([system.W_ea, extra[:, ~commanded]]),
+        W_ec=np.concatenate([system.W_ec, taut]), G_e=np.concatenate([system.G_e, moved]),
+    )  # fmt: skip
+
+
+def _with_stiffness(
+    situation: Situation, stiffness: StiffnessRows | None, efforts: np.ndarray
+) -> Situation:
+    """A situation with the rows of wanted stiffnesses below those of the effectors."""
+    if stiffness is None:
+        return situation
+    places = np.concatenate([situation.places, stiffness.places(efforts)])
+    return situation._replace(
+        targets=np.concatenate([situation.targets, stiffness.wanted]),
+        weights=np.concatenate([situation.weights, stiffness.weights]), places=places,
     )  # fmt: skip
 
 

@@ -84,9 +84,18 @@ class Model:
         return self.scene.integration != "quasi_static"
 
     @property
+    def weighs_stiffness(self) -> bool:
+        """True when an effector asks for a stiffness, with a weight."""
+        entries = (effector.stiffness for effector in self.scene.effectors)
+        return any(entry is not None and entry.weight > 0.0 for entry in entries)
+
+    @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages of a step, in the order they run."""
         detect = ("detect",) if self.rows.varies else ()
         solved = any(term.group != "effectors" for term in self.rows.terms)
         optimise = ("optimise",) if solved else ()
-        return (*detect, "assemble", "factor", "condense", *optimise, "correct", "residual")
+        stiffness = ("stiffness",) if self.weighs_stiffness else ()
+        return (
+            *detect, "assemble", "factor", "condense", *stiffness, *optimise, "correct", "residual"
+        )  # fmt: skip

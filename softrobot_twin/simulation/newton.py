@@ -18,6 +18,7 @@ import numpy as np
 
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.hinge_angle import HingeAngles
+from softrobot_twin.simulation import apparent_stiffness
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.augmented_tangent import (
     AugmentedHinges,
@@ -31,7 +32,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.move import Move
 from softrobot_twin.simulation.time_budget import StageClock
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
-from softrobot_twin.solvers.factorization import NodeRows
+from softrobot_twin.solvers.factorization import Factorization, NodeRows
 
 # Where no merit tells how far a linearization holds (in motion, with friction, with slender parts), no
 # node moves further than this share of the body's size in one linearization, seen from slides that carry it.
@@ -82,6 +83,7 @@ class Newton:
         self._forces = np.zeros((model.nodes.free_node_count, 3))
         self._multipliers = np.zeros(self._rows.row_count)
         self._linear: Linearized | None = None
+        self._condensed_forces = self._forces
         self._effector_columns = self._columns_of_effectors()
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
@@ -178,6 +180,14 @@ class Newton:
         """
         is_of_use = self.factor_age is not None and not (self.is_worn or self.is_augmented)
         return is_of_use and not self._rows.varies
+
+    @property
+    def static_factorization(self) -> Factorization | None:
+        """The factorization, where it holds the exact tangent of statics; else None."""
+        is_other = self._model.is_dynamic or self.is_augmented or self.projected_tangent
+        if is_other or self._has_cable_friction or self.factor_age is None:
+            return None
+        return self._model.factorization
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
@@ -324,6 +334,7 @@ class Newton:
             if rows.told is not None:
                 forces = forces.copy()
                 rows.add_forces(np.zeros(rows.row_count), forces)
+            self._condensed_forces = forces
             return Linearized(
                 model.factorization, rows, forces, moves, per_contact, pressing,
                 multipliers=multipliers,
@@ -337,6 +348,7 @@ class Newton:
         c = rows.groups.contacts
         shift[c] = self._augmented.contact_shift(rows.values[c])
         rows.add_forces(shift, forces)
+        self._condensed_forces = forces
         return Linearized(
             self._augmented, rows, forces, moves, per_contact, pressing, augmentation
         )
@@ -356,6 +368,21 @@ class Newton:
             held.effort_min[a], held.effort_max[a],
         )  # fmt: skip
         return actuation._replace(efforts=efforts)
+
+    def linearized_state(
+        self, positions: np.ndarray, efforts: np.ndarray
+    ) -> apparent_stiffness.State:
+        """The state of the last linearization, and how it was linearized.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            efforts: Efforts of the actuators there, shape (actuator_count,).
+        """
+        solver = self._augmented if self.is_augmented else self._model.factorization
+        return apparent_stiffness.State(
+            self._linear, solver, self._condensed_forces, positions.copy(),
+            efforts[self._rows.groups.actuators],
+        )  # fmt: skip
 
     def _prescribed_moves(self, positions: np.ndarray) -> PrescribedMoves | None:
         """What slides prescribe; None without any."""

@@ -103,6 +103,11 @@ class Readouts:
         return tuple(effector.name for effector in self.scene.effectors)
 
     @property
+    def touch_names(self) -> tuple[str, ...]:
+        """Names of the touches, in the order of all their arrays."""
+        return tuple(touch.name for touch in self.scene.touches)
+
+    @property
     def rest_setpoints(self) -> np.ndarray:
         """Setpoints at rest, such as lengths of cables [m], shape (actuator_count,)."""
         return self.model.actuators.rest_setpoints

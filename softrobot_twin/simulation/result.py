@@ -12,6 +12,7 @@ from softrobot_twin.simulation.state import State
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.contact_forces import ContactForces
+    from softrobot_twin.simulation.touches import TouchState
 
 # Ending of the name of a limit that only delays a motion.
 RATE = ".rate"
@@ -131,6 +132,11 @@ class StepResult:
             effectors without orientation, shape (effector_count, 4); None if the scene has none.
         orientation_errors: Angle of each effector from its target over what its orientation asks
             for [rad], NaN without a target, shape (effector_count,); None if the scene has none.
+        effector_stiffness: Apparent stiffness of each effector along x, y and z [N/m], NaN where
+            none is wanted, shape (effector_count, 3); None if none is wanted of any.
+        stiffness_errors: Share of its target that a stiffness of each effector is wrong by, the
+            largest of its axes; NaN where none is wanted, shape (effector_count,); None if none is
+            wanted of any.
     """
 
     state: State
@@ -144,3 +150,10 @@ class StepResult:
     contacts: ContactForces | None = None
     effector_orientations: np.ndarray | None = None
     orientation_errors: np.ndarray | None = None
+    effector_stiffness: np.ndarray | None = None
+    stiffness_errors: np.ndarray | None = None
+
+    @property
+    def touches(self) -> TouchState | None:
+        """Forces and displacements of the touches; None if the scene has none."""
+        return self.state.touches

@@ -12,6 +12,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.simulation import apparent_stiffness
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
@@ -33,9 +34,16 @@ from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import PastMotion, State
 from softrobot_twin.simulation.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step_status import Balance, balance
+from softrobot_twin.simulation.stiffness_targets import (
+    ReachedStiffness,
+    StiffnessRows,
+    StiffnessTargets,
+)
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
+from softrobot_twin.simulation.touches import Touched, Touches, touch_term
 from softrobot_twin.simulation.warm_up import run_every_path
+from softrobot_twin.solvers.factorization import Factorization
 
 # Shares of a move towards targets that are tried, where a whole one folds the body or leads away
 # from balance.
@@ -54,6 +62,7 @@ class Correction(NamedTuple):
         share: Share of the move that was made; zero where it was not finite.
         residual: Largest force out of balance on a node after it [N].
         imbalance: Distance of the effectors from balance at the linearized state [m].
+        stiffness: Stiffnesses after the move; None if none is wanted.
     """
 
     linear: Linearized
@@ -62,6 +71,7 @@ class Correction(NamedTuple):
     share: float
     residual: float
     imbalance: float
+    stiffness: ReachedStiffness | None = None
 
 
 class Simulation(Readouts):
@@ -97,6 +107,8 @@ class Simulation(Readouts):
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
         self._cable_friction = self.model.cable_friction
+        touch_loads = touch_term(self.model)
+        self._touches = None if touch_loads is None else Touches(self.model, touch_loads)
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self._newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
@@ -105,6 +117,9 @@ class Simulation(Readouts):
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
         self._results = StepResults(self.model, self._newton, self._inverse)
         self._optimises = "optimise" in self.model.stages
+        self._stiffness = None
+        if self.model.weighs_stiffness:
+            self._stiffness = StiffnessTargets(self.model)
         self._reading = Interpretation(self.model)
         self._find_surface()
         self.reset()
@@ -125,6 +140,7 @@ class Simulation(Readouts):
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
             velocities=self._motion.at_rest(), slips=self._slips_at_rest(),
+            touches=self._untouched(),
         )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
@@ -133,6 +149,11 @@ class Simulation(Readouts):
     def _slips_at_rest(self) -> np.ndarray:
         friction = self._cable_friction
         return np.zeros(0 if friction is None else len(friction.shares))
+
+    def _untouched(self):
+        if self._touches is None:
+            return None
+        return self._touches.untouched(self.model.nodes.rest_positions)
 
     def restore(self, state: State) -> None:
         """Put a saved state back.
@@ -148,6 +169,7 @@ class Simulation(Readouts):
             or state.setpoints.shape != self.state.setpoints.shape
             or state.velocities.shape != self.state.velocities.shape
             or state.slips.shape != self.state.slips.shape
+            or (state.touches is None) != (self._touches is None)
             or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
@@ -163,6 +185,11 @@ class Simulation(Readouts):
         if self._inverse is not None:
             self._inverse.reset()
 
+    @property
+    def static_factorization(self) -> Factorization | None:
+        """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
+        return self._newton.static_factorization
+
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
@@ -171,7 +198,9 @@ class Simulation(Readouts):
         self.restore(before)
         self._time_budget = TimeBudget()
 
-    def step(self, command: Command, budget: float | None = None) -> StepResult:
+    def step(
+        self, command: Command, budget: float | None = None, touched: Touched | None = None
+    ) -> StepResult:
         """Advance by one command: eq. (9) to (18), as often as time and scene allow.
 
         Without a budget it linearizes at most `newton_iterations` times, in motion up to
@@ -184,21 +213,24 @@ class Simulation(Readouts):
         Args:
             command: What is asked. Its arrays must fit this scene.
             budget: Time for this step [s], or None.
+            touched: What is measured of the scene's touches; None without any touch. A touch may
+                replace a command to follow targets; see `Touches`.
 
         Returns:
             The new state and what led to it; with a failure status, the last safe one.
 
         Raises:
-            CommandError: The command does not fit this scene, or is not finite.
+            CommandError: The command or the touch does not fit this scene, or is not finite.
         """
         clock = StageClock(self._now)
+        command, holds_others = self._touch(command, touched)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
         is_changed = self._begin(
             positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
         )
-        if is_changed:
+        if is_changed or holds_others:
             self._newton.factor_age = None
         if self._cable_friction is not None:
             self._cable_friction.begin(positions, self.state.efforts, self.state.slips)
@@ -230,9 +262,26 @@ class Simulation(Readouts):
         self._is_balanced = reached is not Balance.MISSED
         outcome = Outcome(
             positions, done.actuation, done.held, done.linear, reached,
-            done.residual, iterations, error, pressed,
+            done.residual, iterations, error, pressed, done.stiffness,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
+
+    def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:
+        """Set the loads of touches.
+
+        Args:
+            command: What is asked.
+            touched: What is measured.
+
+        Returns:
+            What is to be done, and whether other points are held than before.
+        """
+        if self._touches is None:
+            if touched is not None:
+                raise CommandError("touched", "this scene has no touches")
+            return command, False
+        changes = self._touches.begin(touched, self.state)
+        return self._touches.command(command, self.state), changes
 
     def _iterate(
         self, positions: np.ndarray, efforts: np.ndarray, command: Command, asked: Asked,
@@ -259,7 +308,12 @@ class Simulation(Readouts):
         still = self.actuators.drives(self.state.setpoints)
         held = self._direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
-        actuation, held = self._actuate(linear, command, asked, held)
+        state = rows = None
+        if asked.stiffness is not None:
+            state = self._newton.linearized_state(positions, efforts)
+            rows = self._stiffness.rows(state, asked.stiffness)
+            clock.mark("stiffness")
+        actuation, held = self._actuate(linear, command, asked, held, rows)
         if self._optimises:
             clock.mark("optimise")
         if with_stale_factor:
@@ -271,7 +325,10 @@ class Simulation(Readouts):
             share, residual, actuation = self._move_and_settle(
                 positions, actuation, clock, is_judged
             )
-        return Correction(linear, actuation, held, share, residual, error)
+        reached = None
+        if rows is not None and share:
+            reached = self._stiffness.reached(rows, state, positions, actuation.efforts)
+        return Correction(linear, actuation, held, share, residual, error, reached)
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
         """Displacements that the actuators are held at, or that a step towards targets starts from.
@@ -310,8 +367,9 @@ class Simulation(Readouts):
         )  # fmt: skip
 
     def _load(self, actuation: Actuation) -> float:
-        """Sum of the forces of actuators and contacts, by magnitude [N]."""
-        return self.actuators.load(actuation.efforts) + actuation.contact.load
+        """Sum of the forces of actuators, contacts and touches, by magnitude [N]."""
+        own = 0.0 if self._touches is None else self._touches.load
+        return self.actuators.load(actuation.efforts) + actuation.contact.load + own
 
     def _begin(
         self, positions: np.ndarray, velocities: np.ndarray, past: PastMotion | None,
@@ -323,8 +381,9 @@ class Simulation(Readouts):
         )
 
     def _actuate(
-        self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None
-    ) -> tuple[Actuation, Actuation | None]:
+        self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None,
+        stiffness: StiffnessRows | None,
+    ) -> tuple[Actuation, Actuation | None]:  # fmt: skip
         """Find λ as the command asks for it.
 
         Args:
@@ -332,6 +391,7 @@ class Simulation(Readouts):
             command: What is asked.
             asked: The same, read.
             held: What the actuators do when they stay; None where nothing asks for it.
+            stiffness: Rows of wanted stiffnesses; None if none is wanted.
 
         Returns:
             The actuation, and the one that a shorter step begins with.
@@ -343,7 +403,7 @@ class Simulation(Readouts):
         if isinstance(command, CommandEfforts):
             return direct.at_efforts(linear, wanted, held, bounds), held
         if isinstance(command, FollowTargets):
-            return self._inverse.solve(linear, wanted, held, bounds)
+            return self._inverse.solve(linear, wanted, held, bounds, stiffness)
         return held, held
 
     def _move(
@@ -431,6 +491,7 @@ class Simulation(Readouts):
             self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             motion.velocities, motion.past, self._slips(outcome),
+            None if self._touches is None else self._touches.end(outcome.positions),
         )  # fmt: skip
         return self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()

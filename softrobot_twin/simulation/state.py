@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from softrobot_twin.simulation.touches import TouchState
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ class State:
             belong to another motion.
         slips: Share of the friction that acts at each point of each cable, -1 to 1; see
             `cable_friction`, shape (segment_count,), or empty without friction along cables.
+        touches: Touches of the last step; None in a scene without touches.
     """
 
     positions: np.ndarray
@@ -58,10 +63,11 @@ class State:
     velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     past: PastMotion | None = None
     slips: np.ndarray = field(default_factory=lambda: np.empty(0))
+    touches: TouchState | None = None
 
     def __post_init__(self):
         arrays = (self.positions, self.setpoints, self.efforts, self.velocities, self.slips)
-        for array in arrays:
+        for array in (*arrays, *(self.touches or ())):
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:

@@ -26,6 +26,7 @@ from softrobot_twin.simulation.step_status import (
     misses,
     orientation_errors,
 )
+from softrobot_twin.simulation.stiffness_targets import ReachedStiffness
 from softrobot_twin.simulation.time_budget import StageClock
 
 
@@ -42,6 +43,7 @@ class Outcome(NamedTuple):
         iterations: Linearizations done.
         error: Distance of the effectors from equilibrium before the step [m].
         pressed: Whether the budget left no time for a linearization.
+        stiffness: Stiffnesses of the effectors; None if none is wanted.
     """
 
     positions: np.ndarray
@@ -53,6 +55,7 @@ class Outcome(NamedTuple):
     iterations: int
     error: float
     pressed: bool
+    stiffness: ReachedStiffness | None = None
 
 
 class StepResults:
@@ -87,7 +90,9 @@ class StepResults:
         model, newton, actuation = self._model, self._newton, outcome.actuation
         errors = effector_errors(model.effectors, command, places)
         angles = orientation_errors(model.effectors, command, outcome.positions)
-        missed = misses(model.effectors, errors, angles)
+        missed, reached_stiffness = misses(model.effectors, errors, angles), outcome.stiffness
+        if reached_stiffness is not None:
+            missed = _with_stiffness(missed, reached_stiffness.misses)
         # A command to hold needs no motion, so no limit restricts it.
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
@@ -103,6 +108,8 @@ class StepResults:
         following = isinstance(command, FollowTargets)
         if following and not met and not any(limit.endswith(RATE) for limit in active):
             missed_before = self._missed(command, before.positions)
+            if reached_stiffness is not None:
+                missed_before = _with_stiffness(missed_before, reached_stiffness.misses_before)
             active = (*active, *self._what_else_holds(asked, outcome, missed_before, missed))
         status = judge(
             actuation, newton.inverted_count, outcome.balance, met, active, following
@@ -130,6 +137,7 @@ class StepResults:
         return StepResult(
             state, status, state.setpoints, state.efforts, displacements, places, errors, report,
             touching, self._quaternions(outcome.positions), angles,
+            *(reached_stiffness[:2] if reached_stiffness is not None else ()),
         )  # fmt: skip
 
     def _missed(self, command: Command, positions: np.ndarray) -> np.ndarray:
@@ -207,3 +215,14 @@ class StepResults:
             return ()
         with_weight, with_the_least = errors
         return (ENERGY,) if with_weight - with_the_least > tolerance else ()
+
+
+def _with_stiffness(missed: np.ndarray, by_stiffness: np.ndarray) -> np.ndarray:
+    """How far each effector is from its target, wrong stiffnesses counted by their length.
+
+    Args:
+        missed: Distances [m], NaN without a target, shape (effector_count,).
+        by_stiffness: Those of stiffnesses [m], zero where none is wanted, same shape.
+    """
+    both = np.hypot(np.nan_to_num(missed), by_stiffness)
+    return np.where(np.isnan(missed) & (by_stiffness == 0.0), np.nan, both)

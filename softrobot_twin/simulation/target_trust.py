@@ -33,6 +33,9 @@ FIRST, GREATEST = 1.0e-3, 1.0e3
 TIGHTER, LOOSER = 8.0, 0.25
 # Gains below the first are poor, above the second good.
 POOR, GOOD = 0.25, 0.7
+# With wanted stiffnesses, weights below this multiple of one that gave a poor gain are not tried again:
+# what the targets leave open changes them only by its square, and each try would stir it anew.
+ABOVE_POOR = 4.0
 # A promise below this share of the tracking term is round-off.
 NO_PROMISE = 1.0e-9
 # Where the tracking term falls by less than this share in so many steps, there is no progress.
@@ -154,6 +157,8 @@ class Situation(NamedTuple):
             other: The other one.
             now: T of this one [m²].
         """
+        if len(self.targets) != len(other.targets):
+            return False
         moved = self.targets - other.targets
         return (
             are_equal(self.weights, other.weights)
@@ -190,7 +195,7 @@ class TargetTrust:
 
     def forget(self) -> None:
         """Forget all targets."""
-        self.weight = 0.0
+        self.weight = self._floor = 0.0
         # The situation that was followed first, and that of the last step.
         self._asked: Situation | None = None
         self._last: Situation | None = None
@@ -213,8 +218,10 @@ class TargetTrust:
         now = situation.tracking(situation.places)
         if self._asked is None or not situation.asks_the_same(self._asked, now):
             self._asked, self._has_retraced = situation, False
-            self.weight = 0.0
+            self.weight = self._floor = 0.0
             self._start_again()
+        if self._last is not None and len(self._last.targets) != len(situation.targets):
+            self._promised = None
         reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
         if self._promised is not None and self.approach is Approach.FOLLOW and now > reached:
             before = situation.tracking(self._last.places)
@@ -246,6 +253,8 @@ class TargetTrust:
             return
         gain = (before - now) / promise
         if gain < POOR:
+            if self._has_more:
+                self._floor = max(self._floor, ABOVE_POOR * max(self.weight, FIRST))
             self.tighten()
         elif gain > GOOD:
             self._set(self.weight * LOOSER)
@@ -277,7 +286,11 @@ class TargetTrust:
 
     def _is_caught(self, situation: Situation, now: float) -> bool:
         """Whether the shape at rest is much nearer to the target."""
-        return situation.tracking(self.rest) < CAUGHT**2 * now
+        # Of what else is wanted than places, such as a stiffness, the shape at rest has nothing.
+        rest = self.rest
+        if len(rest) < len(situation.targets):
+            rest = np.concatenate([rest, np.zeros(len(situation.targets) - len(rest))])
+        return situation.tracking(rest) < CAUGHT**2 * now
 
     @property
     def _path_length(self) -> float:
@@ -315,5 +328,11 @@ class TargetTrust:
             return
         self._set(max(self.weight, FIRST) * TIGHTER)
 
+    @property
+    def _has_more(self) -> bool:
+        """Whether more is wanted than places of effectors."""
+        return self._last is not None and len(self._last.targets) > len(self.rest)
+
     def _set(self, weight: float) -> None:
+        weight = max(weight, self._floor)
         self.weight = min(weight, GREATEST) if weight >= FIRST else 0.0

@@ -12,16 +12,15 @@ from softrobot_twin.study.output_file import OutputError, output_file
 
 
 class MissingExtraError(SoftRobotTwinError):
-    """A picture needs a library that is not installed.
+    """A library is needed that is not installed.
 
     Attributes:
         library: Name of the library.
     """
 
-    def __init__(self, library: str):
+    def __init__(self, library: str, needed: str = "pictures need it"):
         self.library = library
-        super().__init__(f"{library} is not installed; pictures need it: "
-                         f"pip install {library}")
+        super().__init__(f"{library} is not installed; {needed}: pip install {library}")
 
 
 def load_pyplot() -> ModuleType:

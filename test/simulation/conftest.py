@@ -340,3 +340,35 @@ def layered():
         return TetMesh(points, tets)
 
     return make
+
+
+@pytest.fixture
+def two_cavities(simulate, body_of, block, tmp_path):
+    """Makes a solid block with two cavities inside, side by side; a function may change its scene.
+
+    They are thin boxes between its elements: their gas pushes the material apart.
+    """
+
+    def make(change=None):
+        foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]
+        mesh = block(size=(0.02, 0.02, 0.06), cells=(4, 4, 6), shake=0.0)
+        mapping = {
+            "gravity": [0.0, 0.0, 0.0], "body": body_of(mesh, "block", fixed=foot), "cavities": [],
+            "effectors": [
+                {"name": "top", "points": [[0.01, 0.01, 0.06]], "directions": ["x"]}
+            ],
+        }  # fmt: skip
+        box = block(size=(0.003, 0.016, 0.05), cells=(1, 4, 8), shake=0.0)
+        for name, x in (("left", 0.003), ("right", 0.014)):
+            points = box.node_positions + [x, 0.002, 0.005]
+            meshio.write(tmp_path / f"{name}.stl",
+                         meshio.Mesh(points, [("triangle", box.surface_triangles)]))  # fmt: skip
+            wall = {"file": str(tmp_path / f"{name}.stl")}
+            mapping["cavities"].append(
+                {"name": name, "walls": [wall], "pressure": [0.0, 5e4]}
+            )
+        if change is not None:
+            change(mapping)
+        return simulate(**mapping)
+
+    return make

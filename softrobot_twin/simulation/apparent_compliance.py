@@ -1,0 +1,539 @@
+"""Compliance of the effectors after actuation, and the Jacobian of their motion by the actuators.
+
+A force f pushes an effector, while the actuators hold what they hold. With W = H A⁻¹ Hᵀ over the
+three coordinates e of the effector and the rows h that hold their displacement,
+
+    ∂x/∂f   = W_ee - W_eh (W_hh + C)⁻¹ W_he
+    J_a     = W_eh (W_hh + C)⁻¹ (a)                  (column of the actuator; Coevoet 2017, eq. 16)
+
+where C is the compliance of the actuators themselves, such as that of cables that stretch. Rows of h:
+
+- Actuators whose displacement is set, as long as their effort is between its bounds. A slack cable
+  holds nothing, nor does a motor that stalls or a cable at its greatest tension. What is driven by
+  an effort, such as a cavity under pressure, keeps its effort, and holds only where its
+  displacement is at a limit: an empty cavity bears on its walls.
+- The gaps of pressing contacts; with friction, their tangents too where they stick. Where they
+  slide, the friction stays as it is.
+
+A is the stiffness of statics, also in scenes that move: without inertia and damping, it is what a
+slow touch feels. Where the tangent alone is singular or indefinite, a robot may be stable because
+its actuators hold it. So the equations of unknowns and multipliers are solved together,
+
+    A dq - Hᵀ dλ = f,     D dq + C dλ = dδ,
+
+with the rows D of displacements, which are H but for cables with friction.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from softrobot_twin.constraints.effector import Effectors
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.simulation.limits import DISPLACEMENT_MARGIN
+from softrobot_twin.solvers.factorization import Factorization, NodeRows
+from softrobot_twin.solvers.superlu import laid_out_like
+
+if TYPE_CHECKING:
+    from softrobot_twin.simulation.simulation import Simulation
+
+# A contact with less than this share of the greatest force does not press.
+PRESSES = 1.0e-9
+# A contact with more than this share of the greatest friction slides.
+SLIDES = 1.0 - 1.0e-6
+# An effort within this share of the actuator's scale from a bound is at it.
+AT_BOUND = 1.0e-9
+# Rows that say the same make W_hh singular. With this share of their own compliance they share the
+# load; it is far below what any result could show.
+SHARING = 1.0e-10
+# Stiffness of what nothing holds, as a share of the mean stiffness.
+FREE_SHARE = 1.0e-10
+
+
+class ApparentCompliance(NamedTuple):
+    """What effectors yield to forces, and to their actuators, around one state.
+
+    Attributes:
+        compliance: ∂x/∂f of each effector at its own force [m/N], shape (effector_count, 3, 3);
+            NaN where the equations have no solution.
+        jacobian: ∂x/∂δ_a of each effector by the displacement of each actuator, in the direction in
+            which its effort does work, such as the shortening of a cable [m/m] and the growth of a
+            cavity [m/m³]; by the effort of what is driven by its effort, such as a pressure [m/Pa];
+            shape (effector_count, 3, actuator_count). Zero for a slack cable.
+        is_held: Whether each actuator holds its displacement, shape (actuator_count,).
+        is_by_effort: Whether each is driven by its effort, and its column of the Jacobian too, same
+            shape.
+        contact_count: Contacts that hold their gaps.
+    """
+
+    compliance: np.ndarray
+    jacobian: np.ndarray
+    is_held: np.ndarray
+    is_by_effort: np.ndarray
+    contact_count: int
+
+    def principal_stiffness(self, effector: int) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness along the directions in which an effector yields straight to a force.
+
+        Args:
+            effector: Index of the effector.
+
+        Returns:
+            Stiffnesses [N/m], the least first, infinite where the effector does not yield, shape
+            (3,), and their directions as rows, shape (3, 3). With friction along cables the
+            compliance is not quite symmetric, and these are of its symmetric part.
+        """
+        return principal_stiffness(self.compliance[effector])
+
+
+def principal_stiffness(compliance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Principal stiffnesses of a compliance, the least first; see `ApparentCompliance`.
+
+    A negative one is that of an unstable direction; it is listed first.
+
+    Args:
+        compliance: [m/N], shape (3, 3).
+
+    Returns:
+        Stiffnesses [N/m], shape (3,), and unit directions as rows, shape (3, 3).
+    """
+    if not np.isfinite(compliance).all():
+        return np.full(3, np.nan), np.full((3, 3), np.nan)
+    yields, directions = np.linalg.eigh(0.5 * (compliance + compliance.T))
+    greatest = np.abs(yields).max(initial=0.0)
+    stiffness = np.full(3, np.inf)
+    moving = np.abs(yields) > SHARING * greatest
+    stiffness[moving] = 1.0 / yields[moving]
+    order = np.argsort(stiffness, kind="stable")
+    directions = directions.T[order]
+    # Each direction points to the side on which its largest component is positive.
+    largest = directions[np.arange(3), np.abs(directions).argmax(axis=1)]
+    return stiffness[order], directions * np.sign(largest)[:, None]
+
+
+class EffectorCompliance:
+    """Computes the apparent compliance of the effectors of a simulation at its present state.
+
+    Nothing of a step depends on it: it changes neither the state nor what the next step finds. Its
+    memory is allocated when it is made, so a simulation that nobody asks has none.
+    """
+
+    def __init__(self, simulation: Simulation):
+        """Lay out three rows for each effector, whatever directions the scene controls.
+
+        Args:
+            simulation: The simulation.
+        """
+        self._simulation, self._model = simulation, simulation.model
+        model, effectors = self._model, simulation.model.effectors
+        self._count = 0 if effectors is None else len(effectors.effectors)
+        self._points = self._own_rows = self._lu = None
+        if self._count:
+            whole = tuple(one._replace(directions=(0, 1, 2)) for one in effectors.effectors)
+            nodes = model.nodes
+            self._points = Effectors(whole, nodes.free_index, nodes.size)
+            self._own_rows = RowStack([self._points], nodes.carried)
+
+    def at_state(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
+        """The compliance at the state where the simulation stands, exactly.
+
+        Assembles the stiffness of statics there, and factorizes it once.
+
+        Args:
+            by_effort: Actuators that were commanded by efforts although they are driven by
+                displacements, which therefore hold nothing, shape (actuator_count,); None for
+                those that the scene names.
+        """
+        return self._found(by_effort, None)
+
+    def after_step(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
+        """The same by the factorization of the last step, where it has that of statics.
+
+        It belongs to the state before the last correction, so while the robot moves the result is
+        that of one correction ago. Else this is `at_state`: in motion, after steps whose tangent
+        was indefinite, and with friction along cables.
+
+        Args:
+            by_effort: See `at_state`.
+        """
+        return self._found(by_effort, self._simulation.static_factorization)
+
+    def _found(
+        self, by_effort: np.ndarray | None, factorization: Factorization | None
+    ) -> ApparentCompliance:
+        model, state = self._model, self._simulation.state
+        actuator_count = model.actuators.count
+        if not self._count:
+            no = np.zeros(actuator_count, bool)
+            return ApparentCompliance(
+                np.empty((0, 3, 3)), np.empty((0, 3, actuator_count)), no, no, 0
+            )
+        holding = self._holding(by_effort)
+        if factorization is None:
+            solve = self._solved_anew
+        else:
+            solve = _Condensed(factorization, model.nodes.free_node_count).solve
+        try:
+            moves = solve(state.positions, self._rows(state.positions, holding), holding)
+        except np.linalg.LinAlgError:  # Only where a stiffness is not finite.
+            moves = (np.full((3 * self._count, 3 * self._count), np.nan),
+                     np.full((3 * self._count, actuator_count), np.nan))  # fmt: skip
+        return self._put_together(holding, *moves)
+
+    def _holding(self, by_effort: np.ndarray | None) -> _Holding:
+        """Which rows hold at the state; evaluates all rows there."""
+        model, state = self._model, self._simulation.state
+        rows, actuators, limits = model.rows, model.actuators, model.actuators.limits
+        if model.cable_friction is not None:
+            model.cable_friction.begin(state.positions, state.efforts, state.slips)
+        if rows.varies:
+            rows.detect(state.positions)
+            rows.choose_stiffness(True)
+            rows.limit_stiffness(False)
+        rows.tell_efforts(state.efforts)
+        rows.evaluate(state.positions)
+        a = rows.groups.actuators
+        efforts, scale = state.efforts[a], AT_BOUND * limits.effort_scale[a]
+        path = rows.values[a].copy()
+        stretch = rows.stretch_compliance()
+        if stretch is not None:
+            path += stretch * efforts
+        is_driven = actuators.is_effort_driven[a].copy()
+        margin = DISPLACEMENT_MARGIN * limits.displacement_scale[a]
+        at_limit = (path <= limits.displacement_min[a] + margin) | (
+            path >= limits.displacement_max[a] - margin
+        )
+        inside = (efforts > limits.effort_min[a] + scale) & (efforts < limits.effort_max[a] - scale)
+        held = np.where(is_driven, at_limit, inside)
+        drives = actuators.drives(state.setpoints)[a]
+        # A cable without tension that is not slack either moves the effector when it is shortened.
+        touching = ~held & ~is_driven & (np.abs(path - drives) <= margin)
+        touching &= efforts < limits.effort_max[a] - scale
+        if by_effort is not None:
+            commanded = np.asarray(by_effort, bool)[a]
+            held, touching = held & ~commanded, touching & ~commanded
+            is_driven |= commanded
+        contacts, pressing = self._contact_rows()
+        own = rows.own_compliance()
+        own = np.zeros((a.stop, a.stop)) if own is None else own
+        return _Holding(
+            held, touching, is_driven, contacts, pressing, own, rows.stretch_ratios()
+        )
+
+    def _contact_rows(self) -> tuple[np.ndarray, int]:
+        """Contact rows that hold, and how many contacts press."""
+        model = self._model
+        if not model.rows.varies:
+            return np.empty(0, np.int64), 0
+        contacts, count = model.contacts, model.contacts.rows_per_contact
+        forces = contacts.last_multipliers.reshape(-1, count)
+        normal = forces[:, 0]
+        pressing = normal > PRESSES * np.abs(normal).max(initial=0.0)
+        holds = np.zeros(forces.shape, bool)
+        holds[:, 0] = pressing
+        if count > 1:
+            friction = np.linalg.norm(forces[:, 1:], axis=1)
+            holds[:, 1:] = (pressing & (friction < SLIDES * contacts.friction * normal))[:, None]
+        first = model.rows.groups.contacts.start
+        return first + np.flatnonzero(holds.ravel()), int(np.count_nonzero(pressing))
+
+    def _rows(self, positions: np.ndarray, holding: _Holding) -> _Rows:
+        """Rows of the actuators, of the contacts that hold, then of the effectors."""
+        rows = self._model.rows
+        chosen = np.concatenate([np.arange(rows.groups.actuators.stop), holding.contacts])
+        place = np.full(rows.row_count, -1)
+        place[chosen] = np.arange(len(chosen))
+        row_index = place[rows.row_index]
+        kept = row_index >= 0
+        effectors, count = self._own_rows, len(chosen)
+        effectors.evaluate(positions)
+        H = NodeRows(
+            np.concatenate([row_index[kept], count + effectors.row_index]),
+            np.concatenate([rows.node_index[kept], effectors.node_index]),
+            np.concatenate([rows.blocks[kept], effectors.blocks]), count + 3 * self._count,
+        )  # fmt: skip
+        slides, G = self._model.slides, np.empty((H.row_count, 0))
+        if slides is not None:
+            G = np.zeros((H.row_count, slides.count))
+            G[count:] = slides.effector_columns(self._points)
+            if rows.varies:
+                by_slide = slides.contact_columns(self._model.contacts)
+                G[rows.groups.actuators.stop : count] = by_slide[
+                    holding.contacts - rows.groups.contacts.start
+                ]
+        return _Rows(H, G)
+
+    def _put_together(
+        self, holding: _Holding, by_force: np.ndarray, by_actuator: np.ndarray
+    ) -> ApparentCompliance:
+        """The result, from the motion of the effectors by each unit load.
+
+        Args:
+            holding: What holds.
+            by_force: Motion by forces on the effectors, shape (3 effector_count, same).
+            by_actuator: Motion by the actuators, shape (3 effector_count, actuator_count).
+        """
+        n = self._count
+        own = np.arange(n)
+        compliance = by_force.reshape(n, 3, n, 3)[own, :, own, :]
+        actuators = self._model.actuators
+        is_held = np.ones(actuators.count, bool)
+        is_held[: len(holding.held)] = holding.held
+        is_by_effort = np.zeros(actuators.count, bool)
+        is_by_effort[: len(holding.held)] = holding.is_by_effort
+        return ApparentCompliance(
+            compliance, by_actuator.reshape(n, 3, actuators.count), is_held, is_by_effort,
+            holding.contact_count,
+        )  # fmt: skip
+
+    def _solved_anew(
+        self, positions: np.ndarray, rows: _Rows, holding: _Holding
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Motion of the effectors by loads, by the stiffness of statics at a state."""
+        model = self._model
+        if self._lu is None:
+            self._lu, self._places = laid_out_like(model.factorization)
+            self._storage = np.zeros_like(model.factorization.storage)
+        self._assemble(positions)
+        self._lu.storage[:] = self._storage[self._places]
+        A, dense = self._lu.matrix(), [
+            term.dense_rows for term in model.forces if term.dense_rows is not None
+        ]  # fmt: skip
+        return _Saddle(A, dense, self._displacement_rows(rows)).solve(rows, holding)
+
+    def _assemble(self, positions: np.ndarray) -> None:
+        """Sum the exact stiffness of statics, in the layout of the model's factorization."""
+        model, state = self._model, self._simulation.state
+        still = np.zeros((model.nodes.free_node_count, 3))
+        for term in model.forces:
+            # A step that takes infinitely long has neither inertia nor damping. The next step
+            # begins all these terms again.
+            if term.remembers_start:
+                term.begin_step(positions, still, np.inf)
+        self._storage[:] = 0.0
+        for term in model.forces:
+            term.add(positions, still, self._storage, False)
+        multipliers = model.rows.multipliers(state.efforts)
+        model.rows.add_stiffness(positions, multipliers, self._storage, False)
+
+    def _displacement_rows(self, rows: _Rows) -> NodeRows:
+        """D: the rows H, with those of displacements where friction makes them others."""
+        H, other = rows.H, self._model.rows.displacement_rows()
+        if other is None:
+            return H
+        kept = ~np.isin(H.row_index, other.actuators)
+        return NodeRows(
+            np.concatenate([H.row_index[kept], other.actuators[other.row_index]]),
+            np.concatenate([H.node_index[kept], other.node_index]),
+            np.concatenate([H.blocks[kept], other.blocks]), H.row_count,
+        )  # fmt: skip
+
+
+def apparent_compliance(
+    simulation: Simulation, by_effort: np.ndarray | None = None
+) -> ApparentCompliance:
+    """The compliance of the effectors and their Jacobian at the state of a simulation.
+
+    Whoever asks at many states keeps one `EffectorCompliance`.
+
+    Args:
+        simulation: The simulation; where things touch, after a step to this state.
+        by_effort: See `EffectorCompliance.at_state`.
+    """
+    return EffectorCompliance(simulation).at_state(by_effort)
+
+
+class _Holding(NamedTuple):
+    """What the actuators with rows, and the contacts, hold.
+
+    Attributes:
+        held: Actuators that hold their displacement, shape (actuator_row_count,).
+        touching: Cables without tension that are not slack either, same shape.
+        is_by_effort: Actuators that are driven by their effort; of these, those that are not held keep
+            it; same shape.
+        contacts: Contact rows that hold, among all rows, shape (contact_row_count,).
+        contact_count: Contacts that press.
+        own: Compliance C of the actuators, shape (actuator_row_count, same).
+        ratios: By how much more the path of each moves than its winch, shape (actuator_row_count,).
+    """
+
+    held: np.ndarray
+    touching: np.ndarray
+    is_by_effort: np.ndarray
+    contacts: np.ndarray
+    contact_count: int
+    own: np.ndarray
+    ratios: np.ndarray
+
+    @property
+    def places(self) -> np.ndarray:
+        """Places of the rows that hold among those of `_Rows`, shape (held_count,)."""
+        count = len(self.held)
+        return np.concatenate([np.flatnonzero(self.held), count + np.arange(len(self.contacts))])
+
+    @property
+    def own_of_places(self) -> np.ndarray:
+        """C of the rows that hold, shape (held_count, same)."""
+        places, count = self.places, len(self.held)
+        own = np.zeros((count + len(self.contacts),) * 2)
+        own[:count, :count] = self.own
+        return own[np.ix_(places, places)]
+
+
+class _Rows(NamedTuple):
+    """Rows of the actuators, of the contacts that hold, then of the effectors.
+
+    Attributes:
+        H: They.
+        G: Their motion by the slides, shape (row_count, slide_count).
+    """
+
+    H: NodeRows
+    G: np.ndarray
+
+
+def _columns_of_actuators(
+    holding: _Holding, by_set: np.ndarray, by_effort: np.ndarray, own_by_effort: np.ndarray,
+    by_slide: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """The Jacobian, shape (3 effector_count, actuator_count).
+
+    Args:
+        holding: What holds.
+        by_set: Motion by the displacement of each held actuator, shape (3 effector_count, held).
+        by_effort: Motion by the effort of each actuator with a row, shape (.., row_count).
+        own_by_effort: Displacement of each of these by its own effort, shape (row_count,).
+        by_slide: Motion by each slide, shape (3 effector_count, slide_count).
+    """
+    columns = np.zeros_like(by_effort)
+    follows = holding.held & ~holding.is_by_effort
+    columns[:, follows] = by_set[:, follows[holding.held]] * holding.ratios[follows]
+    keeps_effort = holding.is_by_effort & ~holding.held
+    columns[:, keeps_effort] = by_effort[:, keeps_effort]
+    yields = holding.touching & (own_by_effort > 0.0)
+    columns[:, yields] = by_effort[:, yields] / own_by_effort[yields]
+    # A positive move of a slide is a negative displacement.
+    return np.concatenate([columns, -by_slide], axis=1)
+
+
+class _Condensed:
+    """Solves by W of a factorization that a step left behind."""
+
+    def __init__(self, factorization: Factorization, node_count: int):
+        self._factorization, self._node_count = factorization, node_count
+
+    def solve(
+        self, positions: np.ndarray, rows: _Rows, holding: _Holding
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Motion of the effectors by forces on them, and by the actuators."""
+        still = np.zeros((self._node_count, 3))
+        W = self._factorization.condense(rows.H, still).W
+        h, count = holding.places, len(holding.held)
+        e, a = slice(count + len(holding.contacts), None), slice(0, count)
+        W[a, a] += holding.own
+        M = W[np.ix_(h, h)]
+        diagonal = M.diagonal().copy()
+        # A row that reaches no unknown holds nothing.
+        M[np.diag_indices_from(M)] += np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
+        by_set = np.linalg.solve(M, W[h]).T if len(h) else np.empty((len(W), 0))
+        W = W - by_set @ W[h]
+        own = W[a, a].diagonal()
+        # What holds does not follow a slide; what is carried by it does.
+        by_slide = rows.G[e] - by_set[e] @ rows.G[h]
+        return W[e, e], _columns_of_actuators(
+            holding, by_set[e, : np.count_nonzero(holding.held)], W[e, a], own, by_slide
+        )
+
+
+class _Saddle:
+    """Solves for unknowns and multipliers together, whether A is definite or not."""
+
+    def __init__(self, A: sp.csc_array, dense: list, D: NodeRows):
+        """Take the stiffness.
+
+        Args:
+            A: Its sparse part, shape (3 node_count, same).
+            dense: Parts Σ k h hᵀ of it that are not assembled.
+            D: Rows of displacements.
+        """
+        self._A, self._dense, self._D = A, dense, D
+        self._size = A.shape[0]
+
+    def solve(self, rows: _Rows, holding: _Holding) -> tuple[np.ndarray, np.ndarray]:
+        """Motion of the effectors by forces on them, and by the actuators."""
+        size, h, count = self._size, holding.places, len(holding.held)
+        H, D = self._sparse(rows.H), self._sparse(self._D)
+        E = H[count + len(holding.contacts) :]
+        stiff = sp.csr_array((0, size))
+        stiffness = np.empty(0)
+        if self._dense:
+            stiff = sp.vstack([
+                self._sparse(NodeRows(*part[:3], len(part.stiffness))) for part in self._dense
+            ]).tocsr()  # fmt: skip
+            stiffness = np.concatenate([part.stiffness for part in self._dense])
+        # Loads: forces on the effectors, efforts of all actuators, displacements of what is held,
+        # moves of the slides.
+        e_count, s_count = E.shape[0], rows.G.shape[1]
+        below = np.zeros((len(h), e_count + count + len(h) + s_count))
+        below[:, e_count + count : e_count + count + len(h)] = np.eye(len(h))
+        below[:, e_count + count + len(h) :] = -rows.G[h]
+        above = np.zeros((size, below.shape[1]))
+        above[:, :e_count] = E.toarray().T
+        above[:, e_count : e_count + count] = H[:count].toarray().T
+        # The told efforts of an actuator change its displacement by C.
+        own = np.zeros((len(h), count))
+        held_count = np.count_nonzero(holding.held)
+        own[:held_count] = holding.own[np.flatnonzero(holding.held)]
+        below[:, e_count : e_count + count] -= own
+        moves = self._solved(H[h], D[h], stiff, stiffness, holding.own_of_places, above, below)
+        at_effectors, at_actuators = E @ moves, D[:count] @ moves
+        by_effort = at_effectors[:, e_count : e_count + count]
+        own_by_effort = at_actuators[:, e_count : e_count + count].diagonal()
+        own_by_effort = own_by_effort + holding.own.diagonal()
+        first = e_count + count
+        by_set = at_effectors[:, first : first + held_count]
+        by_slide = at_effectors[:, first + len(h) :] + rows.G[count + len(holding.contacts) :]
+        return at_effectors[:, :e_count], _columns_of_actuators(
+            holding, by_set, by_effort, own_by_effort, by_slide
+        )
+
+    def _solved(self, H, D, stiff, stiffness, own, above, below) -> np.ndarray:
+        """dq of every load, shape (3 node_count, load_count); NaN where there is none."""
+        size = self._size
+        # Redundant rows share the load.
+        diagonal = np.abs(self._A.diagonal())
+        scale = diagonal[diagonal > 0.0].mean() if (diagonal > 0.0).any() else 1.0
+        by_node = np.where(diagonal > 0.0, diagonal, scale)
+        softness = (D.multiply(D) @ (1.0 / by_node)) if D.shape[0] else np.empty(0)
+        # A row that reaches no unknown holds nothing.
+        C = sp.csr_array(own + np.diag(np.where(softness > 0.0, SHARING * softness, 1.0)))
+        none = sp.csr_array((len(stiffness), len(softness)))
+        right = np.concatenate([above, np.zeros((len(stiffness), above.shape[1])), below])
+        for free in (0.0, FREE_SHARE * scale):
+            system = sp.block_array([
+                [self._A + sp.diags_array(np.full(size, free)), stiff.T, -H.T],
+                [stiff, -sp.diags_array(1.0 / stiffness), none],
+                [D, none.T, C],
+            ]).tocsc()  # fmt: skip
+            if not np.isfinite(system.data).all():
+                break
+            try:
+                lu = splu(sp.csc_matrix(system))
+            except RuntimeError:  # Something is free to move, such as a body in the air.
+                continue
+            found = lu.solve(right)
+            found += lu.solve(right - system @ found)
+            return found[:size]
+        return np.full((size, right.shape[1]), np.nan)
+
+    def _sparse(self, rows: NodeRows) -> sp.csr_array:
+        """Rows of H as a sparse matrix, shape (row_count, 3 node_count)."""
+        columns = 3 * rows.node_index[:, None] + np.arange(3)
+        row_index = np.repeat(rows.row_index, 3)
+        return sp.coo_array(
+            (rows.blocks.ravel(), (row_index, columns.ravel())), shape=(rows.row_count, self._size)
+        ).tocsr()

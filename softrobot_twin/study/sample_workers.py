@@ -1,0 +1,276 @@
+"""Computes samples in processes of this machine, or on a Dask cluster.
+
+Each sample is a job of its own, whose result does not depend on where, or after which other sample,
+it is computed. A process that is lost takes only the sample with it that it had, which is tried once
+more; so does a worker of a cluster.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.study.figure import MissingExtraError
+
+# A sample is given up when it has taken so many processes with it.
+MOST_TRIES = 2
+# A cluster that does not answer for this long is refused [s].
+CONNECTION_TIMEOUT = 10.0
+
+
+class SchedulerError(SoftRobotTwinError):
+    """A Dask scheduler cannot be used.
+
+    Attributes:
+        address: Its address.
+    """
+
+    def __init__(self, address: str, reason: str):
+        self.address = address
+        super().__init__(f"--scheduler {address}: {reason}")
+
+
+class WorkerError(SoftRobotTwinError):
+    """Processes of this machine end before they compute anything."""
+
+
+class Job(NamedTuple):
+    """What a worker needs to compute any sample of a run.
+
+    Attributes:
+        make: Makes the function that computes a row from the setpoints of a sample; it is called
+            once in each worker, with `scene` and `content`.
+        scene: The scene file; on a cluster all workers must see it under this path.
+        content: Fingerprint of the scene and its files, which `make` checks.
+    """
+
+    make: Callable[[Path, str], Callable[[np.ndarray], list]]
+    scene: Path
+    content: str
+
+
+class SampleOutcome(NamedTuple):
+    """What became of one sample.
+
+    Attributes:
+        index: The sample.
+        row: Its row; None where it was lost.
+        cause: Why it was lost; else empty.
+    """
+
+    index: int
+    row: list | None
+    cause: str = ""
+
+
+class SampleWorkers(Protocol):
+    """Something that computes samples."""
+
+    def run(self, job: Job, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
+        """Computes samples, and yields each when it is done, in any order.
+
+        Args:
+            job: What they share.
+            samples: Index and setpoints of each.
+        """
+
+
+class LocalWorkers:
+    """Processes of this machine, each with one thread; this process alone where it is one."""
+
+    def __init__(self, count: int):
+        """Take their number.
+
+        Args:
+            count: At least 1.
+        """
+        self._count = count
+
+    def run(self, job: Job, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
+        """See `SampleWorkers.run`.
+
+        Raises:
+            WorkerError: No process lives until it can compute.
+        """
+        count = min(self._count, len(samples))
+        if count <= 1:
+            compute = job.make(job.scene, job.content) if samples else None
+            for index, setpoints in samples:
+                yield SampleOutcome(index, compute(setpoints))
+            return
+        pool = _Pool(job, count)
+        try:
+            yield from pool.run(samples)
+        finally:
+            pool.stop()
+
+
+class _Process:
+    """A process, its pipe, and the sample that it has."""
+
+    def __init__(self, job: Job):
+        context = multiprocessing.get_context("spawn")
+        self.pipe, other = context.Pipe()
+        self.process = context.Process(target=_serve, args=(other, job), daemon=True)
+        self.process.start()
+        other.close()
+        self.sample: tuple[int, np.ndarray] | None = None
+        self.is_ready = False
+
+    def give(self, sample: tuple[int, np.ndarray]) -> None:
+        """Send a sample."""
+        self.sample = sample
+        try:
+            self.pipe.send(sample)
+        except OSError:
+            pass  # It has ended, which is noticed at its pipe.
+
+
+def _serve(pipe: Connection, job: Job) -> None:
+    """Computes the samples that come through a pipe, until it is closed."""
+    # Ctrl-C reaches the parent too, which ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        compute = job.make(job.scene, job.content)
+        pipe.send(None)
+        while True:
+            index, setpoints = pipe.recv()
+            pipe.send((index, compute(setpoints)))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        pass
+
+
+class _Pool:
+    """Gives samples to processes, and replaces those that are lost."""
+
+    def __init__(self, job: Job, count: int):
+        self._job = job
+        self._processes = [_Process(job) for _ in range(count)]
+        self._was_ready, self._lost = False, 0
+
+    def run(self, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
+        """See `LocalWorkers.run`."""
+        waiting, tries, left = list(reversed(samples)), {}, len(samples)
+        while left:
+            for process in list(self._ready_ones()):
+                outcome = None
+                try:
+                    answer = process.pipe.recv()
+                except (EOFError, OSError):
+                    outcome = self._replace(process, waiting, tries)
+                else:
+                    process.is_ready = self._was_ready = True
+                    if answer is not None:
+                        process.sample, outcome = None, SampleOutcome(*answer)
+                if outcome is not None:
+                    left -= 1
+                    yield outcome
+            for process in self._processes:
+                if process.is_ready and process.sample is None and waiting:
+                    process.give(waiting.pop())
+
+    def _ready_ones(self) -> Iterator[_Process]:
+        by_pipe = {process.pipe: process for process in self._processes}
+        for pipe in wait(list(by_pipe)):
+            yield by_pipe[pipe]
+
+    def _replace(self, process: _Process, waiting: list, tries: dict) -> SampleOutcome | None:
+        """Start another process; tells the sample that is given up."""
+        process.process.join()
+        code, sample = process.process.exitcode, process.sample
+        self._lost += 1
+        if not self._was_ready and self._lost >= MOST_TRIES * len(self._processes):
+            raise WorkerError(
+                f"the processes of --workers end before they compute anything, with code {code}"
+            )
+        place = self._processes.index(process)
+        process.pipe.close()
+        self._processes[place] = _Process(self._job)
+        if sample is None:
+            return None
+        tries[sample[0]] = tries.get(sample[0], 0) + 1
+        if tries[sample[0]] < MOST_TRIES:
+            waiting.append(sample)
+            return None
+        return SampleOutcome(sample[0], None, f"its process ended with code {code}")
+
+    def stop(self) -> None:
+        """End all processes."""
+        for process in self._processes:
+            process.process.terminate()
+        for process in self._processes:
+            process.process.join()
+            process.pipe.close()
+
+
+class DaskWorkers:
+    """Workers of a Dask cluster. The package must be installed there, and the scene readable."""
+
+    def __init__(self, address: str):
+        """Connect.
+
+        Args:
+            address: Address of its scheduler, such as ``tcp://10.0.0.1:8786``.
+
+        Raises:
+            MissingExtraError: dask.distributed is not installed.
+            SchedulerError: The scheduler does not answer.
+        """
+        try:
+            import distributed
+        except ImportError as error:
+            raise MissingExtraError("distributed", "--scheduler needs it") from error
+        self._distributed, self.address = distributed, address
+        try:
+            self._client = distributed.Client(
+                address, timeout=CONNECTION_TIMEOUT, set_as_default=False
+            )
+        except (OSError, ValueError, TypeError) as error:
+            # OSError is the base of the time-outs of sockets, too.
+            raise SchedulerError(address, f"cannot be reached: {error}") from error
+
+    def run(self, job: Job, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
+        """See `SampleWorkers.run`."""
+        futures = {
+            self._client.submit(
+                compute_on_cluster, job, setpoints, pure=False, retries=MOST_TRIES - 1
+            ): index
+            for index, setpoints in samples
+        }
+        try:
+            for future in self._distributed.as_completed(futures):
+                index = futures[future]
+                if future.status == "finished":
+                    yield SampleOutcome(index, future.result())
+                else:
+                    cause = future.exception() if future.status == "error" else future.status
+                    yield SampleOutcome(index, None, " ".join(str(cause).split()))
+                future.release()
+        finally:
+            self._client.cancel(list(futures))
+            self._client.close()
+
+
+_of_thread = threading.local()
+
+
+def compute_on_cluster(job: Job, setpoints: np.ndarray) -> list:
+    """Computes one sample on a worker of a cluster, each of whose threads builds the scene once."""
+    made = getattr(_of_thread, "made", None)
+    if made is None or made[0] != job:
+        made = _of_thread.made = job, job.make(job.scene, job.content)
+    return made[1](setpoints)
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))

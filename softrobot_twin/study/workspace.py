@@ -1,0 +1,638 @@
+"""``python -m softrobot_twin workspace``: where a robot gets by its actuators, and how stiff it is.
+
+Sample 0 is the robot at rest. The others lie in the box of the actuators' bounds, on Sobol's sequence
+shifted by a random vector of the seed (Cranley and Patterson 1976). Each is reached from rest on a
+straight line of setpoints, so that it does not depend on any other sample, on the number of workers,
+or on whether the run was interrupted.
+
+The file contains, in this order: what is sampled, the row of a sample, the file of rows that a run
+leaves behind when it is stopped, the picture, the command.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+import numpy as np
+from scipy.stats import qmc
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene.entry import values_below
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from softrobot_twin.simulation.result import Status
+from softrobot_twin.study.direct_run import pair_names
+from softrobot_twin.study.equilibrium import WAY, Rest, bring_to_rest
+from softrobot_twin.study.figure import figure_file, load_pyplot
+from softrobot_twin.study.offline_run import actuator_cells, actuator_columns
+from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
+from softrobot_twin.study.sample_workers import (
+    DaskWorkers,
+    Job,
+    LocalWorkers,
+    SampleOutcome,
+    SampleWorkers,
+    core_count,
+)
+from softrobot_twin.study.stiffness import ActuationError, actuator_column_places
+from softrobot_twin.study.terminal import console, progress, table, terminal_status, warn
+
+LOST = "lost"
+"""Status of a sample whose worker was lost or failed."""
+
+
+class WorkspaceError(SoftRobotTwinError):
+    """A scene has no workspace that can be sampled, or a run cannot be resumed.
+
+    Attributes:
+        path: The scene, or the file of the run.
+    """
+
+    def __init__(self, path: Path | str, reason: str):
+        self.path = Path(path)
+        super().__init__(f"{path}: {reason}")
+
+
+class Axis(NamedTuple):
+    """What one coordinate of a sample moves.
+
+    Attributes:
+        name: Name of the actuator, or of the motor of several cables.
+        places: Places of the actuators, all of which it moves alike.
+        low: Least displacement, or effort of what is driven by its effort.
+        high: Greatest.
+    """
+
+    name: str
+    places: tuple[int, ...]
+    low: float
+    high: float
+
+
+def sampled_axes(simulation: Simulation, ranges: Sequence[str] = ()) -> tuple[Axis, ...]:
+    """The box of setpoints that is sampled.
+
+    Args:
+        simulation: The scene.
+        ranges: Narrower or missing bounds in the form ``<column>=<low>:<high>``, with columns of a
+            commands file.
+
+    Returns:
+        One axis for each actuator, and for each motor in place of its cables.
+
+    Raises:
+        ActuationError: A range does not fit the scene.
+        WorkspaceError: There is nothing to sample, or an actuator has no bounds.
+    """
+    actuators, limits = simulation.actuators, simulation.limits
+    by_effort = actuators.is_effort_driven
+    low = np.where(by_effort, limits.effort_min, limits.displacement_min)
+    high = np.where(by_effort, limits.effort_max, limits.displacement_max)
+    for text in ranges:
+        places, bounds = _read_range(simulation, text)
+        low[places], high[places] = bounds
+    names, axes = list(actuators.names), []
+    taken: set[int] = set()
+    for motor, cables in simulation.motors.items():
+        own = [names.index(cable) for cable in cables]
+        taken.update(own)
+        axes.append(Axis(motor, tuple(own), float(low[own].max()), float(high[own].min())))
+    axes += [Axis(name, (place,), float(low[place]), float(high[place]))
+             for place, name in enumerate(names) if place not in taken]  # fmt: skip
+    axes.sort(key=lambda axis: axis.places)
+    for axis in axes:
+        _check_axis(simulation, axis)
+    if not axes:
+        raise WorkspaceError(simulation.scene.path, "there are no actuators to sample")
+    return tuple(axes)
+
+
+def _check_axis(simulation: Simulation, axis: Axis) -> None:
+    if np.isfinite([axis.low, axis.high]).all():
+        return
+    kind = simulation.actuators.kinds[axis.places[0]]
+    quantity = kind.effort if kind.is_effort_driven else kind.displacement
+    end = "greatest" if np.isfinite(axis.low) else "least"
+    column = f"{axis.name}_{quantity.word}_{quantity.unit}"
+    raise WorkspaceError(
+        simulation.scene.path,
+        f"{kind.section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
+        f"the scene, or by --range {column}=LOW:HIGH",
+    )  # fmt: skip
+
+
+def _read_range(simulation: Simulation, text: str) -> tuple[list[int], tuple[float, float]]:
+    column, _, ends = text.partition("=")
+    columns = actuator_column_places(simulation)
+    option = "--range"
+    if column not in columns:
+        raise ActuationError(text, f"is no column of {', '.join(columns)}", option)
+    try:
+        low, high = map(float, ends.split(":"))
+    except ValueError:
+        raise ActuationError(text, "must end with two numbers, LOW:HIGH", option) from None
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise ActuationError(text, "must be finite, the lower one first", option)
+    places, is_setpoint = columns[column]
+    if is_setpoint:
+        drives = []
+        for value in (low, high):
+            setpoints = simulation.rest_setpoints.copy()
+            setpoints[places] = value
+            drives.append(simulation.actuators.drives(setpoints)[places[0]])
+        low, high = sorted(drives)
+    return places, (low, high)
+
+
+def sampled_setpoints(
+    simulation: Simulation, axes: Sequence[Axis], count: int, seed: int
+) -> np.ndarray:
+    """Setpoints of the samples; more samples begin with the same ones.
+
+    Args:
+        simulation: The scene.
+        axes: What is sampled.
+        count: Number of samples, that at rest included.
+        seed: Seed of the shift.
+
+    Returns:
+        Each in the unit of its kind, shape (count, actuator_count).
+    """
+    actuators = simulation.actuators
+    setpoints = np.tile(simulation.rest_setpoints, (count, 1))
+    if count < 2:
+        return setpoints
+    shift = np.random.default_rng(seed).random(len(axes))
+    exponent = max(1, math.ceil(math.log2(count)))
+    points = qmc.Sobol(len(axes), scramble=False).random_base2(exponent)
+    points = (points[: count - 1] + shift) % 1.0
+    for sample, point in zip(setpoints[1:], points, strict=True):
+        drives = actuators.drives(simulation.rest_setpoints)
+        for axis, share in zip(axes, point, strict=True):
+            drives[list(axis.places)] = axis.low + share * (axis.high - axis.low)
+        sample[:] = actuators.setpoints(drives)
+    return setpoints
+
+
+# --- the row of a sample -------------------------------------------------------------------------
+
+_PARTS = ("xx", "xy", "xz", "yy", "yz", "zz")
+_UPPER = np.triu_indices(3)
+# Where the whole way did not lead to rest, one of so many times as many steps is tried.
+FINER = 4
+
+
+def workspace_header(simulation: Simulation) -> list[str]:
+    """Columns of the file: those of `simulate --commands`, and stiffness [N/m], compliance [m/N]."""
+    names = simulation.effector_names
+    return [
+        "sample",
+        *("_".join(column) for column in actuator_columns(simulation.actuators)),
+        *(f"{name}_{axis}_m" for name in names for axis in "xyz"),
+        *(f"{name}_stiffness_{rank}_N_per_m" for name in names for rank in (1, 2, 3)),
+        *(f"{name}_compliance_{part}_m_per_N" for name in names for part in _PARTS),
+        "contact_count",
+        *(f"sum_of_magnitudes_{first}_{second}_N" for first, second in pair_names(simulation)),
+        "residual_N", "status",
+    ]  # fmt: skip
+
+
+class SampleComputer:
+    """Computes rows of samples by one simulation, which each sample begins at rest."""
+
+    def __init__(self, scene: Path, content: str = ""):
+        """Build the scene.
+
+        Args:
+            scene: Scene file.
+            content: Its fingerprint, see `fingerprint_of`; empty where it need not be checked.
+
+        Raises:
+            SoftRobotTwinError: The scene cannot be used, or is not that of the fingerprint.
+        """
+        self.simulation = Simulation.from_scene_file(scene)
+        if content and fingerprint_of(self.simulation) != content:
+            raise WorkspaceError(scene, "is not the scene of this run, or one of its files is not")
+        self._compliance = EffectorCompliance(self.simulation)
+
+    def __call__(self, setpoints: np.ndarray) -> list:
+        """The cells of a sample after its index.
+
+        Args:
+            setpoints: Each in the unit of its kind, shape (actuator_count,).
+        """
+        rest = self._rest(setpoints, WAY)
+        if not rest.is_reached:
+            rest = self._rest(setpoints, FINER * WAY)
+        result, simulation = rest.result, self.simulation
+        found = self._compliance.after_step()
+        symmetric = 0.5 * (found.compliance + found.compliance.transpose(0, 2, 1))
+        contacts, sums = result.contacts, np.zeros(len(pair_names(simulation)))
+        if contacts is not None:
+            sums = contacts.of_pairs().magnitude_sums
+        cells = [
+            *actuator_cells(result, simulation.actuators), *result.effector_positions.ravel(),
+            *(stiffness for index in range(len(found.compliance))
+              for stiffness in found.principal_stiffness(index)[0]),
+            *symmetric[:, _UPPER[0], _UPPER[1]].ravel(), result.report.contact_count, *sums,
+            result.report.residual, rest.status,
+        ]  # fmt: skip
+        return [cell.item() if isinstance(cell, np.generic) else cell for cell in cells]
+
+    def _rest(self, setpoints: np.ndarray, way: int) -> Rest:
+        self.simulation.reset()
+        return bring_to_rest(self.simulation, setpoints, way)
+
+
+def fingerprint_of(simulation: Simulation) -> str:
+    """Hash of a scene and of the content of all files that it names."""
+    scene = simulation.scene
+    entries = "\n".join(f"{key}: {value!r}" for key, _, value in values_below(scene)
+                        if not isinstance(value, Path))  # fmt: skip
+    found = hashlib.sha256(entries.encode())
+    for _, name, file in values_below(scene):
+        if name == "file" and file is not None:
+            found.update(scene.file_path(file).read_bytes())
+    return found.hexdigest()
+
+
+# --- rows that a stopped run leaves behind -------------------------------------------------------
+
+
+class UnfinishedFile:
+    """Rows of a run in the order in which they were done, beside the file that it will write.
+
+    The first line tells of which run they are. A row is on disk before the next one is taken.
+
+    Attributes:
+        path: The file.
+        rows: Cells of the samples that are done, by their index, as text.
+    """
+
+    def __init__(self, output: Path, run: dict[str, object], header: Sequence[str]):
+        """Read the rows that an earlier call of the same run left, and go on behind them.
+
+        Args:
+            output: File that the run will write.
+            run: What identifies it, by name.
+            header: Columns.
+
+        Raises:
+            WorkspaceError: The rows are of another run.
+            OutputError: The file cannot be read or written.
+        """
+        self.path = output.with_name(output.name + BROKEN_OFF)
+        self._run, self._header = run, list(header)
+        self.rows: dict[int, list[str]] = {}
+        try:
+            size = self._read() if self.path.is_file() else 0
+            output.parent.mkdir(parents=True, exist_ok=True)
+            self._stream: TextIO = open(self.path, "a", encoding="utf-8", newline="")
+            self._stream.truncate(size)
+            if not size:
+                self._stream.write(f"# {json.dumps(run)}\n")
+                csv.writer(self._stream, lineterminator="\n").writerow(self._header)
+                self._stream.flush()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise OutputError(self.path, reason) from error
+
+    def _read(self) -> int:
+        """Take in the rows; gives the bytes of all whole lines."""
+        lines = self.path.read_bytes().split(b"\n")
+        # What follows the last line feed was being written when the run was stopped.
+        whole = [line.decode() for line in lines[:-1]]
+        if len(whole) < 2:
+            return 0
+        self._check(whole[0])
+        for row in csv.reader(whole[2:]):
+            if len(row) != len(self._header):
+                raise WorkspaceError(
+                    self.path, f"a row has {len(row)} cells, not {len(self._header)}: the file is "
+                    "damaged; remove it to begin anew")  # fmt: skip
+            self.rows[int(row[0])] = row
+        return sum(len(line) + 1 for line in lines[:-1])
+
+    def _check(self, first: str) -> None:
+        try:
+            before = json.loads(first.removeprefix("# "))
+            if not isinstance(before, dict):
+                raise ValueError
+        except ValueError:
+            raise WorkspaceError(
+                self.path, "is no unfinished run of this command; remove it to begin anew"
+            ) from None
+        for name, value in self._run.items():
+            if before.get(name) != value:
+                raise WorkspaceError(
+                    self.path,
+                    f"is of a run with another {name}: {_short(before.get(name))}, not "
+                    f"{_short(value)}; remove it to begin anew, or take another --output",
+                )  # fmt: skip
+
+    def add(self, index: int, cells: Sequence) -> None:
+        """Write a row."""
+        row = [str(index), *(repr(cell) if isinstance(cell, float) else str(cell)
+                             for cell in cells)]  # fmt: skip
+        self.rows[index] = row
+        try:
+            csv.writer(self._stream, lineterminator="\n").writerow(row)
+            self._stream.flush()
+        except OSError as error:
+            raise OutputError(self.path, error.strerror or str(error)) from error
+
+    def close(self) -> None:
+        """Stop writing; the file stays."""
+        self._stream.close()
+
+    def finish(self, output: Path) -> None:
+        """Write the rows in their order to the file of the run, and remove this one."""
+        self.close()
+        with output_file(output) as partial, open(partial, "w", encoding="utf-8", newline="") as f:
+            writer = csv.writer(f, lineterminator="\n")
+            writer.writerow(self._header)
+            writer.writerows(self.rows[index] for index in sorted(self.rows))
+        self.path.unlink(missing_ok=True)
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 24 else f"{text[:12]}..."
+
+
+# --- the picture ---------------------------------------------------------------------------------
+
+
+class Cloud(NamedTuple):
+    """What is drawn of one effector.
+
+    Attributes:
+        name: The effector.
+        points: Its places [m], shape (count, 3).
+        stiffness: Its least principal stiffness there [N/m], shape (count,).
+        is_good: Whether the sample came to rest with success, shape (count,).
+        rest: Its place at rest [m], shape (3,).
+    """
+
+    name: str
+    points: np.ndarray
+    stiffness: np.ndarray
+    is_good: np.ndarray
+    rest: np.ndarray
+
+
+def clouds(
+    names: Sequence[str], header: Sequence[str], rows: Sequence[Sequence[str]]
+) -> list[Cloud]:
+    """The places of each effector, from rows of the file; lost samples are left out."""
+    kept = [row for row in rows if row[-1] != LOST]
+    status = np.array([row[-1] for row in kept])
+    made = []
+    for name in names:
+        columns = [header.index(f"{name}_{axis}_m") for axis in "xyz"]
+        columns.append(header.index(f"{name}_stiffness_1_N_per_m"))
+        values = np.array([[float(row[column]) for column in columns] for row in kept])
+        at_rest = values[[int(row[0]) == 0 for row in kept], :3]
+        rest = at_rest[0] if len(at_rest) else np.full(3, np.nan)
+        is_good = np.isin(status, [Status.OK.value, Status.LINEARIZED.value,
+                                   Status.SATURATED.value])  # fmt: skip
+        made.append(Cloud(name, values[:, :3], values[:, 3], is_good, rest))
+    return made
+
+
+def views_of(points: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The two coordinate planes on which points cover the most: axes to the right and up."""
+    planes = ((0, 2), (1, 2), (0, 1))
+    spread = np.ptp(points, axis=0) if len(points) else np.zeros(3)
+    order = sorted(planes, key=lambda plane: -spread[plane[0]] * spread[plane[1]])
+    first, second = sorted(order[:2], key=planes.index)
+    return first, second
+
+
+def draw_workspace(
+    shown: Sequence[Cloud], outline: np.ndarray, path: Path, title: str, foot: str
+) -> None:
+    """Writes a picture: two views of each effector's places, coloured by its least stiffness.
+
+    Args:
+        shown: The effectors.
+        outline: Points of the robot's surface at rest [m], shape (count, 3).
+        path: Picture to write.
+        title: Title.
+        foot: Small text below.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: The picture cannot be written.
+    """
+    from matplotlib.colors import LogNorm
+    with figure_file(path, (11.0, 5.2 * len(shown)), title, foot) as figure:
+        axes = figure.subplots(len(shown), 2, squeeze=False)
+        for row, cloud in zip(axes, shown, strict=True):
+            good = cloud.is_good & np.isfinite(cloud.stiffness) & (cloud.stiffness > 0.0)
+            stiffness = cloud.stiffness[good]
+            norm = None
+            if len(stiffness) and stiffness.max() > stiffness.min():
+                norm = LogNorm(stiffness.min(), stiffness.max())
+            drawn = None
+            for plot, (right, up) in zip(row, views_of(cloud.points), strict=True):
+                plot.scatter(1e3 * outline[:, right], 1e3 * outline[:, up], s=3, c="#dddddd",
+                             linewidths=0, label="robot at rest")
+                # The softest are drawn last, on top: they tell where care is needed.
+                order = np.argsort(-stiffness)
+                places = 1e3 * cloud.points[good][order]
+                drawn = plot.scatter(places[:, right], places[:, up], c=stiffness[order], s=14,
+                                     norm=norm, cmap="viridis", linewidths=0)
+                others = 1e3 * cloud.points[~good]
+                if len(others):
+                    plot.scatter(others[:, right], others[:, up], s=18, c="#d62728", marker="x",
+                                 linewidths=0.8, label="not at rest, or unstable")
+                plot.plot(*(1e3 * cloud.rest[[right, up]]), "k+", ms=10, mew=1.5,
+                          label=f"{cloud.name} at rest")
+                plot.set_xlabel(f"{'xyz'[right]} [mm]")
+                plot.set_ylabel(f"{'xyz'[up]} [mm]")
+                plot.set_title(f"{cloud.name}, seen along {'xyz'[3 - right - up]}")
+                plot.set_aspect("equal", adjustable="datalim")
+            row[0].legend(loc="best", fontsize=8)
+            bar = figure.colorbar(drawn, ax=list(row), shrink=0.9, pad=0.02)
+            bar.set_label("stiffness in the softest direction [N/m]")
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+# Time between two lines of progress where the output is no terminal [s].
+PIPED_PERIOD = 5.0
+
+
+class SampleProgress:
+    """Progress of a run on standard error: a bar on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, title: str, total: int, done: int):
+        self._title, self._total, self._done = title, total, done
+        self._begin = self._printed = time.monotonic()
+        self._first = done
+        self._not_at_rest = 0
+        self._bar = self._task = None
+
+    def __enter__(self) -> SampleProgress:
+        if sys.stderr.isatty():
+            self._bar = progress()
+            self._bar.start()
+            self._task = self._bar.add_task(
+                self._title, total=self._total, completed=self._done, note=""
+            )
+        else:
+            self._print()
+        return self
+
+    def __exit__(self, *_) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        else:
+            self._print()
+
+    def add(self, status: str) -> None:
+        """Count a sample."""
+        self._done += 1
+        self._not_at_rest += status in NOT_AT_REST
+        note = f"{self._not_at_rest} not at rest" if self._not_at_rest else ""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=self._done, note=note)
+        elif time.monotonic() - self._printed >= PIPED_PERIOD:
+            self._print()
+
+    def _print(self) -> None:
+        self._printed = now = time.monotonic()
+        line = f"{self._title}: {self._done}/{self._total} samples"
+        if self._not_at_rest:
+            line += f", {self._not_at_rest} not at rest"
+        computed = self._done - self._first
+        if computed and self._done < self._total:
+            left = (now - self._begin) * (self._total - self._done) / computed
+            line += f", about {left:.0f} s left"
+        print(line, file=sys.stderr, flush=True)
+
+
+NOT_AT_REST = (
+    LOST, *(status.value for status in Status
+            if status.is_failure or status in (Status.NOT_CONVERGED, Status.INVERTED)),
+)  # fmt: skip
+
+
+def workspace(
+    scene: Path, output: Path, picture: Path | None = None, samples: int = 200, seed: int = 0,
+    ranges: Sequence[str] = (), workers: int | None = None, scheduler: str | None = None,
+) -> int:  # fmt: skip
+    """Samples the workspace of a scene.
+
+    Args:
+        scene: Scene file.
+        output: File to write, a row for each sample.
+        picture: Picture to draw, or None.
+        samples: Number of samples, that at rest included.
+        seed: Seed of their places.
+        ranges: Bounds in place of the scene's; see `sampled_axes`.
+        workers: Processes on this machine; None for one on each core.
+        scheduler: Address of the scheduler of a Dask cluster, in place of these.
+
+    Returns:
+        Exit code: 1 where samples did not come to rest or were lost.
+
+    Raises:
+        SoftRobotTwinError: The scene, an option or a file cannot be used.
+    """
+    if picture is not None:
+        load_pyplot()  # An error is raised before the run, not after it.
+    with terminal_status("building the scene"):
+        simulation = Simulation.from_scene_file(scene)
+    if not simulation.effector_names:
+        raise WorkspaceError(scene, "there are no effectors, whose places could be told")
+    axes = sampled_axes(simulation, ranges)
+    setpoints = sampled_setpoints(simulation, axes, samples, seed)
+    content = fingerprint_of(simulation)
+    header = workspace_header(simulation)
+    run = {"scene": content, "seed": seed, "number of samples": samples,
+           "range": [[axis.name, axis.low, axis.high] for axis in axes],
+           "columns": hashlib.sha256(",".join(header).encode()).hexdigest()}  # fmt: skip
+    # Before anything is computed: an unfinished run of something else is refused.
+    unfinished = UnfinishedFile(output, run, header)
+    try:
+        crew = LocalWorkers(workers or core_count())
+        if scheduler is not None:
+            crew = DaskWorkers(scheduler)
+        job = Job(SampleComputer, Path(scene).resolve(), content)
+        causes = _compute(simulation.scene.name, crew, job, setpoints, unfinished)
+    except KeyboardInterrupt:
+        print(f"{len(unfinished.rows)} of {samples} samples are in {unfinished.path}; the same "
+              "command goes on from there", file=sys.stderr)
+        raise
+    finally:
+        unfinished.close()
+    rows = [unfinished.rows[index] for index in sorted(unfinished.rows)]
+    unfinished.finish(output)
+    for index, cause in causes:
+        warn(f"sample {index} is lost: {cause}")
+    shown = clouds(simulation.effector_names, header, rows)
+    if picture is not None:
+        simulation.reset()
+        outline = np.concatenate([np.empty((0, 3)), *simulation.skin_positions(),
+                                  simulation.surface_positions()])  # fmt: skip
+        foot = f"{samples} samples, seed {seed}, {scene}"
+        draw_workspace(shown, outline, picture, f"Workspace of {simulation.scene.name}", foot)
+    _print_summary(shown, [row[-1] for row in rows])
+    return 1 if any(row[-1] in NOT_AT_REST for row in rows) else 0
+
+
+def _compute(
+    title: str, crew: SampleWorkers, job: Job, setpoints: np.ndarray, unfinished: UnfinishedFile
+) -> list[tuple[int, str]]:
+    """Computes the samples that are not done yet; gives those that were lost, with the cause."""
+    left = [(index, sample) for index, sample in enumerate(setpoints)
+            if index not in unfinished.rows]  # fmt: skip
+    causes: list[tuple[int, str]] = []
+    with SampleProgress(title, len(setpoints), len(setpoints) - len(left)) as shown:
+        for index, row, cause in _closed(crew.run(job, left)):
+            if row is None:
+                causes.append((index, cause))
+                row = [math.nan] * (len(unfinished._header) - 2) + [LOST]
+            unfinished.add(index, row)
+            shown.add(row[-1])
+    return causes
+
+
+def _closed(outcomes: Iterator[SampleOutcome]) -> Iterator[SampleOutcome]:
+    """Outcomes; the workers end at once, whatever ends the loop over them."""
+    try:
+        yield from outcomes
+    finally:
+        close: Callable | None = getattr(outcomes, "close", None)
+        if close is not None:
+            close()
+
+
+def _print_summary(shown: Sequence[Cloud], statuses: Sequence[str]) -> None:
+    made = table("Reached places", "effector", "x [mm]", "y [mm]", "z [mm]",
+                 "stiffness in the softest direction [N/m]")
+    for cloud in shown:
+        good = cloud.is_good
+        if not good.any():
+            made.add_row(cloud.name, *["nowhere"] * 3, "")
+            continue
+        low, high = 1e3 * cloud.points[good].min(axis=0), 1e3 * cloud.points[good].max(axis=0)
+        stiffness = cloud.stiffness[good & np.isfinite(cloud.stiffness)]
+        softest = f"{stiffness.min():.4g} to {stiffness.max():.4g}" if len(stiffness) else ""
+        made.add_row(cloud.name, *(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high)), softest)
+    output = console()
+    output.print(made)
+    output.print()
+    counts = {status: statuses.count(status) for status in dict.fromkeys(sorted(statuses))}
+    output.print(f"{len(statuses)} samples: "
+                 + ", ".join(f"{number} {status}" for status, number in counts.items()))

@@ -1,0 +1,109 @@
+"""Compliances and Jacobians over ROS: computed only where somebody receives them."""
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, Header
+
+from softrobot_twin.ros import twin_node
+from softrobot_twin.ros.messages import matrix_message, read_matrix, stamp_of
+from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
+
+CABLES = ["north", "west", "south", "east"]
+
+
+@pytest.fixture
+def computed(monkeypatch):
+    """A list to which each computation of a compliance is appended, with its memory as None."""
+    calls = []
+    make, after_step = EffectorCompliance.__init__, EffectorCompliance.after_step
+
+    def counting_make(self, simulation):
+        calls.append(None)
+        make(self, simulation)
+
+    def counting_step(self, *given):
+        calls.append(after_step(self, *given))
+        return calls[-1]
+
+    monkeypatch.setattr(EffectorCompliance, "__init__", counting_make)
+    monkeypatch.setattr(EffectorCompliance, "after_step", counting_step)
+    return calls
+
+
+def command_of(world, positions=(), efforts=()):
+    return JointState(header=Header(stamp=world.stamp()), name=CABLES,
+                      position=list(map(float, positions)), effort=list(map(float, efforts)))
+
+
+def test_nothing_is_computed_until_somebody_listens_and_after(world, make_twin, computed):
+    twin = make_twin(mode="direct")
+    cables = world.hear(JointState, "/twin/cables", 100)
+    world.until(lambda: len(cables) > 10)
+    assert not computed
+    heard = []
+    subscription = world.probe.create_subscription(
+        Float64MultiArray, "/twin/compliance/tip", heard.append, 10
+    )
+    world.until(lambda: len(heard) > 3)
+    assert computed.count(None) == 1
+    world.probe.destroy_subscription(subscription)
+    world.until(lambda: not twin.count_subscribers("/twin/compliance/tip"))
+    world.run(0.1)
+    before, ticks = len(computed), len(cables)
+    world.until(lambda: len(cables) > ticks + 10)
+    assert len(computed) == before
+
+
+def test_the_matrices_are_those_of_the_twin_with_its_stamp_and_names(world, make_twin):
+    twin = make_twin(mode="direct")
+    cables = world.hear(JointState, "/twin/cables", 1000)
+    compliances = world.hear(Float64MultiArray, "/twin/compliance/tip", 10)
+    jacobians = world.hear(Float64MultiArray, "/twin/jacobian/tip", 10)
+    speaker = world.speaker(JointState, "/twin/command/cables")
+    lengths = twin.loop.simulation.rest_setpoints - [0.008, 0.004, 0.002, 0.004]
+    speaker.publish(command_of(world, lengths))
+    world.until(lambda: cables and np.allclose(cables[-1].position, lengths, atol=1e-12))
+    world.until(lambda: twin.loop.simulation.state.efforts.min() > 0.0)
+    first = len(compliances), len(jacobians)
+    world.until(lambda: len(compliances) > first[0] + 20 and len(jacobians) > first[1] + 20)
+    compliance, stamp = read_matrix(compliances[-1])
+    jacobian, _ = read_matrix(jacobians[-1])
+    found = apparent_compliance(twin.loop.simulation)
+    np.testing.assert_allclose(compliance, found.compliance[0], rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(jacobian, found.jacobian[0], rtol=1e-3, atol=1e-4)
+    assert any(message.header.stamp == stamp for message in cables)
+    rows, columns = compliances[-1].layout.dim
+    assert (rows.label, columns.label) == ("x_m y_m z_m", "fx_N fy_N fz_N")
+    rows, columns = jacobians[-1].layout.dim
+    assert rows.label == "x_m y_m z_m"
+    assert columns.label.split() == [f"{name}_shortening_m" for name in CABLES]
+
+
+def test_commanded_tensions_hold_no_lengths(world, make_twin):
+    twin = make_twin(mode="direct")
+    jacobians = world.hear(Float64MultiArray, "/twin/jacobian/tip", 10)
+    compliances = world.hear(Float64MultiArray, "/twin/compliance/tip", 10)
+    speaker = world.speaker(JointState, "/twin/command/cables")
+    speaker.publish(command_of(world, efforts=[4.0, 2.0, 2.0, 2.0]))
+    named = [f"{name}_tension_N" for name in CABLES]
+    world.until(
+        lambda: jacobians and jacobians[-1].layout.dim[1].label.split() == named and compliances
+    )
+    first = len(compliances)
+    world.until(lambda: len(compliances) > first + 20)
+    softer, _ = read_matrix(compliances[-1])
+    held = apparent_compliance(twin.loop.simulation).compliance[0]
+    assert softer[0, 0] > 1.2 * held[0, 0]
+
+
+def test_a_matrix_is_read_as_it_was_written():
+    header = Header(stamp=stamp_of(1_700_000_000_123_456_789))
+    message = matrix_message(np.arange(6.0).reshape(2, 3), "ab", "cde", header)
+    matrix, stamp = read_matrix(message)
+    np.testing.assert_array_equal(matrix, np.arange(6.0).reshape(2, 3))
+    assert stamp == header.stamp
+    # As std_msgs/MultiArrayLayout defines it.
+    layout, (i, j) = message.layout, (1, 2)
+    assert message.data[layout.data_offset + layout.dim[1].stride * i + j] == matrix[i, j]
+    assert layout.dim[0].stride == matrix.size
