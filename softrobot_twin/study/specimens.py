@@ -22,10 +22,9 @@ from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.patch_volumes import (
-    ELEMENT_BULK,
-    PATCH_SIZE,
     PatchVolumes,
     divided,
+    element_bulk,
     patches_of,
 )
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
@@ -146,8 +145,10 @@ class Specimen:
         unknowns: Number of scalar unknowns.
     """
 
-    def __init__(self, mesh, law, fixed, held=None, patch_size: int | None = PATCH_SIZE,
-                 element_bulk: float = ELEMENT_BULK, pressed=None):  # fmt: skip
+    def __init__(
+        self, mesh, law, fixed, held=None, by_patches: bool = True, pressed=None,
+        patch_size: int | None = None, share: float | None = None,
+    ):  # fmt: skip
         """Build and bind the terms.
 
         Args:
@@ -155,10 +156,10 @@ class Specimen:
             law: Parameters with a `shear_modulus` and a `bulk_modulus`.
             fixed: Nodes that are fixed, of bool, shape (node_count,).
             held: Coordinates that rollers hold, of bool, shape (node_count, 3); None for none.
-            patch_size: Linear tetrahedra of a patch, other elements by themselves; None for volumes
-                element by element and point by point.
-            element_bulk: Bulk modulus that elements keep, by the shear modulus.
+            by_patches: Whether volumes are kept by patches, or element by element and point by point.
             pressed: Triangles under pressure, outwards seen from the gas; None for none.
+            patch_size: Tetrahedra of a patch; by default that of `PATCH_SIZES`.
+            share: Bulk modulus that elements keep, by the shear modulus; by default `element_bulk`.
         """
         self.mesh, rest = mesh, mesh.node_positions
         free = np.flatnonzero(~np.asarray(fixed))
@@ -168,10 +169,12 @@ class Specimen:
         block = mesh.blocks()[0].mesh
         self.volumes = None
         of_elements = law
-        if patch_size is not None:
-            of_elements, rest_bulk = divided(law, law.shear_modulus, element_bulk)
-            patches = patches_of(block, patch_size)
-            self.volumes = PatchVolumes(block, free_index, rest_bulk, patches)
+        if by_patches:
+            of_elements, rest_bulk = divided(
+                law, law.shear_modulus, element_bulk(block) if share is None else share
+            )
+            self._patches = patches_of(block, patch_size)
+            self.volumes = PatchVolumes(block, free_index, rest_bulk, self._patches)
         self.elements = Elements(block, free_index, of_elements)
         self.terms: list[ForceTerm] = [self.elements]
         if self.volumes is not None:
@@ -202,22 +205,20 @@ class Specimen:
         return forces
 
     def reactions(self) -> np.ndarray:
-        """Forces that the terms of the material exert on all nodes [N], shape (node_count, 3)."""
-        everywhere = np.arange(len(self._rest))
+        """What holds the nodes: minus the forces of the material on them [N], shape (node_count, 3).
+        """
+        everywhere, block = np.arange(len(self._rest)), self.mesh.blocks()[0].mesh
+        terms: list[ForceTerm] = [Elements(block, everywhere, self.elements.law)]
+        if self.volumes is not None:
+            kappa = self.volumes.bulk_modulus
+            terms.append(PatchVolumes(block, everywhere, kappa, self._patches))
         forces = np.zeros((len(self._rest), 3))
-        for term in self.terms[: 1 if self.volumes is None else 2]:
-            if term is self.elements:
-                own = Elements(self.mesh.blocks()[0].mesh, everywhere, term.law)
-            else:
-                patches = patches_of(self.mesh.blocks()[0].mesh)
-                own = PatchVolumes(
-                    self.mesh.blocks()[0].mesh, everywhere, term.bulk_modulus, patches
-                )
-            rows, columns = stencil_pairs(own.stencils())
-            matrix = Multifrontal(rows, columns, len(everywhere))
-            own.bind(matrix.elimination_rank, matrix.slots)
-            own.add_forces(self.positions, forces)
-        return forces
+        rows, columns = stencil_pairs(np.concatenate([t.stencils() for t in terms[-1:]]))
+        matrix = Multifrontal(rows, columns, len(everywhere))
+        for term in terms:
+            term.bind(matrix.elimination_rank, matrix.slots)
+            term.add_forces(self.positions, forces)
+        return -forces
 
     def iterate(self, loads: np.ndarray) -> tuple[np.ndarray, float, Times]:
         """One linearization.
@@ -318,13 +319,15 @@ def mapped_mesh(kind: str, counts: tuple[int, int, int], place) -> object:
     return mesh_of(kind, [block_mesh((1.0, 1.0, 1.0), counts)], place)
 
 
-def mesh_of(kind: str, grids: list[HexahedralMesh], place) -> object:
+def mesh_of(kind: str, grids: list[HexahedralMesh], place, between=None) -> object:
     """Blocks of cells, mapped and joined where their nodes meet; see `mapped_mesh`.
 
     Args:
         kind: See `mapped_mesh`.
         grids: The blocks.
         place: See `mapped_mesh`.
+        between: Where the middle of an edge is, by the places of its ends, arrays (count, 3) [m]; by
+            default what lies between them in the unit cube, which needs a single block.
     """
     points = np.concatenate([grid.node_positions for grid in grids])
     starts = np.cumsum([0, *[len(grid.node_positions) for grid in grids]])
@@ -336,10 +339,8 @@ def mesh_of(kind: str, grids: list[HexahedralMesh], place) -> object:
     rank[order] = np.arange(len(order))
     nodes, cells = points[np.sort(first)], rank[inverse.reshape(-1)][cells]
     placed = place(nodes)
-    middle = placed[cells].mean(axis=1)
-    a, b, c, d = (placed[cells[:, k]] - placed[cells[:, 0]] for k in (1, 3, 4, 6))
+    a, b, c = (placed[cells[:, k]] - placed[cells[:, 0]] for k in (1, 3, 4))
     mirrored = np.einsum("ki,ki->k", np.cross(a, b), c) < 0.0
-    assert np.isfinite(middle).all() and len(d) == len(cells)
     if kind == "hexahedral":
         cells[mirrored] = cells[mirrored][:, [3, 2, 1, 0, 7, 6, 5, 4]]
         return enhance(HexahedralMesh(placed, np.empty((0, 4), np.int64), cells))
@@ -349,8 +350,12 @@ def mesh_of(kind: str, grids: list[HexahedralMesh], place) -> object:
     if kind == "linear":
         return linear
     mesh = add_mid_edge_nodes(linear)
-    between = nodes[mesh.mid_edge_ends].mean(axis=1)
-    return replace(mesh, node_positions=np.concatenate([placed, place(between)]))
+    ends = mesh.mid_edge_ends
+    if between is None:
+        middles = place(nodes[ends].mean(axis=1))
+    else:
+        middles = between(placed[ends[:, 0]], placed[ends[:, 1]])
+    return replace(mesh, node_positions=np.concatenate([placed, middles]))
 
 
 def traction_loads(mesh, on_face, traction) -> np.ndarray:
