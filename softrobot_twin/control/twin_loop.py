@@ -24,6 +24,7 @@ from softrobot_twin.control.inputs import (
     Pose,
     PoseInput,
     SelectedActuatorInput,
+    StiffnessInput,
     TargetInput,
     TargetReading,
 )
@@ -197,6 +198,9 @@ class TwinLoop:
         commands = self.direct if mode is Mode.DIRECT else self.selected
         self.pressures = PressureInput(self.cavities, commands, frame_id, settings, False)
         self.angles = AngleInput(self.pulleys, commands, settings, False)
+        self.stiffness = StiffnessInput(
+            simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings
+        )
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
@@ -220,6 +224,7 @@ class TwinLoop:
         for part in (
             self.targets, self.markers, self.device, self.direct, self.selected, self.poses,
             self.pressures, self.measured_pressures, self.angles, self.measured_angles,
+            self.stiffness,
         ):  # fmt: skip
             part.apply(settings)
 
@@ -276,7 +281,7 @@ class TwinLoop:
 
     def _forget_commands(self) -> None:
         for commands in (self.targets, self.direct, self.selected, self.poses, self.pressures,
-                         self.angles):  # fmt: skip
+                         self.angles, self.stiffness):  # fmt: skip
             commands.reset()
 
     def driven_by_efforts(self, outcome: TickOutcome) -> np.ndarray | None:
@@ -413,7 +418,8 @@ class TwinLoop:
     def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
         """Why there is nothing to follow; empty when there is."""
         if self.mode is Mode.INVERSE:
-            if not np.isfinite(reading.targets).all(axis=1).any():
+            has_place = np.isfinite(reading.targets).all(axis=1).any()
+            if not (has_place or self.stiffness.is_given):
                 return "no target yet"
             if self.selected.is_too_old(now, self.settings.target_timeout):
                 return "no command for target_timeout"
@@ -438,7 +444,9 @@ class TwinLoop:
         """The command of this tick's step."""
         time_step = self.settings.period
         if activity is Activity.FOLLOWING:
-            return FollowTargets(aims.aims, time_step, self.selected.setpoints, aims.turns)
+            return FollowTargets(
+                aims.aims, time_step, self.selected.setpoints, aims.turns, self.stiffness.wanted
+            )
         if activity is Activity.COMMANDED:
             return self._direct_command(time_step)
         if activity is Activity.RETURNING and self._engagement.leads_by_model:

@@ -10,7 +10,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import (
+    Point,
+    PointStamped,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Vector3,
+    Vector3Stamped,
+)
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
@@ -54,6 +62,12 @@ def point_message(position: np.ndarray, header: Header) -> PointStamped:
     """A position [m], shape (3,), as a message."""
     x, y, z = map(float, position)
     return PointStamped(header=header, point=Point(x=x, y=y, z=z))
+
+
+def vector_message(vector: np.ndarray, header: Header) -> Vector3Stamped:
+    """A vector, shape (3,), as a message."""
+    x, y, z = map(float, vector)
+    return Vector3Stamped(header=header, vector=Vector3(x=x, y=y, z=z))
 
 
 def pose_message(position: np.ndarray, quaternion: np.ndarray, header: Header) -> PoseStamped:
