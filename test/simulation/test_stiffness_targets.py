@@ -157,6 +157,17 @@ def test_without_a_target_nothing_is_computed(pad):
     assert "stiffness" in pad.follow(250.0, steps=1)[0].report.stage_times
 
 
+def test_warming_up_runs_what_a_message_may_ask_for(pad, monkeypatch):
+    asked, rows = [], pad._stiffness.rows
+    monkeypatch.setattr(
+        pad._stiffness, "rows", lambda *arguments: asked.append(arguments[1]) or rows(*arguments)
+    )
+    before = pad.state
+    pad.warm_up()
+    assert len(asked) >= 2 and np.isfinite(asked[0]).all()
+    assert pad.state is before
+
+
 def test_other_commands_ask_for_no_stiffness(pad):
     result = pad.step(CommandSetpoints(pad.rest_setpoints, 0.02))
     assert result.effector_stiffness is None
