@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     Args:
         robot: Name of the robot.
         folder: Folder for the results.
-        run_time: Length of each of the two runs [s].
+        run_time: Length of each run [s]: open loop and closed loop, or one of commands.
         view: Serve a live view, and open a viewer where there is a display.
 
     Returns:
@@ -75,7 +76,8 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
 
 def _print_start(plan: DemoPlan, domain: str) -> None:
     output = console(sys.stderr)
-    output.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
+    runs = " and then ".join(run.replace("_", " ") for run in plan.runs)
+    output.print(f"{plan.robot}: {len(plan.runs) * plan.run_time:g} s, {runs}; "
               f"ROS_DOMAIN_ID={domain}", soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
         output.print(f"no display; open the live view with: rerun {plan.view_address}",
@@ -93,6 +95,7 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
         report["complete"] = not outcome.was_stopped
         report["twin_priority"] = outcome.recorder.priority or None
         report["processor_share_of_others"] = outcome.others
+        report["steps"] = _step_counts(outcome)
         _print_table(plan, report)
         write_report(plan.folder / "report.json", report)
         save_records(plan.folder / "samples.npz", records)
@@ -114,11 +117,12 @@ def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | Non
         TimedValues(*samples.between(*span))
         for samples in (recorder.target, recorder.twin_effector, recorder.device_effector,
                         recorder.setpoints, recorder.efforts))
-    if min(len(target.times), len(device.times)) < _FEWEST_SAMPLES:
+    reference = twin if recorder.is_direct else target
+    if min(len(reference.times), len(device.times)) < _FEWEST_SAMPLES:
         return None
     names = recorder.actuator_names
     return TrackingRecord(
-        target, twin, device, names, tuple(kinds[name].setpoint.unit for name in names),
+        None if recorder.is_direct else target, twin, device, names, tuple(kinds[name].setpoint.unit for name in names),
         tuple(kinds[name].effort.unit for name in names), setpoints, efforts,
     )  # fmt: skip
 
@@ -144,11 +148,20 @@ def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
         during[-1].skipped - (first.skipped if first else 0))
 
 
+def _step_counts(outcome: DemoOutcome) -> dict[str, int]:
+    """Number of the twin's steps of each status during the runs, by its word."""
+    counts: Counter[str] = Counter()
+    for report in outcome.recorder.loop_reports[outcome.reports_before:]:
+        counts.update(report.statuses)
+    return dict(sorted(counts.items()))
+
+
 def _print_table(plan: DemoPlan, report: dict) -> None:
     made = table(f"{plan.robot}, driven live", "what", "value")
-    for run in ("open_loop", "closed_loop"):
+    for run in plan.runs:
         if figures := report[run]:
-            made.add_row(f"tracking error, {run.replace('_', ' ')}",
+            made.add_row("device against twin" if plan.is_direct else
+                         f"tracking error, {run.replace('_', ' ')}",
                          f"mean {figures['mean_error_mm']:.3f} mm, "
                          f"max {figures['max_error_mm']:.3f} mm")
     if (ratio := report["closed_to_open_ratio"]) is not None:
@@ -163,6 +176,8 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     made.add_row("ticks", f"{report['ticks']} of {report['period_ms']:g} ms, "
                  f"{report['missed_ticks']} missed ({late:.2f} %), "
                  f"{report['skipped_ticks']} skipped")
+    made.add_row("steps", ", ".join(
+        f"{count} {word}" for word, count in report["steps"].items()) or "–")
     made.add_row("priority of the twin's ticks", report["twin_priority"] or "unknown")
     if (others := report["processor_share_of_others"]) is not None and others > NOTICEABLE_SHARE:
         made.add_row("other programs", f"used {100.0 * others:.0f} % of the processor meanwhile: "

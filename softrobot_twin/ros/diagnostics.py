@@ -207,6 +207,7 @@ class TwinDiagnostics:
             "activity": window.newest.activity.value,
             "status": window.newest.result.status.value,
             "worst_status": window.worst.value,
+            "statuses": " ".join(f"{word}:{n}" for word, n in sorted(window.statuses.items())),
             "residual_n": window.residual_max,
             "iterations": window.iterations_max,
             "linearization_error_mm": window.linearization_error_max * _MILLI,

@@ -193,11 +193,14 @@ RUNTIME = (
           60.0),
 )
 
+_SCENE_FILE = Entry(
+    "scene_file", "scenes/diamond.yaml",
+    "Path of the scene: absolute, or relative to the working directory or the package's config "
+    "folder.", read_only=True,
+)
+
 TWIN = COMMON + RUNTIME + (
-    Entry("scene_file", "scenes/diamond.yaml",
-          "Path of the scene: absolute, or relative to the working directory or the package's "
-          "config folder.",
-          read_only=True),
+    _SCENE_FILE,
     Entry("mode", Mode.INVERSE.value,
           "What drives the robot: targets, or setpoints and efforts of its actuators: lengths and "
           "tensions of cables, pressures and volumes of cavities.",
@@ -261,7 +264,9 @@ DEVICE = COMMON + (
 TARGET = (
     COMMON[0],
     _TWIN_NAME,
-    Entry("target_effector", "tip", "Effector that receives targets.", read_only=True),
+    _SCENE_FILE,
+    Entry("target_effector", "tip", "Effector that receives targets; with target_commands, the one "
+          "that the demo compares.", read_only=True),
     Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, "
           "with the columns t,<effector>.x,<effector>.y,<effector>.z, for an orientation also .qx, "
           ".qy, .qz, .qw.", read_only=True),
@@ -286,6 +291,9 @@ TARGET = (
           "m, Pa or m³", read_only=True),
     Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0,
           read_only=True),
+    Entry("target_commands", "", "CSV file of commands that are played over and over in place of "
+          "targets, searched like scene_file, with the columns of simulate --commands; for a twin in "
+          "direct mode; empty for none.", read_only=True),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

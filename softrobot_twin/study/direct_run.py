@@ -19,7 +19,7 @@ from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.study.explain import print_mesh_error
-from softrobot_twin.study.input_tables import CommandTable, read_commands
+from softrobot_twin.simulation.input_tables import CommandTable, read_commands
 from softrobot_twin.study.offline_run import actuator_cells, actuator_columns, spread
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
