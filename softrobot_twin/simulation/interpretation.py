@@ -117,12 +117,9 @@ class Interpretation:
             if not (np.isnan(wanted) | (wanted > 0.0)).all():
                 worst = np.nanmin(wanted)
                 raise CommandError("stiffness", f"{worst} N/m is not a positive stiffness")
-            entries = [effector.stiffness for effector in self._model.scene.effectors]
-            for entry, own in zip(entries, wanted, strict=True):
-                if entry is None and np.isfinite(own).any():
-                    raise CommandError(
-                        "stiffness", "an effector of this scene that asks for no stiffness has one"
-                    )
+            for effector, own in zip(self._model.scene.effectors, wanted, strict=True):
+                if effector.stiffness is None and np.isfinite(own).any():
+                    raise CommandError(effector.name, "asks for no stiffness in the scene")
         wanted = np.where(self._weighs_stiffness[:, None], wanted, np.nan)
         return wanted if np.isfinite(wanted).any() else None
 
