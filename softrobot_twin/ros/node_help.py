@@ -15,6 +15,7 @@ motors of hinges have angles and torques there, in rad and N m.
 
   in    ~/target/<effector>   geometry_msgs/PointStamped   m
         ~/target_pose/<effector>  geometry_msgs/PoseStamped  m; effectors with orientation
+        ~/target_stiffness/<effector>  geometry_msgs/Vector3Stamped  N/m; effectors with stiffness
         ~/target_velocity     geometry_msgs/Twist          m/s
         ~/command/cables      sensor_msgs/JointState       m or N; cavities Pa (gauge) or m³
         ~/command/angles      sensor_msgs/JointState       rad, of pulleys
@@ -32,6 +33,7 @@ motors of hinges have angles and torques there, in rad and N m.
         ~/effectors/<effector>, ~/effector_poses/<effector>, ~/predicted_markers,
         ~/bodies/<body>, ~/poses/<body>, ~/contacts, /diagnostics
         ~/touch/<touch>       sensor_msgs/JointState       m and N: displacement, force
+        ~/stiffness/<effector>   geometry_msgs/Vector3Stamped  N/m; effectors with stiffness
         ~/compliance/<effector>  std_msgs/Float64MultiArray  m/N, after actuation
         ~/jacobian/<effector>    std_msgs/Float64MultiArray  by actuator, see its labels
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",

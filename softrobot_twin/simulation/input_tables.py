@@ -93,6 +93,7 @@ SINGLE_ROW_TIME_STEP = 0.02
 
 _AXES = ("x", "y", "z")
 _TURN = ("qx", "qy", "qz", "qw")
+_STIFFNESS = ("kx", "ky", "kz")
 # A larger deviation from unit length is not rounding but a mistake.
 _NOT_UNIT = 1.0e-2
 
@@ -112,6 +113,8 @@ class TargetTable:
             that take no efforts.
         orientations: Wanted turns of effectors from rest as unit quaternions (x, y, z, w), shape
             (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
+        stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
+            where the file gives none; None in a file without.
     """
 
     kind: str
@@ -119,19 +122,22 @@ class TargetTable:
     time_steps: np.ndarray
     values: np.ndarray
     orientations: np.ndarray | None = None
+    stiffness: np.ndarray | None = None
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0."""
-        if self.orientations is not None:
-            step = float(self.time_steps[row])
-            return FollowTargets(self.values[row], step, None, self.orientations[row])
-        build = {"targets": FollowTargets, "setpoints": CommandSetpoints, "efforts": CommandEfforts}
-        return build[self.kind](self.values[row], float(self.time_steps[row]))
+        values, step = self.values[row], float(self.time_steps[row])
+        if self.kind == "targets":
+            turns = None if self.orientations is None else self.orientations[row]
+            stiffness = None if self.stiffness is None else self.stiffness[row]
+            return FollowTargets(values, step, None, turns, stiffness)
+        build = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
+        return build[self.kind](values, step)
 
 
 def read_targets(path: Path | str, effector_names: Sequence[str],
                  kind_of: Mapping[str, ActuatorKind],
-                 oriented: Sequence[bool] = ()) -> TargetTable:
+                 oriented: Sequence[bool] = (), stiff: Sequence[bool] = ()) -> TargetTable:
     """Reads and checks a targets file.
 
     Args:
@@ -140,11 +146,12 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
         kind_of: Kind of each actuator by its name, in the simulation's order.
         oriented: Whether each effector asks for an orientation, so that the file may give one; by
             default none does.
+        stiff: The same for a stiffness.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
             column, or contains a value that is not finite, a time that does not increase, a
-            quaternion that is not of unit length, or a setpoint or an effort that its kind cannot
+            quaternion that is not of unit length, a stiffness that is not positive, or a setpoint or an effort that its kind cannot
             have.
     """
     path = Path(path)
@@ -157,6 +164,9 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
         _refuse_turns(path, turned, effector_names, oriented)
         for name in turned:
             asked[name] += [Quantity(part, "") for part in _TURN]
+        stiffened = _stiffness_columns(path, header, effector_names, stiff)
+        for name, part in stiffened:
+            asked[name].append(Quantity(part, "N/m"))
     else:
         asked = {name: [_commanded(made, kind)] for name, made in kind_of.items()}
     wanted = _wanted_columns(path, header, kind, asked, kind_of)
@@ -181,7 +191,32 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
             _refuse_lengths(path, name, quaternions, lines)
             lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
             orientations[:, list(effector_names).index(name)] = quaternions / lengths
-    return TargetTable(kind, times, _time_steps(times), values[:, places], orientations)
+    stiffness = None
+    if stiffened:
+        stiffness = np.full((len(times), len(effector_names), 3), np.nan)
+        for name, part in stiffened:
+            own = values[:, columns.index(f"{name}.{part}")]
+            if (own <= 0.0).any():
+                row = int(np.argmin(own))
+                raise TableFileError(path, "must be positive: it is a stiffness", lines[row],
+                                     f"{name}.{part}", float(own[row]), "N/m")
+            place = list(effector_names).index(name), _STIFFNESS.index(part)
+            stiffness[:, place[0], place[1]] = own
+    return TargetTable(
+        kind, times, _time_steps(times), values[:, places], orientations, stiffness
+    )
+
+
+def _stiffness_columns(path: Path, header: list[str], names: Sequence[str], stiff) -> list:
+    """Effector and axis of each column of a stiffness; refuses those of effectors without one."""
+    asking = [name for name, asks in zip(names, stiff) if asks]
+    found = [(name, part) for name in names for part in _STIFFNESS if f"{name}.{part}" in header]
+    for name, part in found:
+        if name not in asking:
+            raise TableFileError(
+                path, "the effector has no stiffness in the scene; those with one: "
+                f"{', '.join(asking) or 'none'}", 1, f"{name}.{part}")
+    return found
 
 
 def _refuse_turns(path: Path, turned: Sequence[str], names: Sequence[str], oriented) -> None:
@@ -245,12 +280,13 @@ def _kind_of_table(path: Path, header: list[str], kind_of: Mapping[str, Actuator
         if column == "t":
             continue
         name, _, word = column.rpartition(".")
-        if not name or (name not in kind_of and word not in (*_AXES, *_TURN, *words)):
+        parts = (*_AXES, *_TURN, *_STIFFNESS)
+        if not name or (name not in kind_of and word not in (*parts, *words)):
             valid = " or ".join(f"<actuator>.{word}" for word in words)
             raise TableFileError(
                 path, f"is not a valid column; use <effector>.x, .y, .z, {valid}", 1,
                 column or "''")
-        if word in _AXES or word in _TURN:
+        if word in parts:
             meanings[column] = ("targets",)
         elif name in kind_of:
             kind = kind_of[name]
