@@ -33,7 +33,7 @@ HEIGHT = 0.020
 WALL_THICKNESS = 0.0035
 """Across a wall [m]."""
 WALL_HALF_WIDTH = 0.015
-"""Half of a wall's length along its edge, or the next line of the mesh beyond it [m]."""
+"""Half of a wall's length along its edge [m]."""
 LEAN = 0.004
 """Distance of a wall's foot outwards from its top [m]."""
 
@@ -43,18 +43,20 @@ class Refinement:
     """How a mesh is cut.
 
     Attributes:
-        between: Cells of the plate between two opposite walls, along x and along y.
+        along: Cells along a wall.
+        beside: Cells of the plate from the end of a wall to the next wall.
         wall: Layers of a wall from the ground to the plate.
         plate: Layers of the plate.
     """
 
-    between: int
+    along: int
+    beside: int
     wall: int
     plate: int
 
 
 # Name of a refinement (the corners of its hexahedra) and how it is cut.
-REFINEMENTS = {282: Refinement(6, 3, 1), 562: Refinement(10, 4, 1)}
+REFINEMENTS = {282: Refinement(4, 1, 3, 1), 562: Refinement(6, 2, 4, 1)}
 
 
 def make_stifface(refinement: Refinement) -> HexahedralMesh:
@@ -67,8 +69,10 @@ def make_stifface(refinement: Refinement) -> HexahedralMesh:
         The mesh [m].
     """
     inner = HALF_SIDE - WALL_THICKNESS
-    lines = np.linspace(-inner, inner, refinement.between + 1)
-    x = y = np.concatenate([[-HALF_SIDE], lines, [HALF_SIDE]])
+    along = np.linspace(-WALL_HALF_WIDTH, WALL_HALF_WIDTH, refinement.along + 1)
+    beside = np.linspace(WALL_HALF_WIDTH, inner, refinement.beside + 1)[1:]
+    beside = np.append(beside, HALF_SIDE)
+    x = y = np.concatenate([-beside[::-1], along, beside])
     walls = np.linspace(0.0, HEIGHT, refinement.wall + 1)
     plate = np.linspace(HEIGHT, HEIGHT + THICKNESS, refinement.plate + 1)
     z = np.concatenate([walls, plate[1:]])

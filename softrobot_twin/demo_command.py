@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from softrobot_twin.ros.demo import (
 )
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.terminal import LiveLine, console, table
+from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
 from softrobot_twin.study.tracking import (
     LoopFigures,
     MeshFigures,
@@ -34,7 +36,7 @@ from softrobot_twin.study.tracking import (
     write_report,
 )
 
-RESULTS = ("report.json", "tracking.png", "samples.npz", "run.rrd")
+RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd")
 """Files that a demo writes into its folder, besides one log for each process."""
 
 _FEWEST_SAMPLES = 10
@@ -48,7 +50,7 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     Args:
         robot: Name of the robot.
         folder: Folder for the results.
-        run_time: Length of each of the two runs [s].
+        run_time: Length of each run [s]: open loop and closed loop, or one of commands.
         view: Serve a live view, and open a viewer where there is a display.
 
     Returns:
@@ -75,7 +77,8 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
 
 def _print_start(plan: DemoPlan, domain: str) -> None:
     output = console(sys.stderr)
-    output.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
+    runs = " and then ".join(run.replace("_", " ") for run in plan.runs)
+    output.print(f"{plan.robot}: {len(plan.runs) * plan.run_time:g} s, {runs}; "
               f"ROS_DOMAIN_ID={domain}", soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
         output.print(f"no display; open the live view with: rerun {plan.view_address}",
@@ -93,6 +96,8 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
         report["complete"] = not outcome.was_stopped
         report["twin_priority"] = outcome.recorder.priority or None
         report["processor_share_of_others"] = outcome.others
+        report["steps"] = _step_counts(outcome)
+        report["touch"] = _touches(plan, outcome)
         _print_table(plan, report)
         write_report(plan.folder / "report.json", report)
         save_records(plan.folder / "samples.npz", records)
@@ -107,6 +112,19 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
     return 1 if unclean else 0
 
 
+def _touches(plan: DemoPlan, outcome: DemoOutcome) -> dict | None:
+    """Stiffness that the device's fingertip felt in the first run, drawn too; None without presses.
+    """
+    recorder, span = outcome.recorder, outcome.span(plan.runs[0])
+    device, twin = (TimedValues(*samples.between(*span))
+                    for samples in (recorder.device_touch, recorder.twin_touch))
+    wanted = TimedValues(*recorder.stiffness.between(-np.inf, span[1]))
+    report = touch_report(device, twin, wanted)
+    if report is not None:
+        draw_presses(plan.robot, device, wanted, plan.folder / "presses.png")
+    return report
+
+
 def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | None:
     """Samples recorded during a run, or None when there are too few."""
     recorder, span = outcome.recorder, outcome.span(run)
@@ -114,11 +132,14 @@ def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | Non
         TimedValues(*samples.between(*span))
         for samples in (recorder.target, recorder.twin_effector, recorder.device_effector,
                         recorder.setpoints, recorder.efforts))
-    if min(len(target.times), len(device.times)) < _FEWEST_SAMPLES:
+    # What a fingertip displaces is no error of tracking.
+    device = untouched(device, TimedValues(*recorder.device_touch.between(*span)))
+    reference = twin if recorder.is_direct else target
+    if min(len(reference.times), len(device.times)) < _FEWEST_SAMPLES:
         return None
     names = recorder.actuator_names
     return TrackingRecord(
-        target, twin, device, names, tuple(kinds[name].setpoint.unit for name in names),
+        None if recorder.is_direct else target, twin, device, names, tuple(kinds[name].setpoint.unit for name in names),
         tuple(kinds[name].effort.unit for name in names), setpoints, efforts,
     )  # fmt: skip
 
@@ -144,11 +165,34 @@ def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
         during[-1].skipped - (first.skipped if first else 0))
 
 
+def _step_counts(outcome: DemoOutcome) -> dict[str, int]:
+    """Number of the twin's steps of each status during the runs, by its word."""
+    counts: Counter[str] = Counter()
+    for report in outcome.recorder.loop_reports[outcome.reports_before:]:
+        counts.update(report.statuses)
+    return dict(sorted(counts.items()))
+
+
+def _add_touch(made, touch: dict) -> None:
+    """Adds what a fingertip felt to the table."""
+    presses = touch["presses"]
+    felt = [press["device_n_per_m"] for press in presses]
+    made.add_row("stiffness felt on the device, open loop",
+                 f"{len(presses)} presses, {min(felt):.0f} to {max(felt):.0f} N/m")
+    if touch["median_error_percent"] is not None:
+        targets = [press["target_n_per_m"] for press in presses if press["target_n_per_m"]]
+        made.add_row("its error against the target",
+                     f"median {touch['median_error_percent']:.1f} %, "
+                     f"max {touch['max_error_percent']:.1f} %; targets {min(targets):.0f} to "
+                     f"{max(targets):.0f} N/m")
+
+
 def _print_table(plan: DemoPlan, report: dict) -> None:
     made = table(f"{plan.robot}, driven live", "what", "value")
-    for run in ("open_loop", "closed_loop"):
+    for run in plan.runs:
         if figures := report[run]:
-            made.add_row(f"tracking error, {run.replace('_', ' ')}",
+            made.add_row("device against twin" if plan.is_direct else
+                         f"tracking error, {run.replace('_', ' ')}",
                          f"mean {figures['mean_error_mm']:.3f} mm, "
                          f"max {figures['max_error_mm']:.3f} mm")
     if (ratio := report["closed_to_open_ratio"]) is not None:
@@ -156,6 +200,8 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     if (published := report["published_open_loop_error_mm"]) is not None:
         values = [f"{key} {value:g} mm" for key, value in published.items() if value is not None]
         made.add_row("published, a real robot, open loop", ", ".join(values))
+    if (touch := report["touch"]) is not None:
+        _add_touch(made, touch)
     compute = report["compute_time_ms"]
     made.add_row("compute time", ", ".join(
         f"{key} {value:.2f} ms" for key, value in compute.items() if value is not None) or "–")
@@ -163,6 +209,8 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     made.add_row("ticks", f"{report['ticks']} of {report['period_ms']:g} ms, "
                  f"{report['missed_ticks']} missed ({late:.2f} %), "
                  f"{report['skipped_ticks']} skipped")
+    made.add_row("steps", ", ".join(
+        f"{count} {word}" for word, count in report["steps"].items()) or "–")
     made.add_row("priority of the twin's ticks", report["twin_priority"] or "unknown")
     if (others := report["processor_share_of_others"]) is not None and others > NOTICEABLE_SHARE:
         made.add_row("other programs", f"used {100.0 * others:.0f} % of the processor meanwhile: "

@@ -344,13 +344,14 @@ def add_demo(commands) -> None:
     parser = add_command(
         commands, "demo", _demo, "drive a simulated robot live over ROS 2",
         "Start twin, device and target as three processes, follow a path open loop "
-        "and again closed loop, and report the tracking errors.")
+        "and again closed loop, and report the tracking errors; a robot that is driven directly "
+        "plays its commands, and the device is compared with the twin.")
     parser.add_argument("--robot", default="diamond", metavar="NAME",
                         help="name of a file config/NAME.yaml (default diamond)")
     parser.add_argument("--output", default=Path("out/demo"), metavar="FOLDER", type=Path,
                         help="folder for report.json, run.rrd and tracking.png (default out/demo)")
     parser.add_argument("--seconds", default=30.0, type=seconds, metavar="S",
-                        help="length of each of the two runs [s] (default 30)")
+                        help="length of each run [s] (default 30)")
     parser.add_argument("--no-view", dest="view", action="store_false",
                         help="neither serve nor open a live view; run.rrd is still recorded")
 

@@ -17,6 +17,7 @@ from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.pulleys import Pulleys
+from softrobot_twin.simulation.touches import TouchState
 
 OUTSIDE_SHARE = 0.1
 """A measured setpoint may be outside the limits by this share of the travel."""
@@ -121,6 +122,20 @@ class WoundDevice(Protocol):
     """
 
     pulleys: Pulleys
+
+
+@runtime_checkable
+class TouchedDevice(Protocol):
+    """A robot that measures touches by sensors of its own.
+
+    Attributes:
+        touch_names: Names of the touches that are measured.
+    """
+
+    touch_names: tuple[str, ...]
+
+    def touches(self) -> TouchState:
+        """What was measured of them last, in the order of `touch_names`."""
 
 
 class ImplausibleSetpoint(NamedTuple):

@@ -30,6 +30,7 @@ class DiagnosticsWindow:
         newest: The last tick, or None before the first.
         ticks: Number of ticks.
         worst: Their most severe status.
+        statuses: Number of ticks of each status, by its word.
         residual_max: Largest residual [N].
         iterations_max: Largest number of linearizations in one step.
         linearization_error_max: Largest estimated error of the effectors' displacement in one step
@@ -68,6 +69,7 @@ class DiagnosticsWindow:
         self.qp_solvers: set[str] = set()
         self.linearization_error_max = 0.0
         self.worst = Status.OK
+        self.statuses: dict[str, int] = {}
         self.residual_max = 0.0
         self.stage_maxima: dict[str, float] = {}
         self.limits: set[str] = set()
@@ -86,6 +88,8 @@ class DiagnosticsWindow:
         self.newest = outcome
         self.ticks += 1
         result, report = outcome.result, outcome.result.report
+        word = result.status.value
+        self.statuses[word] = self.statuses.get(word, 0) + 1
         if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):
             self.worst = result.status
         # Unlike max, this propagates NaN.

@@ -44,8 +44,11 @@ _UNITS = {
     "correction_limit": "m",
     "marker_timeout": "s",
     "device_timeout": "s",
+    "touch_timeout": "s",
 }
-_ABOVE_ZERO = ("rate", "velocity_timeout", "speed_limit", "marker_timeout", "device_timeout")
+_ABOVE_ZERO = (
+    "rate", "velocity_timeout", "speed_limit", "marker_timeout", "device_timeout", "touch_timeout",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ class LoopSettings:
         on_lost_markers: What to do then, in closed loop.
         device_timeout: The device counts as lost after this time without its setpoints [s].
         on_lost_device: What to do then.
+        touch_timeout: A touch ends after this time without its force or place [s].
 
     Raises:
         ParameterError: A value is not finite or too small, or the workspace is empty.
@@ -96,6 +100,7 @@ class LoopSettings:
     on_lost_markers: WhenLost = WhenLost.OPEN_LOOP
     device_timeout: float = 0.5
     on_lost_device: WhenLost = WhenLost.HOLD
+    touch_timeout: float = 0.2
 
     def __post_init__(self) -> None:
         for name, unit in _UNITS.items():

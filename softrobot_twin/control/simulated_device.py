@@ -9,9 +9,11 @@ import numpy as np
 
 from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.device import DeviceReading
+from softrobot_twin.control.fingertip import Fingertip, Presses
 from softrobot_twin.control.inputs import Pose, is_pose
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
+from softrobot_twin.simulation.touches import TouchState
 from softrobot_twin.simulation.unlikely_limits import efforts_at_scale
 
 _QUEUE_LENGTH = 1024
@@ -175,8 +177,10 @@ class SimulatedDevice:
         simulation: The body, warmed up; its scene may differ from the twin's.
         flaws: Delay, limits of servos and valves, and noise.
         ambient_pressure: Absolute pressure around the robot [Pa].
+        presses: How a fingertip presses it; None without one.
 
     Attributes:
+        touch_names: Names of the touches; see `TouchedDevice`. Empty without a fingertip.
         cavity_names: Names of the cavities; see `PressurisedDevice`.
         pulleys: Pulleys that wind cables; see `WoundDevice`.
         pressure_variance: Variance of their measured pressures [Pa²]; 0 without noise.
@@ -186,8 +190,10 @@ class SimulatedDevice:
 
     def __init__(
         self, simulation: Simulation, flaws: DeviceFlaws,
-        ambient_pressure: float = STANDARD_ATMOSPHERE,
+        ambient_pressure: float = STANDARD_ATMOSPHERE, presses: Presses | None = None,
     ):
+        self._fingertip = None if presses is None else Fingertip(simulation, presses)
+        self.touch_names = () if presses is None else simulation.touch_names
         self.refused = 0
         self.result: StepResult | None = None
         self.actuator_names = simulation.actuator_names
@@ -228,6 +234,18 @@ class SimulatedDevice:
         """Poses of the rigid bodies; see `CarriedDevice`."""
         return self._simulation.rigid_poses()
 
+    def touches(self) -> TouchState:
+        """Forces and displacements of the touches; see `TouchedDevice`. Sensors are exact."""
+        return self._simulation.state.touches
+
+    def _step(self, command: CommandSetpoints | Hold, now: float) -> StepResult:
+        """Steps the body, pressed by the fingertip as it is at a time [s]."""
+        if self._fingertip is None:
+            return self._simulation.step(command)
+        result = self._simulation.step(command, None, self._fingertip.touched(now))
+        self._fingertip.observe(result)
+        return result
+
     def read(self, now: float) -> DeviceReading:
         """Advances servos, valves and body to a time [s], and measures them."""
         time_step = 0.0 if self._time is None else max(0.0, now - self._time)
@@ -241,14 +259,14 @@ class SimulatedDevice:
             reach = self._valves.reach(self._servo, time_step)
             aims = self._valves.aims(self._commanded, self._servo, time_step)
             self._servo += np.clip(aims - self._servo, -reach, reach)
-            self.result = self._simulation.step(CommandSetpoints(self._servo.copy(), time_step))
+            self.result = self._step(CommandSetpoints(self._servo.copy(), time_step), now)
             # The encoder measures the actual position: limits of the body may stop a servo.
             self._servo = np.array(self.result.setpoints)
             self._valves.observe(self.result)
         elif not self._simulation.model.is_dynamic:
             # When no time has passed, a body without inertia still moves to its equilibrium; a body
             # with inertia does not move.
-            self.result = self._simulation.step(Hold())
+            self.result = self._step(Hold(), now)
         markers = self._simulation.marker_positions()
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)
         setpoints, efforts = self._valves.measure(

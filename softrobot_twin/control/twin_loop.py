@@ -43,6 +43,7 @@ from softrobot_twin.control.target_correction import (
     approach,
     approach_poses,
 )
+from softrobot_twin.control.touch_input import TouchInput
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -52,6 +53,7 @@ from softrobot_twin.simulation import (
     State,
     Status,
     StepResult,
+    Touched,
 )
 
 DEVICE_LOST = "device lost"
@@ -202,6 +204,7 @@ class TwinLoop:
             simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings
         )
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
+        self.touches = TouchInput(simulation, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
         self.correction = TargetCorrection(effector_count)
@@ -224,6 +227,7 @@ class TwinLoop:
         for part in (
             self.targets, self.markers, self.device, self.direct, self.selected, self.poses,
             self.pressures, self.measured_pressures, self.angles, self.measured_angles,
+            self.touches,
             self.stiffness,
         ):  # fmt: skip
             part.apply(settings)
@@ -335,12 +339,13 @@ class TwinLoop:
         accepted = self._plausibility.without_left_out(seen)
         activity, cause = self._decide(now, aims.reading, accepted)
         self._guide(activity, now)
-        result, released, violated = self._step(self._command(activity, cause, aims))
+        command = self._command(activity, cause, aims)
+        result, released, violated = self._step(command, self.touches.read(now))
         predicted = self.simulation.marker_positions()
         self._history.add(ros_time, predicted)
         measured, misfit = self._compare(seen, activity)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
-        self._correct(activity, aims, effectors, result.status)
+        self._correct(activity, aims, effectors, result)
         errors = self.measurement.errors(
             aims.reading.targets, result.effector_positions, effectors
         )
@@ -464,15 +469,21 @@ class TwinLoop:
         is_omitted = np.isnan(direct.efforts) & self.simulation.actuators.is_effort_driven
         return CommandEfforts(np.where(is_omitted, present, direct.efforts), time_step)
 
-    def _step(self, command) -> tuple[StepResult, ActuatorCommand | None, tuple[str, ...]]:
+    def _step(
+        self, command, touched: Touched | None
+    ) -> tuple[StepResult, ActuatorCommand | None, tuple[str, ...]]:
         """Steps the simulation and passes its command through the gate.
+
+        Args:
+            command: The command of this tick.
+            touched: What is measured of touches.
 
         Returns:
             The step, the command that may be published or None, and the limits that the step's own
             command violated. Such a step is undone.
         """
         simulation, before = self.simulation, self.simulation.state
-        result = simulation.step(command, self.settings.budget)
+        result = simulation.step(command, self.settings.budget, touched)
         passage = self._engagement.release(result, self.settings.period)
         if passage is None:
             return result, None, ()
@@ -498,13 +509,17 @@ class TwinLoop:
         return measured, self.markers.misfit(measured, expected)
 
     def _correct(
-        self, activity: Activity, aims: Aims, effectors: np.ndarray, status: Status
+        self, activity: Activity, aims: Aims, effectors: np.ndarray, result: StepResult
     ) -> None:
         """Updates the correction of the targets by the measured effectors [m]."""
+        status, touches = result.status, result.touches
         # While an effector approaches a far target, its distance is not the model's error.
         comparable = np.where(aims.arrived, effectors, np.nan)
+        # What a finger displaces is not an error of the model either.
+        is_touched = touches is not None and touches.is_touched.any()
+        follows = activity is Activity.FOLLOWING and not is_touched
         self.correction.tick(
-            self.settings, activity is Activity.FOLLOWING, self.markers.stamp,
+            self.settings, follows, self.markers.stamp,
             self.measurement.differences(aims.reading.targets, comparable), status,
         )  # fmt: skip
 

@@ -1,4 +1,5 @@
-"""The demo: twin, device and target run as three processes, first open loop, then closed loop.
+"""The demo: twin, device and target run as three processes. A robot that follows targets runs open
+loop, then closed loop; one that is driven directly plays its commands.
 
 The file contains, in this order: processor use, the plan, the processes, the recorder, the run.
 """
@@ -12,7 +13,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +22,7 @@ import numpy as np
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, PointStamped
+from geometry_msgs.msg import Point, PointStamped, Vector3Stamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -35,7 +36,7 @@ from std_srvs.srv import SetBool
 from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import ParameterError, SoftRobotTwinError
-from softrobot_twin.ros.parameters import TARGET, TWIN
+from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file
 
 NOTICEABLE_SHARE = 0.1
@@ -106,12 +107,17 @@ def share_of_others(before: ProcessorTimes, after: ProcessorTimes) -> float:
     return min(1.0, max(0.0, others / whole)) if whole > 0.0 else 0.0
 
 
+RUNS = ("open_loop", "closed_loop")
+DIRECT_RUNS = ("direct",)
+_LEAST_RAMPS = 4.0
+"""A path of a run is shown for at least this many of its transitions."""
+
 START_TOPIC = "/demo/start"
 """The target starts when it receives its start point on this topic. On the twin's own topic it
 would receive one as soon as the twin publishes, before all nodes are connected.
 """
 
-_DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *TWIN)}
+_DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *DEVICE, *TWIN)}
 
 
 @dataclass(frozen=True)
@@ -122,8 +128,11 @@ class DemoPlan:
         robot: Name of the robot.
         parameter_file: ROS parameters of all three nodes.
         scene_file: The twin's scene.
-        effector: Effector that is driven.
-        run_time: Length of each of the two runs [s].
+        effector: Effector that is driven or, where commands are played, compared.
+        touch: Touch where the device's fingertip presses; empty for none.
+        runs: Names of the runs, in order: `RUNS`, or `DIRECT_RUNS` where commands are played.
+        run_time: Length of each run [s].
+        paths: Paths of a run, in turn; empty where commands are played.
         turn_time: Length of each path within a run [s].
         ramp_time: Duration of the transition onto a path [s].
         period: Time between the twin's ticks [s].
@@ -136,13 +145,21 @@ class DemoPlan:
     parameter_file: Path
     scene_file: Path
     effector: str
+    touch: str
+    runs: tuple[str, ...]
     run_time: float
+    paths: tuple[str, ...]
     turn_time: float
     ramp_time: float
     period: float
     view_port: int | None
     opens_viewer: bool
     folder: Path
+
+    @property
+    def is_direct(self) -> bool:
+        """True when commands are played and no targets followed."""
+        return self.runs == DIRECT_RUNS
 
     @property
     def record_file(self) -> Path:
@@ -167,7 +184,7 @@ class DemoPlan:
 
     def _twin_overrides(self) -> dict[str, object]:
         overrides: dict[str, object] = {
-            "use_device": True, "closed_loop": False, "mode": "inverse",
+            "use_device": True, "closed_loop": False,
             "record_file": str(self.record_file.resolve()),
             "view": self.view_port is not None, "view_spawn": self.opens_viewer,
         }
@@ -176,7 +193,10 @@ class DemoPlan:
         return overrides
 
     def _target_overrides(self) -> dict[str, object]:
-        return {"target_sequence_time": self.turn_time, "target_ramp_time": self.ramp_time}
+        if self.is_direct:
+            return {}
+        return {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
+                "target_ramp_time": self.ramp_time}
 
 
 def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan:
@@ -189,16 +209,23 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
         view: Serve viewers, and open one where there is a display.
 
     Raises:
-        ParameterError: There is no such robot, it takes no targets, or its parameters cannot be
-            used.
+        ParameterError: There is no such robot, it neither follows targets nor plays commands, or
+            its parameters cannot be used.
     """
     file = _parameter_file(robot)
     values = _DEFAULTS | _parameters(file)
-    if values["mode"] != Mode.INVERSE.value:
-        raise ParameterError("robot", robot, "", f"is driven in {values['mode']} mode, see {file}: "
-                             "a demo needs a robot that follows targets")
+    if not _has_demo(values):
+        raise ParameterError(
+            "robot", robot, "", f"is driven in direct mode, and target_commands names no file in "
+            f"{file}: there is nothing to show; robots with a demo: {_known_robots()}")
+    is_direct = values["mode"] == Mode.DIRECT.value
+    if is_direct:
+        find_scene_file(str(values["target_commands"]), "target_commands")
+    ramp_time = float(values["target_ramp_time"])
     paths = [name for name in values["target_sequence"] if name] or [values["target_path"]]
-    turn_time = run_time / len(paths)
+    # A path keeps its own pace: in a short run there are fewer of them, not faster ones.
+    count = int(min(len(paths), max(1.0, run_time // (_LEAST_RAMPS * ramp_time or run_time))))
+    turn_time = run_time / count
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -207,9 +234,9 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     return DemoPlan(
         robot=robot, parameter_file=file,
         scene_file=find_scene_file(str(values["scene_file"]), "scene_file"),
-        effector=str(values["target_effector"]), run_time=run_time, turn_time=turn_time,
-        # In a short run the transition takes at most a quarter of the path's time.
-        ramp_time=min(float(values["target_ramp_time"]), 0.25 * turn_time),
+        effector=str(values["target_effector"]), touch=str(values["device_touch"]), runs=DIRECT_RUNS if is_direct else RUNS,
+        run_time=run_time, paths=() if is_direct else tuple(paths[:count]), turn_time=turn_time,
+        ramp_time=min(ramp_time, 0.5 * turn_time),
         period=1.0 / float(values["rate"]),
         view_port=_port(int(values["view_port"])) if view else None,
         opens_viewer=view and display, folder=folder)
@@ -234,9 +261,27 @@ def _parameter_file(robot: str) -> Path:
     for folder in folders:
         if (folder / f"{robot}.yaml").is_file():
             return (folder / f"{robot}.yaml").resolve()
-    known = sorted({file.stem for folder in folders for file in folder.glob("*.yaml")})
-    raise ParameterError("robot", robot, "", f"must be one of {', '.join(known) or 'none'}; "
+    raise ParameterError("robot", robot, "", f"must be one of {_known_robots()}; "
                          f"looked for {robot}.yaml in {', '.join(map(str, folders))}")
+
+
+def _known_robots() -> str:
+    """Names of the robots that have a demo, as text."""
+    return ", ".join(demo_robots()) or "none"
+
+
+def demo_robots() -> tuple[str, ...]:
+    """Names of the robots that have a demo: those whose parameter file drives them."""
+    files: dict[str, Path] = {}
+    for folder in config_folders():
+        for file in folder.glob("*.yaml"):
+            files.setdefault(file.stem, file)
+    return tuple(name for name in sorted(files) if _has_demo(_DEFAULTS | _parameters(files[name])))
+
+
+def _has_demo(values: Mapping[str, object]) -> bool:
+    """Whether parameters lead an effector, or name commands to play."""
+    return values["mode"] == Mode.INVERSE.value or bool(values["target_commands"])
 
 
 def _parameters(file: Path) -> dict[str, object]:
@@ -271,6 +316,8 @@ def _as_yaml(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, str):
         return "'" + value.replace("'", "''") + "'"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_as_yaml, value)) + "]"
     return repr(value)
 
 
@@ -457,6 +504,7 @@ class LoopReport(NamedTuple):
         ticks: Ticks since its start.
         missed: Ticks that ended late.
         skipped: Ticks that were skipped.
+        statuses: Number of ticks of each status since the message before, by its word.
     """
 
     compute_p50: float
@@ -465,6 +513,7 @@ class LoopReport(NamedTuple):
     ticks: int
     missed: int
     skipped: int
+    statuses: Mapping[str, int]
 
 
 class DemoRecorder(Node):
@@ -473,13 +522,18 @@ class DemoRecorder(Node):
     Args:
         twin: Name of the twin, such as ``/twin``.
         device: Name of the device, such as ``/device``.
-        effector: Effector that is driven.
+        effector: Effector that is driven or compared.
         start_topic: Topic on which the target waits for its start point.
+        is_direct: Commands are played; there are no targets.
+        touch: Touch where the device's fingertip presses; empty for none.
 
     Attributes:
-        target: Target positions of the effector [m].
+        target: Target positions of the effector [m]; none where commands are played.
         twin_effector: Effector positions predicted by the twin [m].
         device_effector: True effector positions [m], which only a simulated device can publish.
+        stiffness: Wanted stiffnesses of the effector along x, y and z [N/m].
+        twin_touch: Displacement [m] and force [N] of the touch, as the twin answers.
+        device_touch: The same as sensors of the device measure them.
         setpoints: Commanded setpoints, each in the unit of its kind, such as cable lengths [m].
         efforts: Efforts of the twin, each in the unit of its kind, such as tensions [N].
         actuator_names: Actuators in this order; empty before the first command.
@@ -488,9 +542,13 @@ class DemoRecorder(Node):
         cause: Reported reason for a large tracking error; empty when there is none.
     """
 
-    def __init__(self, twin: str, device: str, effector: str, start_topic: str):
+    def __init__(
+        self, twin: str, device: str, effector: str, start_topic: str, is_direct: bool, touch: str = ""
+    ):
         super().__init__("demo")
+        self.is_direct = is_direct
         self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
+        self.stiffness, self.twin_touch, self.device_touch = Samples(), Samples(), Samples()
         self.setpoints, self.efforts = Samples(), Samples()
         self.actuator_names: tuple[str, ...] = ()
         self.loop_reports: list[LoopReport] = []
@@ -499,6 +557,11 @@ class DemoRecorder(Node):
         self._targets = self._record(f"{twin}/target/{effector}", self.target)
         self._record(f"{twin}/effectors/{effector}", self.twin_effector)
         self._record(f"{device}/effectors/{effector}", self.device_effector)
+        if touch:
+            self._record_touch(f"{twin}/touch/{touch}", self.twin_touch)
+            self._record_touch(f"{device}/touch/{touch}", self.device_touch)
+            self.create_subscription(
+                Vector3Stamped, f"{twin}/target_stiffness/{effector}", self._take_stiffness, _ALL)
         self._start = self.create_publisher(PointStamped, start_topic, _ALL)
         self.create_subscription(JointState, f"{twin}/cables", self._take_cables, _ALL)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
@@ -510,28 +573,48 @@ class DemoRecorder(Node):
 
         return self.create_subscription(PointStamped, topic, take, _ALL)
 
+    def _record_touch(self, topic: str, samples: Samples) -> None:
+        def take(message: JointState) -> None:
+            samples.add(_seconds(message.header), [*message.position, *message.effort])
+
+        self.create_subscription(JointState, topic, take, _ALL)
+
+    def _take_stiffness(self, message: Vector3Stamped) -> None:
+        vector = message.vector
+        self.stiffness.add(_seconds(message.header), [vector.x, vector.y, vector.z])
+
+    @property
+    def reference(self) -> Samples:
+        """What the device is compared with: the target or, where commands are played, the twin."""
+        return self.twin_effector if self.is_direct else self.target
+
     def error(self) -> float:
-        """Newest distance of the device from the target [m]; NaN before both are known."""
-        if not self.target.times or not self.device_effector.times:
+        """Newest distance of the device from the reference [m]; NaN before both are known."""
+        if not self.reference.times or not self.device_effector.times:
             return math.nan
         time, position = self.device_effector.times[-1], self.device_effector.values[-1]
-        times, values = self.target.between(time - 1.0, math.inf)
+        times, values = self.reference.between(time - 1.0, math.inf)
         if not len(times):
             return math.nan
         target = [float(np.interp(time, times, column)) for column in values.T]
         return math.dist(target, position)
 
     def target_is_found(self) -> bool:
-        """True when the target is connected in both directions."""
+        """True when the target is connected in both directions; commands are not received here."""
         return (self._start.get_subscription_count() > 0
-                and self._targets.get_publisher_count() > 0)
+                and (self.is_direct or self._targets.get_publisher_count() > 0))
 
-    def start_target(self) -> None:
-        """Starts the target's path at the present position of the twin's effector."""
+    def start_target(self) -> float:
+        """Starts the target's path at the present position of the twin's effector, or its commands.
+
+        Returns:
+            The time [s].
+        """
         x, y, z = self.twin_effector.values[-1]
         message = PointStamped(point=Point(x=x, y=y, z=z))
         message.header.stamp = self.get_clock().now().to_msg()
         self._start.publish(message)
+        return _seconds(message.header)
 
     def _take_cables(self, message: JointState) -> None:
         if not self.actuator_names:
@@ -541,15 +624,18 @@ class DemoRecorder(Node):
         self.efforts.add(time, list(message.effort))
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            fields = {pair.key: pair.value for pair in status.values}
-            if status.name == f"{self._twin}: loop":
-                self.priority = fields["priority"]
-                self.loop_reports.append(LoopReport(
-                    *(1e-3 * float(fields[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
-                    *(int(fields[key]) for key in ("ticks", "missed", "skipped"))))
-            elif status.name == f"{self._twin}: target":
-                self.cause = fields.get("error_cause", "")
+        parts = {status.name: {pair.key: pair.value for pair in status.values}
+                 for status in message.status}
+        fields = parts.get(f"{self._twin}: loop")
+        if fields is None:
+            return
+        self.priority = fields["priority"]
+        counts = parts[f"{self._twin}: solver"].get("statuses", "").split()
+        self.loop_reports.append(LoopReport(
+            *(1e-3 * float(fields[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
+            *(int(fields[key]) for key in ("ticks", "missed", "skipped")),
+            {word: int(count) for word, _, count in (one.partition(":") for one in counts)}))
+        self.cause = parts[f"{self._twin}: target"].get("error_cause", "")
 
 
 def _seconds(header) -> float:
@@ -564,8 +650,6 @@ _WATCH_PERIOD = 0.1
 """Time between two checks of the processes and updates of the status line [s]."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-RUNS = ("open_loop", "closed_loop")
 
 
 class _StopRequested(Exception):
@@ -592,7 +676,8 @@ class DemoStatus(NamedTuple):
     Attributes:
         elapsed: Time since the demo began [s].
         phase: Present phase of the demo.
-        error: Distance of the device from the target [m]; NaN when not known.
+        error: Distance of the device from the target, or where commands are played from the twin
+            [m]; NaN when not known.
         compute_time: Median time of the twin's last steps [s]; NaN when not known.
         missed_ticks: Ticks missed so far.
         cause: Why the error is large; empty when it is not.
@@ -664,7 +749,9 @@ class Demo:
         """
         isolate(os.environ)
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._recorder = DemoRecorder("/twin", "/device", self._plan.effector, START_TOPIC)
+        self._recorder = DemoRecorder(
+            "/twin", "/device", self._plan.effector, START_TOPIC, self._plan.is_direct,
+            self._plan.touch)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._recorder)
         was_stopped = False
@@ -683,7 +770,7 @@ class Demo:
             rclpy.try_shutdown()
             for number, handler in previous.items():
                 signal.signal(number, handler)
-        end = min(self._end, self._last_target())
+        end = min(self._end, self._last_reference())
         return DemoOutcome(self._recorder, self._starts, end, self._reports_before, was_stopped,
                            exit_codes, others)
 
@@ -709,20 +796,22 @@ class Demo:
         self._enable()
         self._until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin",
                     "it commands no cables")
-        recorder.start_target()
-        self._until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target",
-                    "it publishes nothing")
+        start = recorder.start_target()
+        if not self._plan.is_direct:
+            self._until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target",
+                        "it publishes nothing")
+            start = recorder.target.times[0]
         self._reports_before = len(recorder.loop_reports)
         self._times_before = self._processor_times()
-        start = recorder.target.times[0]
-        for number, run in enumerate(RUNS):
+        for number, run in enumerate(self._plan.runs):
             self._phase = run.replace("_", " ")
             if run == "closed_loop":
                 self._close_loop()
             self._starts[run] = start + number * self._plan.run_time
             self._end = start + (number + 1) * self._plan.run_time
-            self._until(lambda: self._last_target() >= self._end,
-                        self._plan.run_time + _ANSWER_TIMEOUT, "target", "it stopped publishing")
+            self._until(lambda: self._last_reference() >= self._end,
+                        self._plan.run_time + _ANSWER_TIMEOUT,
+                        "twin" if self._plan.is_direct else "target", "it stopped publishing")
         self._phase = "ending"
 
     def _start(self, node: str, place: ProcessorShare) -> None:
@@ -740,8 +829,8 @@ class Demo:
         before, after = self._times_before, self._processor_times()
         return None if before is None or after is None else share_of_others(before, after)
 
-    def _last_target(self) -> float:
-        times = self._recorder.target.times
+    def _last_reference(self) -> float:
+        times = self._recorder.reference.times
         return times[-1] if times else -math.inf
 
     def _enable(self) -> None:

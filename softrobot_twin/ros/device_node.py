@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from geometry_msgs.msg import PointStamped, PoseStamped
+import numpy as np
+from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
@@ -17,8 +18,10 @@ from softrobot_twin.control.device import (
     CarriedDevice,
     Device,
     PressurisedDevice,
+    TouchedDevice,
     WoundDevice,
 )
+from softrobot_twin.control.fingertip import Presses
 from softrobot_twin.control.inputs import ActuatorInput, PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
@@ -31,6 +34,8 @@ from softrobot_twin.ros.messages import (
     pressure_message,
     read_pose,
     stamp_of,
+    touch_message,
+    wrench_message,
 )
 from softrobot_twin.ros.parameters import DEVICE, declare
 from softrobot_twin.ros.scene_file import find_scene_file
@@ -69,6 +74,7 @@ class DeviceNode(TickingNode):
         self.device = self.make_device(values)
         self._frame = str(values["frame_id"])
         self._ambient_pressure = float(values["ambient_pressure"])
+        self._sends_force = values["device_touch_sends"] == "force"
         settings = LoopSettings(
             message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
         )
@@ -106,7 +112,13 @@ class DeviceNode(TickingNode):
             self.get_logger().warning(note)
         simulation.warm_up()
         self.get_logger().info(f"scene: {path}, {simulation.node_count} nodes")
-        return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]))
+        presses = None
+        if values["device_touch"]:
+            presses = Presses(
+                values["device_touch"], values["device_touch_depth"], values["device_touch_period"],
+                values["device_touch_direction"],
+            )  # fmt: skip
+        return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]), presses)
 
     def _open(self, twin: str) -> None:
         self._cables = self.create_publisher(JointState, f"{twin}/measured_cables", NEWEST)
@@ -126,6 +138,7 @@ class DeviceNode(TickingNode):
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
             for name in self.device.effector_names
         ]
+        self._open_touches(twin)
         carried = self._carried
         self._bodies = [
             self.create_publisher(PoseStamped, f"~/bodies/{name}", NEWEST)
@@ -137,7 +150,31 @@ class DeviceNode(TickingNode):
                 self._listen(PoseStamped, f"{twin}/poses/{name}", partial(self._take_pose, name))
             )
         angles = () if self._pulleys is None else (self._angles,)
-        self.watch_topics((self._cables, *angles, self._markers, *self._pressures.values(), *commands))
+        self.watch_topics((self._cables, *angles, self._markers, *self._pressures.values(),
+                           *(one for _, one in self._touches), *commands))
+
+    def _open_touches(self, twin: str) -> None:
+        names = self.device.touch_names if isinstance(self.device, TouchedDevice) else ()
+        kind = WrenchStamped if self._sends_force else PointStamped
+        topic = "touch_force" if self._sends_force else "touch_position"
+        self._touches = [
+            (self.create_publisher(JointState, f"~/touch/{name}", NEWEST),
+             self.create_publisher(kind, f"{twin}/{topic}/{name}", NEWEST))
+            for name in names
+        ]  # fmt: skip
+
+    def _publish_touches(self, header: Header) -> None:
+        """Publishes what sensors say of touches, and for the twin one of both: a force of zero, or
+        a NaN as place, without a touch."""
+        touches = self.device.touches()
+        for index, (both, one) in enumerate(self._touches):
+            both.publish(touch_message(touches, index, header))
+            if self._sends_force:
+                one.publish(wrench_message(touches.forces[index], header))
+            else:
+                is_touched = touches.is_touched[index]
+                place = touches.points[index] if is_touched else np.full(3, np.nan)
+                one.publish(point_message(place, header))
 
     def _listen(self, kind, topic: str, take) -> Subscription:
         """Subscribes; logs a warning for each refused message."""
@@ -185,6 +222,8 @@ class DeviceNode(TickingNode):
         )
         for publisher, position in zip(self._effectors, reading.effector_positions, strict=True):
             publisher.publish(point_message(position, header))
+        if self._touches:
+            self._publish_touches(header)
         if self._bodies:
             poses = zip(*self._carried.rigid_poses(), strict=True)
             for publisher, pose in zip(self._bodies, poses, strict=True):

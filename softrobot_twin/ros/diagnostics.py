@@ -138,6 +138,8 @@ class TwinDiagnostics:
         if (contact := self._loop.simulation.scene.contact) is not None:
             follows = self._loop.mode is Mode.INVERSE
             parts["contact"] = contact_status(contact, self._window, follows)
+        if self._loop.touches.names:
+            parts["touch"] = self._of_touches()
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
@@ -205,6 +207,7 @@ class TwinDiagnostics:
             "activity": window.newest.activity.value,
             "status": window.newest.result.status.value,
             "worst_status": window.worst.value,
+            "statuses": " ".join(f"{word}:{n}" for word, n in sorted(window.statuses.items())),
             "residual_n": window.residual_max,
             "iterations": window.iterations_max,
             "linearization_error_mm": window.linearization_error_max * _MILLI,
@@ -253,6 +256,21 @@ class TwinDiagnostics:
                 "quadratic_step_ms": better.step_time * _MILLI,
             }
         return values
+
+    def _of_touches(self):
+        inputs, newest = self._loop.touches, self._window.newest
+        if newest is None:
+            return OK, "no tick yet", {}
+        touches, values = newest.result.touches, {}
+        for index, name in enumerate(inputs.names):
+            force, displacement = touches.forces[index], touches.displacements[index]
+            values[f"{name}_force_n"] = float(np.linalg.norm(force))
+            values[f"{name}_displacement_mm"] = float(np.linalg.norm(displacement)) * _MILLI
+        values |= {"timed_out": inputs.timed_out, **inputs.refusals.by_word()}
+        if self._new("refused_touches", inputs.refusals.total):
+            return WARN, "a measured touch was refused", values
+        touched = [n for n, acts in zip(inputs.names, touches.is_touched, strict=True) if acts]
+        return OK, f"touched: {', '.join(touched)}" if touched else "not touched", values
 
     def _of_limits(self):
         window = self._window

@@ -18,6 +18,8 @@ from geometry_msgs.msg import (
     Quaternion,
     Vector3,
     Vector3Stamped,
+    Wrench,
+    WrenchStamped,
 )
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
@@ -25,6 +27,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.simulation.pulleys import Pulleys
+from softrobot_twin.simulation.touches import TouchState
 
 _CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])
@@ -121,6 +124,27 @@ def angles_message(
         position=pulleys.angles(setpoints).tolist(),
         effort=pulleys.torques(efforts).tolist(),
     )
+
+
+def touch_message(touches: TouchState, index: int, header: Header) -> JointState:
+    """A touch as a message: the names x, y, z, as positions the displacement of the point since the
+    touch began [m], and as efforts the force on the robot [N].
+
+    Args:
+        touches: The touches of a step.
+        index: Index of the touch.
+        header: Frame and time.
+    """
+    return JointState(
+        header=header, name=["x", "y", "z"], position=touches.displacements[index].tolist(),
+        effort=touches.forces[index].tolist(),
+    )  # fmt: skip
+
+
+def wrench_message(force: np.ndarray, header: Header) -> WrenchStamped:
+    """A force [N], shape (3,), as a message without torque."""
+    x, y, z = map(float, force)
+    return WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=x, y=y, z=z)))
 
 
 def pressure_message(pressure: float, header: Header, variance: float = 0.0) -> FluidPressure:

@@ -188,13 +188,19 @@ RUNTIME = (
           "s", 0.001, 60.0),
     Entry("on_lost_device", _DEFAULTS.on_lost_device.value,
           "When the device is lost: continue with the model alone, or hold.", choices=_LOST),
+    Entry("touch_timeout", _DEFAULTS.touch_timeout,
+          "A touch ends after this time without a message of its force or place.", "s", 0.001,
+          60.0),
+)
+
+_SCENE_FILE = Entry(
+    "scene_file", "scenes/diamond.yaml",
+    "Path of the scene: absolute, or relative to the working directory or the package's config "
+    "folder.", read_only=True,
 )
 
 TWIN = COMMON + RUNTIME + (
-    Entry("scene_file", "scenes/diamond.yaml",
-          "Path of the scene: absolute, or relative to the working directory or the package's "
-          "config folder.",
-          read_only=True),
+    _SCENE_FILE,
     Entry("mode", Mode.INVERSE.value,
           "What drives the robot: targets, or setpoints and efforts of its actuators: lengths and "
           "tensions of cables, pressures and volumes of cavities.",
@@ -244,13 +250,23 @@ DEVICE = COMMON + (
           0.0, 1e6, read_only=True),
     Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m",
           0.0, 1.0, read_only=True),
+    Entry("device_touch", "", "Touch of the device's scene where a simulated fingertip presses; "
+          "empty for none.", read_only=True),
+    Entry("device_touch_depth", 0.001, "Depth of a press.", "m", 1e-9, 1.0, read_only=True),
+    Entry("device_touch_period", 2.0, "Time from press to press, of which a press takes half.",
+          "s", 0.01, 3600.0, read_only=True),
+    Entry("device_touch_direction", [0.0, 0.0, -1.0], "Direction of a press.", read_only=True),
+    Entry("device_touch_sends", "position", "What the fingertip measures for the twin: the place of "
+          "the touched point, or the force.", choices=("position", "force"), read_only=True),
     Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1, read_only=True),
 )
 
 TARGET = (
     COMMON[0],
     _TWIN_NAME,
-    Entry("target_effector", "tip", "Effector that receives targets.", read_only=True),
+    _SCENE_FILE,
+    Entry("target_effector", "tip", "Effector that receives targets; with target_commands, the one "
+          "that the demo compares.", read_only=True),
     Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, "
           "with the columns t,<effector>.x,<effector>.y,<effector>.z, for an orientation also .qx, "
           ".qy, .qz, .qw.", read_only=True),
@@ -275,6 +291,16 @@ TARGET = (
           "m, Pa or m³", read_only=True),
     Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0,
           read_only=True),
+    Entry("target_stiffness", [0.0, 0.0], "Stiffness along target_stiffness_axis that is wanted of "
+          "the effector meanwhile: the first, and that after half a period; zeros for none.", "N/m",
+          read_only=True),
+    Entry("target_stiffness_axis", "z", "Axis of that stiffness.", choices=("x", "y", "z"),
+          read_only=True),
+    Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001,
+          86400.0, read_only=True),
+    Entry("target_commands", "", "CSV file of commands that are played over and over in place of "
+          "targets, searched like scene_file, with the columns of simulate --commands; for a twin in "
+          "direct mode; empty for none.", read_only=True),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

@@ -1,9 +1,15 @@
-"""Node that publishes targets along a path, and setpoints of an actuator meanwhile."""
+"""Node that publishes targets along a path, and setpoints of an actuator meanwhile; or plays a
+table of commands, for robots that are driven directly.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, Vector3Stamped
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -15,13 +21,17 @@ from softrobot_twin.control.target_path import (
     has_orientations,
     make_sequence,
 )
+from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.messages import point_message, pose_message, read_pose, stamp_of
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.input_tables import CommandTable, read_commands
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _WAIT_WARNING = 5.0
+_UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class TargetNode(TickingNode):
@@ -29,6 +39,9 @@ class TargetNode(TickingNode):
     and commands an actuator, such as that of a hand, to and fro.
 
     Along a path with orientations it publishes poses, and starts at the effector's present one.
+
+    With a table of commands it publishes these and no targets: setpoints or efforts of all actuators
+    and poses of guided bodies, from the table's first row on, and over again after the last.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -44,8 +57,29 @@ class TargetNode(TickingNode):
         """Builds the node; see `TickingNode.build`."""
         values = declare(self, TARGET)
         self.warn_about_unknown_parameters()
-        effector = str(values["target_effector"])
-        self._ramp_time = values["target_ramp_time"]
+        self._frame = str(values["frame_id"])
+        self._effector = str(values["target_effector"])
+        self._twin = str(values["twin"]).rstrip("/")
+        self._targets = self._commands = self._ramped = self._table = self._stiffnesses = None
+        self._turns = False
+        self._began = math.inf
+        self._poses: dict[str, Publisher] = {}
+        if values["target_commands"]:
+            what = self._open_table(values)
+        else:
+            what = self._open_path(values)
+        self.start(1.0 / values["target_rate"])
+        published = (self._targets, self._commands, self._stiffnesses, *self._poses.values())
+        self.watch_topics((), tuple(one for one in published if one is not None))
+        kind = PoseStamped if self._turns else PointStamped
+        self._topic = f"{self._twin}/{'effector_poses' if self._turns else 'effectors'}/{self._effector}"
+        take = self._take_start_pose if self._turns else self._take_start
+        self._listener = self.create_subscription(kind, self._topic, take, NEWEST)
+        self.get_logger().info(f"ready: {what}")
+
+    def _open_path(self, values: Mapping[str, object]) -> str:
+        """Makes the path of the targets; returns what the node is ready for."""
+        effector, self._ramp_time = self._effector, values["target_ramp_time"]
         around = ClosedCurve(
             values["target_center"], values["target_radius"], values["target_period"],
             values["target_plane"],
@@ -58,34 +92,68 @@ class TargetNode(TickingNode):
         self._path = make_sequence(
             found, effector, around, values["target_sequence_time"], self._ramp_time
         )
-        self._frame = str(values["frame_id"])
-        self._ramped: RampedIn | None = None
-        self._turn = np.array([0.0, 0.0, 0.0, 1.0])
-        self._began = 0.0
-        twin = str(values["twin"]).rstrip("/")
-        self.start(1.0 / values["target_rate"])
+        self._turn = _UNTURNED
         self._turns = has_orientations(self._path)
         kind = PoseStamped if self._turns else PointStamped
         topic = "target_pose" if self._turns else "target"
-        self._targets = self.create_publisher(kind, f"{twin}/{topic}/{effector}", NEWEST)
-        self._actuator, self._commands = str(values["target_actuator"]), None
-        published = [self._targets]
+        self._targets = self.create_publisher(kind, f"{self._twin}/{topic}/{effector}", NEWEST)
+        self._actuator = str(values["target_actuator"])
         if self._actuator:
             self._setpoints = ToAndFro(
                 tuple(values["target_setpoints"]), values["target_setpoint_period"]
             )
-            self._commands = self.create_publisher(JointState, f"{twin}/command/cables", NEWEST)
-            published.append(self._commands)
-        self.watch_topics((), tuple(published))
-        self._topic = f"{twin}/{'effector_poses' if self._turns else 'effectors'}/{effector}"
-        take = self._take_start_pose if self._turns else self._take_start
-        self._listener = self.create_subscription(kind, self._topic, take, NEWEST)
-        self.get_logger().info(f"ready: {effector} along {', '.join(names)}")
+            self._open_commands()
+        if any(values["target_stiffness"]):
+            self._open_stiffness(values)
+        return f"{effector} along {', '.join(names)}"
+
+    def _open_stiffness(self, values: Mapping[str, object]) -> None:
+        """Makes the profile of the wanted stiffness."""
+        ends, names = tuple(values["target_stiffness"]), ("target_stiffness", "target_stiffness_period")
+        self._stiffness = ToAndFro(ends, values["target_stiffness_period"], names)
+        if min(ends) <= 0.0:
+            raise ParameterError("target_stiffness", ends, "N/m", "must be above zero, or zeros")
+        self._stiffness_axis = str(values["target_stiffness_axis"])
+        topic = f"{self._twin}/target_stiffness/{self._effector}"
+        self._stiffnesses = self.create_publisher(Vector3Stamped, topic, NEWEST)
+
+    def _publish_stiffness(self, since: float, header: Header) -> None:
+        """Publishes the wanted stiffness at a time since the path began [s]."""
+        if self._stiffnesses is None:
+            return
+        axes = dict.fromkeys("xyz", math.nan)
+        axes[self._stiffness_axis] = self._stiffness.value(since)
+        self._stiffnesses.publish(Vector3Stamped(header=header, vector=Vector3(**axes)))
+
+    def _open_table(self, values: Mapping[str, object]) -> str:
+        """Reads the table of commands; returns what the node is ready for."""
+        scene = find_scene_file(str(values["scene_file"]), "scene_file")
+        file = find_scene_file(str(values["target_commands"]), "target_commands")
+        # The table may give shortenings, so lengths at rest are needed.
+        simulation = Simulation.from_scene_file(scene)
+        self._table = read_commands(file, simulation)
+        self._names = list(simulation.actuator_names)
+        if self._table.kind != "hold":
+            self._open_commands()
+        for name in self._table.poses:
+            topic = f"{self._twin}/command/pose/{name}"
+            self._poses[name] = self.create_publisher(PoseStamped, topic, NEWEST)
+        return f"the commands of {file}"
+
+    def _open_commands(self) -> None:
+        self._commands = self.create_publisher(JointState, f"{self._twin}/command/cables", NEWEST)
+
+    @property
+    def _has_begun(self) -> bool:
+        return self._began < math.inf
 
     def _take_start(self, message: PointStamped) -> None:
         """Takes the start point from the effector's first position; ignores later messages."""
         start = np.array([message.point.x, message.point.y, message.point.z])
-        if self._ramped is not None or not np.isfinite(start).all():
+        if self._has_begun or not np.isfinite(start).all():
+            return
+        if self._table is not None:
+            self._began = self.monotonic()
             return
         self._ramped = RampedIn(start, self._path, self._ramp_time)
         self._began = self.monotonic()
@@ -94,7 +162,7 @@ class TargetNode(TickingNode):
         """Takes the start from the effector's first pose; ignores later messages."""
         position, quaternion = (np.array(part) for part in read_pose(message))
         finite = np.isfinite(position).all() and np.isfinite(quaternion).all()
-        if self._ramped is not None or not finite or not np.abs(quaternion).max() > 0.0:
+        if self._has_begun or not finite or not np.abs(quaternion).max() > 0.0:
             return
         # Scaled first: the square of a very large component would overflow.
         turn = quaternion / np.abs(quaternion).max()
@@ -103,8 +171,8 @@ class TargetNode(TickingNode):
         self._began = self.monotonic()
 
     def work(self, now: float) -> None:
-        """Publishes the present target."""
-        if self._ramped is None:
+        """Publishes the present target, or the present commands."""
+        if not self._has_begun:
             self.get_logger().info(
                 f"waiting for {self._topic}", throttle_duration_sec=_WAIT_WARNING
             )
@@ -114,10 +182,14 @@ class TargetNode(TickingNode):
             self._listener = None
         stamp = stamp_of(self.get_clock().now().nanoseconds)
         header, since = Header(stamp=stamp, frame_id=self._frame), now - self._began
+        if self._table is not None:
+            self._play(self._table, since, header)
+            return
         if self._commands is not None:
             self._commands.publish(JointState(
                 header=header, name=[self._actuator], position=[self._setpoints.value(since)]
             ))  # fmt: skip
+        self._publish_stiffness(since, header)
         position = self._ramped.position(since)
         if not self._turns:
             self._targets.publish(point_message(position, header))
@@ -126,3 +198,16 @@ class TargetNode(TickingNode):
         # A path of the sequence without orientations keeps the last one.
         self._turn = self._turn if turn is None else turn
         self._targets.publish(pose_message(position, self._turn, header))
+
+    def _play(self, table: CommandTable, since: float, header: Header) -> None:
+        """Publishes the commands of a table at a time since it began [s]."""
+        first, last = table.times[[0, -1]]
+        time = float(first + since % (last - first))
+        if self._commands is not None:
+            values = [float(np.interp(time, table.times, column)) for column in table.values.T]
+            field = {"setpoints": "position", "efforts": "effort"}[table.kind]
+            self._commands.publish(JointState(header=header, name=self._names, **{field: values}))
+        for name, publisher in self._poses.items():
+            position, quaternion = table.poses[name].at(time)
+            quaternion = _UNTURNED if quaternion is None else quaternion
+            publisher.publish(pose_message(position, quaternion, header))

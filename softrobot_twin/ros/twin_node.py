@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -40,6 +40,7 @@ from softrobot_twin.ros.messages import (
     read_markers,
     read_pose,
     stamp_of,
+    touch_message,
     vector_message,
 )
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
@@ -425,6 +426,10 @@ class TwinNode(TickingNode):
         self._markers = None
         if len(simulation.marker_ids):
             self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
+        self._touches = [
+            self.create_publisher(JointState, f"~/touch/{name}", NEWEST)
+            for name in simulation.touch_names
+        ]
         self._solids = SolidOutputs(self, simulation)
         self._compliances = ComplianceOutputs(self, self.loop)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -467,6 +472,15 @@ class TwinNode(TickingNode):
             measurements.append(
                 self._listen(JointState, "~/measured_angles", NEWEST_OF_A_SENSOR,
                              self._take_measured_angles)
+            )
+        for index, name in enumerate(self.loop.touches.names):
+            measurements.append(
+                self._listen(WrenchStamped, f"~/touch_force/{name}", NEWEST_OF_A_SENSOR,
+                             partial(self._take_touch_force, index))
+            )
+            measurements.append(
+                self._listen(PointStamped, f"~/touch_position/{name}", NEWEST_OF_A_SENSOR,
+                             partial(self._take_touch_position, index))
             )
         measurements.append(
             self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
@@ -547,6 +561,18 @@ class TwinNode(TickingNode):
             message.name, message.position, message.effort, self.arrival(message.header)
         )
 
+    def _take_touch_force(self, touch: int, message: WrenchStamped) -> Refusal | None:
+        force = message.wrench.force
+        return self.loop.touches.accept_force(
+            touch, (force.x, force.y, force.z), self.arrival(message.header)
+        )
+
+    def _take_touch_position(self, touch: int, message: PointStamped) -> Refusal | None:
+        point = message.point
+        return self.loop.touches.accept_place(
+            touch, (point.x, point.y, point.z), self.arrival(message.header)
+        )
+
     def _take_markers(self, message: PointCloud2) -> Refusal | None:
         content = read_markers(message)
         if isinstance(content, Refusal):
@@ -606,6 +632,8 @@ class TwinNode(TickingNode):
         if self._markers is not None:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
+        for index, publisher in enumerate(self._touches):
+            publisher.publish(touch_message(outcome.result.touches, index, header))
         self._solids.publish(outcome, header)
         self._compliances.publish(outcome, header)
 

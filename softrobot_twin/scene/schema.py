@@ -161,14 +161,16 @@ class Effector(Entry):
 
 
 class Touch(Entry):
-    """A point of a body that may be touched, by a measured force or at a measured place."""
+    """Where a body may be touched, by a measured force or at a measured place: at the mean of some
+    points, over which the force is shared."""
 
-    placed: ClassVar[dict[str, str]] = {"point": "point", "directions": "letters"}
+    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
 
     name: Name
     body: Name | None = None
     """The deformable body it is on; optional when there is only one."""
-    point: Vector
+    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    """The points under a finger. A single one yields the more, the finer the mesh is."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     """Axes along which a touch acts; along the others the touching finger slides."""
     while_touched: Literal["hold_actuators", "follow_targets"] = "hold_actuators"

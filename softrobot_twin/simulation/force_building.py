@@ -102,14 +102,21 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
                 scene.path, f"touches[{index}].body", body.name, "",
                 "is reduced to vertebrae: touches on such bodies are not built",
             )  # fmt: skip
-        key = f"touches[{index}].point"
-        mappings.append(layout.carried(touch.body, [touch.point], key, notes))
+        key = f"touches[{index}].points"
+        mappings.append(_mean(layout.carried(touch.body, touch.points, key, notes)))
         size = size_of_points(body.mesh.node_positions)
         stiffest = max(part.young_modulus for part in body.materials)
         stiffness.append(HELD_STIFFNESS * stiffest * size)
     axes = [[axis in touch.directions for axis in "xyz"] for touch in scene.touches]
     points = reduce(BarycentricMapping.followed_by, mappings)
     return TouchLoads(points, np.array(axes), np.array(stiffness), layout.nodes.free_index)
+
+
+def _mean(points: BarycentricMapping) -> BarycentricMapping:
+    """The mean of points as one point, each of its nodes once."""
+    nodes, place = np.unique(points.nodes, return_inverse=True)
+    shares = points.barycentric_weights.ravel() / points.point_count
+    return BarycentricMapping(nodes[None], np.bincount(place.ravel(), shares, len(nodes))[None])
 
 
 def _beam_terms(layout: Layout) -> Iterator[ForceTerm]:

@@ -19,7 +19,7 @@ from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.pulleys import ANGLE, TORQUE
 from softrobot_twin.study.explain import print_mesh_error
-from softrobot_twin.study.input_tables import TargetTable, read_targets
+from softrobot_twin.simulation.input_tables import TargetTable, read_targets
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import console, progress, table, warn

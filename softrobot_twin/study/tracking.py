@@ -1,6 +1,7 @@
 """Tracking errors of recorded runs, as a report and a picture.
 
-The error at the time t of a device sample is ‖x_device(t) - x_target(t)‖. The target is
+The error at the time t of a device sample is ‖x_device(t) - x_target(t)‖ or, for a robot that is
+driven by commands, ‖x_device(t) - x_twin(t)‖: how far the twin predicts wrongly. Target and twin are
 interpolated linearly in time. An error therefore includes a delay.
 """
 
@@ -44,7 +45,7 @@ class TrackingRecord:
     """One run along a path.
 
     Attributes:
-        target: Target positions [m], width 3, without correction.
+        target: Target positions [m], width 3, without correction; None where commands were played.
         twin: Positions predicted by the twin [m], width 3.
         device: True positions [m], width 3.
         actuator_names: Actuators, in the order of the columns below.
@@ -55,7 +56,7 @@ class TrackingRecord:
         efforts: Efforts of the twin, such as tensions [N], width actuator_count.
     """
 
-    target: TimedValues
+    target: TimedValues | None
     twin: TimedValues
     device: TimedValues
     actuator_names: tuple[str, ...]
@@ -63,6 +64,11 @@ class TrackingRecord:
     effort_units: tuple[str, ...]
     setpoints: TimedValues
     efforts: TimedValues
+
+    @property
+    def reference(self) -> TimedValues:
+        """What the device is compared with: the target, or the twin without one."""
+        return self.twin if self.target is None else self.target
 
 
 class RecordError(SoftRobotTwinError):
@@ -79,12 +85,12 @@ class RecordError(SoftRobotTwinError):
         super().__init__(f"{name}: {reason}")
 
 
-def distances(target: TimedValues, measured: TimedValues) -> TimedValues:
-    """Distance of measurements from the target at the same time [m], width 1.
+def distances(reference: TimedValues, measured: TimedValues) -> TimedValues:
+    """Distance of measurements from a reference at the same time [m], width 1.
 
-    Samples at times without a target are left out.
+    Samples at times without a reference are left out.
     """
-    apart = np.linalg.norm(measured.values - target.at(measured.times), axis=1)
+    apart = np.linalg.norm(measured.values - reference.at(measured.times), axis=1)
     known = np.isfinite(apart)
     return TimedValues(measured.times[known], apart[known, None])
 
@@ -97,6 +103,8 @@ def save_records(path: Path, records: dict[str, TrackingRecord]) -> None:
             fields[f"{run}.{words}"] = np.array(getattr(record, words))
         for quantity in ("target", "twin", "device", "setpoints", "efforts"):
             samples = getattr(record, quantity)
+            if samples is None:
+                continue
             fields[f"{run}.{quantity}.times"] = samples.times
             fields[f"{run}.{quantity}.values"] = samples.values
     np.savez_compressed(path, **fields)
@@ -144,21 +152,21 @@ class MeshFigures:
 
 
 def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int]:
-    """Errors of one run [mm]: the device against the target, and the twin against the device.
+    """Errors of one run [mm]: the device against its reference, and the twin against the device.
 
     Raises:
-        RecordError: The device has no sample at a time with a target.
+        RecordError: The device has no sample at a time with a reference.
     """
-    errors = 1e3 * distances(record.target, record.device).values[:, 0]
+    errors = 1e3 * distances(record.reference, record.device).values[:, 0]
     if not errors.size:
-        raise RecordError(name, "no sample of the device at a time with a target")
+        raise RecordError(name, "no sample of the device at a time with a target or of the twin")
     misfit = 1e3 * distances(record.twin, record.device).values[:, 0]
     return {
         "mean_error_mm": float(errors.mean()),
         "max_error_mm": float(errors.max()),
         "mean_twin_misfit_mm": float(misfit.mean()) if misfit.size else None,
         "samples": int(errors.size),
-        "seconds": float(np.ptp(record.target.times)),
+        "seconds": float(np.ptp(record.reference.times)),
     }
 
 
@@ -168,8 +176,8 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
 
     Args:
         robot: Name of the robot.
-        runs: Records under ``open_loop`` and ``closed_loop``; the second is missing after an
-            interrupted demo.
+        runs: Records under ``open_loop`` and ``closed_loop``, of which the second is missing after
+            an interrupted demo, or under ``direct``.
         loop: Timing of the twin's loop.
         mesh: Size of the twin's mesh.
 
@@ -184,6 +192,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
         "robot": robot,
         "open_loop": figures.get("open_loop"),
         "closed_loop": figures.get("closed_loop"),
+        "direct": figures.get("direct"),
         "closed_to_open_ratio": ratio,
         "published_open_loop_error_mm": PUBLISHED_ERRORS_MM.get(robot),
         "compute_time_ms": {"median": _milliseconds(loop.compute_time_median),
@@ -215,8 +224,8 @@ def _milliseconds(seconds: float | None) -> float | None:
     return None if seconds is None else 1e3 * seconds
 
 
-_RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8"}
-_RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop"}
+_RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8", "direct": "#1b6ca8"}
+_RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop", "direct": "commands"}
 _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
 _ACTUATOR_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
@@ -228,7 +237,7 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
 
     Args:
         robot: Name of the robot, for the title.
-        runs: Records under ``open_loop`` and ``closed_loop``; at least one of them.
+        runs: Records under ``open_loop`` and ``closed_loop``, or ``direct``; at least one of them.
         path: Picture to write; its suffix determines the format.
 
     Raises:
@@ -265,15 +274,16 @@ def _draw_path_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
 
 
 def _draw_path(axes, runs: dict[str, TrackingRecord], plane: tuple[int, int]) -> None:
-    """Target, twin and device in one plane of space."""
+    """Twin, device and, where there is one, the target in one plane of space."""
     for run, record in runs.items():
         axes.plot(*_millimetres(record.device, plane), color=_RUN_COLOURS[run], linewidth=1.5,
                   label=f"device, {_RUN_LABELS[run]}")
     last = list(runs.values())[-1]
     axes.plot(*_millimetres(last.twin, plane), color=_TWIN_COLOUR, linewidth=1.2,
               label=f"twin, {_RUN_LABELS[list(runs)[-1]]}")
-    axes.plot(*_millimetres(last.target, plane), color=_TARGET_COLOUR, linewidth=1.1,
-              linestyle=(0, (4, 2)), label="target")
+    if last.target is not None:
+        axes.plot(*_millimetres(last.target, plane), color=_TARGET_COLOUR, linewidth=1.1,
+                  linestyle=(0, (4, 2)), label="target")
     across, upward = ("xyz"[axis] for axis in plane)
     axes.set(xlabel=f"{across} [mm]", ylabel=f"{upward} [mm]")
 
@@ -283,18 +293,19 @@ def _millimetres(samples: TimedValues, plane: tuple[int, int]) -> np.ndarray:
 
 
 def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
-    """Distance of the device from the target at the same moment, and its mean."""
+    """Distance of the device from its reference at the same moment, and its mean."""
     for run, record in runs.items():
-        errors = distances(record.target, record.device)
+        errors = distances(record.reference, record.device)
         if not len(errors.times):
             continue
         mean = 1e3 * float(errors.values.mean())
-        axes.plot(errors.times - record.target.times[0], 1e3 * errors.values[:, 0],
+        axes.plot(errors.times - record.reference.times[0], 1e3 * errors.values[:, 0],
                   color=_RUN_COLOURS[run], linewidth=1.2,
                   label=f"{_RUN_LABELS[run]}, mean {mean:.2f} mm")
         axes.axhline(mean, color=_RUN_COLOURS[run], linewidth=0.9, linestyle=(0, (2, 2)))
     axes.set(xlabel="time [s]", ylabel="distance [mm]",
-             title="Tracking error: the device's effector against the target")
+             title="The device's effector against the twin's" if record.target is None
+             else "Tracking error: the device's effector against the target")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     _legend_above(axes, 2)
@@ -319,7 +330,7 @@ def _draw_actuators(axes, runs: dict[str, TrackingRecord], quantity: str, title:
         is_common = len({unit for _, unit in units}) == 1
         for index, name in enumerate(record.actuator_names):
             name = name if is_common else f"{name} [{units[index][1]}]"
-            axes.plot(samples.times - record.target.times[0], values[:, index],
+            axes.plot(samples.times - record.reference.times[0], values[:, index],
                       color=_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)], linestyle=style,
                       linewidth=1.3 if style == "solid" else 1.0,
                       label=name if style == "solid" else None)

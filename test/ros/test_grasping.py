@@ -13,7 +13,6 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.demo import plan_demo
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import contacts_message
 from softrobot_twin.ros.twin_node import STREAM, TwinNode
@@ -145,15 +144,9 @@ def test_diagnostics_report_contacts_and_their_accuracy(
     assert account.message.startswith("contacts: ")
 
 
-def test_targets_for_a_scene_without_effectors_are_refused_at_start_up(make_grasper):
-    with pytest.raises(ParameterError, match="mode.*no effectors.*direct"):
+def test_targets_in_contact_with_friction_are_refused_at_start_up(make_grasper):
+    with pytest.raises(ParameterError, match="mode.*friction.*direct"):
         make_grasper(mode="inverse")
-
-
-@pytest.mark.parametrize("robot", ["grasper", "octoleg", "pneunet"])
-def test_a_demo_of_targets_is_refused_for_a_robot_without_targets(robot, tmp_path):
-    with pytest.raises(ParameterError, match="direct mode"):
-        plan_demo(robot, tmp_path, 10.0, view=False)
 
 
 @pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")

@@ -1,16 +1,20 @@
 """The target as a node."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Point, PointStamped
+from geometry_msgs.msg import Point, PointStamped, PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.target_node import TargetNode
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.input_tables import TableFileError
 
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 CENTRE = [0.0, 0.0, 0.13]
 
 
@@ -114,3 +118,69 @@ def test_without_an_actuator_nothing_is_commanded(world, make_target):
     targets = heard_from(world, (0.001, 0.002, 0.125))
     world.until(lambda: len(targets) > 20)
     assert not commands
+
+
+# --- commands that are played ----------------------------------------------------------------
+
+GRASPER = CONFIG / "scenes" / "grasper.yaml"
+
+
+def table_of(folder, *rows):
+    file = folder / "commands.csv"
+    file.write_text("\n".join(["time_s,grip_shortening_m,palm_x_m,palm_y_m,palm_z_m", *rows]) + "\n")
+    return {"scene_file": str(GRASPER), "target_commands": str(file), "target_effector": "cube"}
+
+
+def test_a_table_of_commands_is_played_over_and_over_and_no_targets(world, make_target, tmp_path):
+    given = table_of(tmp_path, "0.0,0.0,0,0,0", "0.5,0.01,0,0,0.02", "1.0,0.0,0,0,0")
+    target = make_target(**given)
+    commands = world.hear(JointState, "/twin/command/cables", 1000)
+    poses = world.hear(PoseStamped, "/twin/command/pose/palm", 1000)
+    effectors = world.speaker(PointStamped, "/twin/effectors/cube")
+    world.run(0.3)
+    assert not commands and not poses, "it must wait for the twin"
+    effectors.publish(PointStamped(header=Header(stamp=world.stamp(), frame_id="base_link")))
+    rest = Simulation.from_scene_file(GRASPER).rest_setpoints
+
+    def windings():
+        return rest - np.array([message.position for message in commands]).reshape(-1, len(rest))
+
+    # No times: on a busy machine ticks are late.
+    world.until(lambda: peaks(windings()[:, 0], 0.002, 0.008) >= 2, 30.0)
+    assert not [name for name, _ in target.get_publisher_names_and_types_by_node("target", "/")
+                if "/target/" in name]
+    wound = windings()
+    assert set(map(tuple, (message.name for message in commands))) == {
+        ("cable_0", "cable_1", "cable_2")}
+    assert np.ptp(wound, axis=1).max() < 1e-12, "one motor winds all three"
+    heights = {stamp_of(message): message.pose.position.z for message in poses}
+    pairs = [(wound[place, 0], heights[stamp_of(message)])
+             for place, message in enumerate(commands) if stamp_of(message) in heights]
+    assert len(pairs) > 20
+    assert np.abs(np.array(pairs) @ [2.0, -1.0]).max() < 1e-9, "both follow the same row"
+    assert all(message.pose.orientation.w == 1.0 for message in poses)
+
+
+def stamp_of(message):
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+def peaks(values, low, high):
+    """How often values rise from below the low level to above the high one."""
+    count, is_low = 0, True
+    for value in values:
+        if is_low and value > high:
+            count, is_low = count + 1, False
+        elif value < low:
+            is_low = True
+    return count
+
+
+def test_a_table_that_the_scene_does_not_know_is_refused_at_start_up(make_target, tmp_path):
+    given = table_of(tmp_path, "0.0,0.0,0,0,0", "0.5,0.01,0,0,0.02")
+    file = tmp_path / "commands.csv"
+    file.write_text(file.read_text().replace("grip", "grab"))
+    with pytest.raises(TableFileError, match="does not drive cable_0.*motors: grip"):
+        make_target(**given)
+    with pytest.raises(ParameterError, match="target_commands.*no such file"):
+        make_target(**{**given, "target_commands": "nowhere.csv"})

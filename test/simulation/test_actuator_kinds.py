@@ -31,7 +31,7 @@ from softrobot_twin.simulation.actuator_kinds import (
 )
 from softrobot_twin.study.direct_run import direct_header
 from softrobot_twin.study.explain import effects
-from softrobot_twin.study.input_tables import TableFileError, read_commands, read_targets
+from softrobot_twin.simulation.input_tables import TableFileError, read_commands, read_targets
 from softrobot_twin.study.offline_run import actuator_cells, run_header
 from softrobot_twin.study.scene_picture import take_snapshot
 

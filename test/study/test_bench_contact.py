@@ -24,7 +24,7 @@ from softrobot_twin.study.contact_growth import (
     measure_contacts,
     write_contacts,
 )
-from softrobot_twin.study.input_tables import read_commands
+from softrobot_twin.simulation.input_tables import read_commands
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from softrobot_twin.study.bench_measurement import (
     measure,
 )
 from softrobot_twin.study.explain import effects
-from softrobot_twin.study.input_tables import TableFileError, read_commands, read_targets
+from softrobot_twin.simulation.input_tables import TableFileError, read_commands, read_targets
 from softrobot_twin.study.offline_run import actuator_cells, actuator_columns
 from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
 

@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.direct_run import DirectSummary, run_commands, step_times
-from softrobot_twin.study.input_tables import read_commands
+from softrobot_twin.simulation.input_tables import read_commands
 
 WEIGHT = 0.05 * 9.81
 

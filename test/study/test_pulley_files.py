@@ -6,7 +6,7 @@ import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.study.input_tables import TableFileError, read_commands
+from softrobot_twin.simulation.input_tables import TableFileError, read_commands
 from softrobot_twin.study.offline_run import actuator_cells, actuator_columns
 
 RADIUS = 0.01

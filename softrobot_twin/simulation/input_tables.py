@@ -11,14 +11,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
 from softrobot_twin.simulation.command import (
     Command,
@@ -434,6 +434,28 @@ class Pose:
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
+class TouchColumns:
+    """Forces or displacements of a touch over time.
+
+    A displacement is counted from where the point is when the touch begins; a force or a displacement
+    of zero is no touch.
+    """
+
+    def __init__(self, times: np.ndarray, values: np.ndarray, are_forces: bool):
+        """Stores the rows.
+
+        Args:
+            times: Of the rows [s], shape (row_count,).
+            values: Forces [N] or displacements [m], shape (row_count, 3).
+            are_forces: Which of both.
+        """
+        self._times, self._values, self.are_forces = times, values, are_forces
+
+    def at(self, time: float) -> np.ndarray:
+        """Force [N] or displacement [m] at a time [s], shape (3,)."""
+        return np.array([np.interp(time, self._times, column) for column in self._values.T])
+
+
 @dataclass(frozen=True)
 class CommandTable:
     """A commands file, read and checked.
@@ -446,6 +468,7 @@ class CommandTable:
         poses: Poses of the driven guided bodies, by name.
         is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
+        touches: Forces or displacements of touches, by name.
     """
 
     kind: str
@@ -453,6 +476,28 @@ class CommandTable:
     values: np.ndarray
     poses: Mapping[str, Pose]
     is_constant: np.ndarray
+    touches: Mapping[str, TouchColumns] = field(default_factory=dict)
+
+    def touched(self, time: float, simulation: Simulation) -> Touched | None:
+        """Touches at a time [s]; None without any.
+
+        Args:
+            time: The time [s].
+            simulation: Its touches may have begun already.
+        """
+        before, names = simulation.state.touches, simulation.touch_names
+        forces, places = (np.full((len(names), 3), np.nan) for _ in range(2))
+        for name, columns in self.touches.items():
+            index, value = names.index(name), columns.at(time)
+            if not value.any():
+                continue
+            if columns.are_forces:
+                forces[index] = value
+            else:
+                origins = before.origins if before.is_touched[index] else before.points
+                places[index] = origins[index] + value
+        acts = np.isfinite(forces).any() or np.isfinite(places).any()
+        return Touched(forces, places) if acts else None
 
     def command(self, time: float, time_step: float) -> Command:
         """Command of the actuators at a time [s], for a step of a duration [s]."""
@@ -505,12 +550,13 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     del left[TIME]
     kind, values = _actuator_values(path, simulation, left, len(times), lines)
     poses = _poses(path, simulation, left, times, lines)
+    touches = _touches(path, simulation, left, times)
     if left:
         raise TableFileError(path, "is not a valid column; valid are " + _known(simulation), 1,
                              next(iter(left)))
     commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
     is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, is_constant)
+    return CommandTable(kind, times, values, poses, is_constant, touches)
 
 
 def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> np.ndarray:
@@ -649,6 +695,29 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
     return poses
 
 
+_TOUCH = {"force_{}_N": True, "displacement_{}_m": False}
+"""Ends of the columns of a touch, for each axis, and whether they give forces."""
+
+
+def _touches(path, simulation, left: dict, times) -> dict[str, TouchColumns]:
+    """Columns of touches, which it removes from the remaining ones."""
+    touches = {}
+    for name in simulation.touch_names:
+        for form, are_forces in _TOUCH.items():
+            given = {f"{name}_{form.format(axis)}": place for place, axis in enumerate(_AXES)}
+            given = {column: place for column, place in given.items() if column in left}
+            if not given:
+                continue
+            if name in touches:
+                raise TableFileError(path, f"{name} is touched by forces or by displacements, not "
+                                     "by both", 1, next(iter(given)))
+            values = np.zeros((len(times), 3))
+            for column, place in given.items():
+                values[:, place] = left.pop(column)
+            touches[name] = TouchColumns(times, values, are_forces)
+    return touches
+
+
 def _known(simulation: Simulation) -> str:
     """The columns that a scene accepts, as text."""
     scene, names = simulation.scene, {}
@@ -663,7 +732,15 @@ def _known(simulation: Simulation) -> str:
     return (f"{', '.join(known) or 'no actuators'}, "
             f"<motor>_shortening_m (motors: {motors}), "
             f"{_known_angles(simulation)}<body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
-            f"_qw (guided bodies: {guided})")
+            f"_qw (guided bodies: {guided}){_known_touches(simulation)}")
+
+
+def _known_touches(simulation: Simulation) -> str:
+    """Columns of touches, as text; empty without any."""
+    if not simulation.touch_names:
+        return ""
+    return (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
+            f"{', '.join(simulation.touch_names)})")
 
 
 def _known_angles(simulation: Simulation) -> str:
