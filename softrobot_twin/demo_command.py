@@ -24,6 +24,7 @@ from softrobot_twin.ros.demo import (
 )
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.terminal import LiveLine, console, table
+from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
 from softrobot_twin.study.tracking import (
     LoopFigures,
     MeshFigures,
@@ -35,7 +36,7 @@ from softrobot_twin.study.tracking import (
     write_report,
 )
 
-RESULTS = ("report.json", "tracking.png", "samples.npz", "run.rrd")
+RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd")
 """Files that a demo writes into its folder, besides one log for each process."""
 
 _FEWEST_SAMPLES = 10
@@ -96,6 +97,7 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
         report["twin_priority"] = outcome.recorder.priority or None
         report["processor_share_of_others"] = outcome.others
         report["steps"] = _step_counts(outcome)
+        report["touch"] = _touches(plan, outcome)
         _print_table(plan, report)
         write_report(plan.folder / "report.json", report)
         save_records(plan.folder / "samples.npz", records)
@@ -110,6 +112,19 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
     return 1 if unclean else 0
 
 
+def _touches(plan: DemoPlan, outcome: DemoOutcome) -> dict | None:
+    """Stiffness that the device's fingertip felt in the first run, drawn too; None without presses.
+    """
+    recorder, span = outcome.recorder, outcome.span(plan.runs[0])
+    device, twin = (TimedValues(*samples.between(*span))
+                    for samples in (recorder.device_touch, recorder.twin_touch))
+    wanted = TimedValues(*recorder.stiffness.between(-np.inf, span[1]))
+    report = touch_report(device, twin, wanted)
+    if report is not None:
+        draw_presses(plan.robot, device, wanted, plan.folder / "presses.png")
+    return report
+
+
 def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | None:
     """Samples recorded during a run, or None when there are too few."""
     recorder, span = outcome.recorder, outcome.span(run)
@@ -117,6 +132,8 @@ def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | Non
         TimedValues(*samples.between(*span))
         for samples in (recorder.target, recorder.twin_effector, recorder.device_effector,
                         recorder.setpoints, recorder.efforts))
+    # What a fingertip displaces is no error of tracking.
+    device = untouched(device, TimedValues(*recorder.device_touch.between(*span)))
     reference = twin if recorder.is_direct else target
     if min(len(reference.times), len(device.times)) < _FEWEST_SAMPLES:
         return None
@@ -157,6 +174,20 @@ def _step_counts(outcome: DemoOutcome) -> dict[str, int]:
     return dict(sorted(counts.items()))
 
 
+def _add_touch(made, touch: dict) -> None:
+    """Adds what a fingertip felt to the table."""
+    presses = touch["presses"]
+    felt = [press["device_n_per_m"] for press in presses]
+    made.add_row("stiffness felt on the device, open loop",
+                 f"{len(presses)} presses, {min(felt):.0f} to {max(felt):.0f} N/m")
+    if touch["median_error_percent"] is not None:
+        targets = [press["target_n_per_m"] for press in presses if press["target_n_per_m"]]
+        made.add_row("its error against the target",
+                     f"median {touch['median_error_percent']:.1f} %, "
+                     f"max {touch['max_error_percent']:.1f} %; targets {min(targets):.0f} to "
+                     f"{max(targets):.0f} N/m")
+
+
 def _print_table(plan: DemoPlan, report: dict) -> None:
     made = table(f"{plan.robot}, driven live", "what", "value")
     for run in plan.runs:
@@ -170,6 +201,8 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     if (published := report["published_open_loop_error_mm"]) is not None:
         values = [f"{key} {value:g} mm" for key, value in published.items() if value is not None]
         made.add_row("published, a real robot, open loop", ", ".join(values))
+    if (touch := report["touch"]) is not None:
+        _add_touch(made, touch)
     compute = report["compute_time_ms"]
     made.add_row("compute time", ", ".join(
         f"{key} {value:.2f} ms" for key, value in compute.items() if value is not None) or "–")

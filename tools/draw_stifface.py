@@ -238,8 +238,9 @@ def draw_reach(made: Reach, path: Path) -> None:
     step = 1e3 * (axis[1] - axis[0]) / 2.0
     extent = [1e3 * axis[0] - step, 1e3 * axis[-1] + step] * 2
     with figure_file(path, (12.0, 4.2), title) as figure:
-        panels = (("least [N/m]", least), ("greatest [N/m]", most), ("greatest / least", most / least))
-        for plot, (name, values) in zip(figure.subplots(1, 3), panels, strict=True):
+        panels = (("least [N/m]", least, 0), ("greatest [N/m]", most, 0),
+                  ("greatest / least", most / least, 1))
+        for plot, (name, values, digits) in zip(figure.subplots(1, 3), panels, strict=True):
             shown = plot.imshow(values, origin="lower", extent=extent, cmap="viridis")
             plot.grid(visible=False)
             plot.set_title(name)
@@ -247,9 +248,11 @@ def draw_reach(made: Reach, path: Path) -> None:
             plot.set_ylabel("y [mm]")
             figure.colorbar(shown, ax=plot)
             for (row, column), value in np.ndenumerate(values):
-                if axis[column] >= 0.0 and 0.0 <= axis[row]:
-                    plot.text(1e3 * axis[column], 1e3 * axis[row], f"{value:.3g}", ha="center",
-                              va="center", fontsize=6, color="white")
+                if axis[column] >= 0.0 and axis[row] >= 0.0:
+                    is_bright = shown.norm(value) > 0.6
+                    plot.text(1e3 * axis[column], 1e3 * axis[row], f"{value:.{digits}f}",
+                              ha="center", va="center", fontsize=6,
+                              color="black" if is_bright else "white")
 
 
 def main(arguments: list[str] | None = None) -> int:

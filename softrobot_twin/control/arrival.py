@@ -29,6 +29,7 @@ class Refusal(Enum):
     OUT_OF_RANGE = "out_of_range"
     BELOW_VACUUM = "below_vacuum"
     VOLUME_CONTROLLED = "volume_controlled"
+    NOT_POSITIVE = "not_positive"
 
     @property
     def hint(self) -> str:
@@ -40,6 +41,7 @@ _HINTS = {
     Refusal.BELOW_VACUUM: "the pressure must be absolute, in Pa, and above 0",
     Refusal.VOLUME_CONTROLLED: "the scene controls this cavity by volume: command its volume [m³] "
     "on ~/command/cables",
+    Refusal.NOT_POSITIVE: "a stiffness must be above 0 N/m, or NaN along an axis without a target",
 }
 
 

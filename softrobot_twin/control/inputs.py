@@ -221,6 +221,74 @@ class TargetInput:
         self.clamped += bool((self._targets[self._velocity_effector] != moved).any())
 
 
+class StiffnessInput:
+    """Wanted stiffnesses of the effectors, those of the scene until a message gives others.
+
+    Args:
+        scene_stiffness: Those of the scene [N/m], NaN where free, shape (effector_count, 3).
+        are_asked: Whether each effector asks for a stiffness in the scene.
+        frame_id: The only frame in which they are accepted.
+        settings: Timeouts.
+
+    Attributes:
+        refusals: Refused messages, by reason.
+        wanted: Stiffness of each effector along x, y and z [N/m], NaN where free, shape
+            (effector_count, 3); None where no effector asks for one.
+        is_given: True when a message has given one.
+    """
+
+    def __init__(
+        self, scene_stiffness: np.ndarray, are_asked: Sequence[bool], frame_id: str,
+        settings: LoopSettings,
+    ):  # fmt: skip
+        self.refusals = RefusalCounts()
+        self._scene_stiffness, self._are_asked = scene_stiffness, tuple(are_asked)
+        self._headers = [HeaderCheck(frame_id) for _ in self._are_asked]
+        self.apply(settings)
+        self.reset()
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed timeouts from now on."""
+        for header in self._headers:
+            header.message_timeout = settings.message_timeout
+            header.future_tolerance = settings.future_tolerance
+
+    def reset(self) -> None:
+        """Forgets all messages; the counts stay."""
+        self.wanted = self._scene_stiffness.copy() if any(self._are_asked) else None
+        self.is_given = False
+        for header in self._headers:
+            header.forget()
+
+    def accept(self, effector: int, stiffness, arrival: Arrival) -> Refusal | None:
+        """Checks a wanted stiffness and keeps it.
+
+        Args:
+            effector: Index of the effector.
+            stiffness: Along x, y and z [N/m], positive, NaN where free, shape (3,).
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        stiffness = np.array(stiffness, dtype=float)
+        refusal = self._headers[effector].refusal(arrival)
+        if refusal is None and not self._are_asked[effector]:
+            refusal = Refusal.WRONG_NAMES
+        if refusal is None and stiffness.shape != (3,):
+            refusal = Refusal.WRONG_SIZE
+        if refusal is None and np.isinf(stiffness).any():
+            refusal = Refusal.NOT_FINITE
+        if refusal is None and (stiffness <= 0.0).any():
+            refusal = Refusal.NOT_POSITIVE
+        if refusal is not None:
+            return self.refusals.add(refusal)
+        self._headers[effector].remember(arrival)
+        self.wanted[effector] = stiffness
+        self.is_given = bool(np.isfinite(self.wanted).any())
+        return None
+
+
 # --- markers -------------------------------------------------------------------------------------
 
 

@@ -234,11 +234,12 @@ def has_orientations(path: TargetPath) -> bool:
 
 @dataclass(frozen=True)
 class ToAndFro:
-    """A setpoint that moves smoothly from one value to another and back.
+    """A setpoint, or a wanted stiffness, that moves smoothly from one value to another and back.
 
     Attributes:
         ends: First value, and that after half a period [unit of the setpoint].
         period: Time of a movement to and fro [s].
+        parameters: Names of the parameters that give both, for errors.
 
     Raises:
         ParameterError: A value is not finite, or the period is not above zero.
@@ -246,14 +247,14 @@ class ToAndFro:
 
     ends: tuple[float, float]
     period: float
+    parameters: tuple[str, str] = ("target_setpoints", "target_setpoint_period")
 
     def __post_init__(self) -> None:
+        of_ends, of_period = self.parameters
         if len(self.ends) != 2 or not all(map(math.isfinite, self.ends)):
-            raise ParameterError("target_setpoints", self.ends, "", "must be two finite numbers")
+            raise ParameterError(of_ends, self.ends, "", "must be two finite numbers")
         if not math.isfinite(self.period) or self.period <= 0.0:
-            raise ParameterError(
-                "target_setpoint_period", self.period, "s", "must be finite and above zero"
-            )
+            raise ParameterError(of_period, self.period, "s", "must be finite and above zero")
 
     def value(self, time: float) -> float:
         """Setpoint at a time since it began [s]."""

@@ -24,6 +24,7 @@ from softrobot_twin.control.inputs import (
     Pose,
     PoseInput,
     SelectedActuatorInput,
+    StiffnessInput,
     TargetInput,
     TargetReading,
 )
@@ -199,6 +200,9 @@ class TwinLoop:
         commands = self.direct if mode is Mode.DIRECT else self.selected
         self.pressures = PressureInput(self.cavities, commands, frame_id, settings, False)
         self.angles = AngleInput(self.pulleys, commands, settings, False)
+        self.stiffness = StiffnessInput(
+            simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings
+        )
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self.touches = TouchInput(simulation, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
@@ -224,6 +228,7 @@ class TwinLoop:
             self.targets, self.markers, self.device, self.direct, self.selected, self.poses,
             self.pressures, self.measured_pressures, self.angles, self.measured_angles,
             self.touches,
+            self.stiffness,
         ):  # fmt: skip
             part.apply(settings)
 
@@ -280,7 +285,7 @@ class TwinLoop:
 
     def _forget_commands(self) -> None:
         for commands in (self.targets, self.direct, self.selected, self.poses, self.pressures,
-                         self.angles):  # fmt: skip
+                         self.angles, self.stiffness):  # fmt: skip
             commands.reset()
 
     def driven_by_efforts(self, outcome: TickOutcome) -> np.ndarray | None:
@@ -418,7 +423,8 @@ class TwinLoop:
     def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
         """Why there is nothing to follow; empty when there is."""
         if self.mode is Mode.INVERSE:
-            if not np.isfinite(reading.targets).all(axis=1).any():
+            has_place = np.isfinite(reading.targets).all(axis=1).any()
+            if not (has_place or self.stiffness.is_given):
                 return "no target yet"
             if self.selected.is_too_old(now, self.settings.target_timeout):
                 return "no command for target_timeout"
@@ -443,7 +449,9 @@ class TwinLoop:
         """The command of this tick's step."""
         time_step = self.settings.period
         if activity is Activity.FOLLOWING:
-            return FollowTargets(aims.aims, time_step, self.selected.setpoints, aims.turns)
+            return FollowTargets(
+                aims.aims, time_step, self.selected.setpoints, aims.turns, self.stiffness.wanted
+            )
         if activity is Activity.COMMANDED:
             return self._direct_command(time_step)
         if activity is Activity.RETURNING and self._engagement.leads_by_model:

@@ -22,7 +22,7 @@ import numpy as np
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, PointStamped
+from geometry_msgs.msg import Point, PointStamped, Vector3Stamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -36,7 +36,7 @@ from std_srvs.srv import SetBool
 from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import ParameterError, SoftRobotTwinError
-from softrobot_twin.ros.parameters import TARGET, TWIN
+from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file
 from softrobot_twin.scene import load_scene
 
@@ -118,7 +118,7 @@ START_TOPIC = "/demo/start"
 would receive one as soon as the twin publishes, before all nodes are connected.
 """
 
-_DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *TWIN)}
+_DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *DEVICE, *TWIN)}
 
 
 @dataclass(frozen=True)
@@ -130,6 +130,7 @@ class DemoPlan:
         parameter_file: ROS parameters of all three nodes.
         scene_file: The twin's scene.
         effector: Effector that is driven or, where commands are played, compared.
+        touch: Touch where the device's fingertip presses; empty for none.
         runs: Names of the runs, in order: `RUNS`, only the first of them where no marker measures
             an effector, or `DIRECT_RUNS` where commands are played.
         run_time: Length of each run [s].
@@ -146,6 +147,7 @@ class DemoPlan:
     parameter_file: Path
     scene_file: Path
     effector: str
+    touch: str
     runs: tuple[str, ...]
     run_time: float
     paths: tuple[str, ...]
@@ -237,6 +239,7 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     return DemoPlan(
         robot=robot, parameter_file=file,
         scene_file=scene_file, effector=str(values["target_effector"]),
+        touch=str(values["device_touch"]),
         runs=DIRECT_RUNS if is_direct else RUNS if is_measured else RUNS[:1],
         run_time=run_time, paths=() if is_direct else tuple(paths[:count]), turn_time=turn_time,
         ramp_time=min(ramp_time, 0.5 * turn_time),
@@ -528,11 +531,15 @@ class DemoRecorder(Node):
         effector: Effector that is driven or compared.
         start_topic: Topic on which the target waits for its start point.
         is_direct: Commands are played; there are no targets.
+        touch: Touch where the device's fingertip presses; empty for none.
 
     Attributes:
         target: Target positions of the effector [m]; none where commands are played.
         twin_effector: Effector positions predicted by the twin [m].
         device_effector: True effector positions [m], which only a simulated device can publish.
+        stiffness: Wanted stiffnesses of the effector along x, y and z [N/m].
+        twin_touch: Displacement [m] and force [N] of the touch, as the twin answers.
+        device_touch: The same as sensors of the device measure them.
         setpoints: Commanded setpoints, each in the unit of its kind, such as cable lengths [m].
         efforts: Efforts of the twin, each in the unit of its kind, such as tensions [N].
         actuator_names: Actuators in this order; empty before the first command.
@@ -541,10 +548,13 @@ class DemoRecorder(Node):
         cause: Reported reason for a large tracking error; empty when there is none.
     """
 
-    def __init__(self, twin: str, device: str, effector: str, start_topic: str, is_direct: bool):
+    def __init__(
+        self, twin: str, device: str, effector: str, start_topic: str, is_direct: bool, touch: str = ""
+    ):
         super().__init__("demo")
         self.is_direct = is_direct
         self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
+        self.stiffness, self.twin_touch, self.device_touch = Samples(), Samples(), Samples()
         self.setpoints, self.efforts = Samples(), Samples()
         self.actuator_names: tuple[str, ...] = ()
         self.loop_reports: list[LoopReport] = []
@@ -553,6 +563,11 @@ class DemoRecorder(Node):
         self._targets = self._record(f"{twin}/target/{effector}", self.target)
         self._record(f"{twin}/effectors/{effector}", self.twin_effector)
         self._record(f"{device}/effectors/{effector}", self.device_effector)
+        if touch:
+            self._record_touch(f"{twin}/touch/{touch}", self.twin_touch)
+            self._record_touch(f"{device}/touch/{touch}", self.device_touch)
+            self.create_subscription(
+                Vector3Stamped, f"{twin}/target_stiffness/{effector}", self._take_stiffness, _ALL)
         self._start = self.create_publisher(PointStamped, start_topic, _ALL)
         self.create_subscription(JointState, f"{twin}/cables", self._take_cables, _ALL)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
@@ -563,6 +578,16 @@ class DemoRecorder(Node):
             samples.add(_seconds(message.header), [point.x, point.y, point.z])
 
         return self.create_subscription(PointStamped, topic, take, _ALL)
+
+    def _record_touch(self, topic: str, samples: Samples) -> None:
+        def take(message: JointState) -> None:
+            samples.add(_seconds(message.header), [*message.position, *message.effort])
+
+        self.create_subscription(JointState, topic, take, _ALL)
+
+    def _take_stiffness(self, message: Vector3Stamped) -> None:
+        vector = message.vector
+        self.stiffness.add(_seconds(message.header), [vector.x, vector.y, vector.z])
 
     @property
     def reference(self) -> Samples:
@@ -731,7 +756,8 @@ class Demo:
         isolate(os.environ)
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._recorder = DemoRecorder(
-            "/twin", "/device", self._plan.effector, START_TOPIC, self._plan.is_direct)
+            "/twin", "/device", self._plan.effector, START_TOPIC, self._plan.is_direct,
+            self._plan.touch)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._recorder)
         was_stopped = False

@@ -370,7 +370,8 @@ class TwinDiagnostics:
     def _of_target(self, now: float):
         loop, window = self._loop, self._window
         inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
-                  loop.direct.refusals, loop.selected.refusals, loop.poses.refusals)
+                  loop.direct.refusals, loop.selected.refusals, loop.poses.refusals,
+                  loop.stiffness.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
         clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
         values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped}
@@ -394,6 +395,11 @@ class TwinDiagnostics:
         if angles is not None:
             values["orientation_error_deg"] = math.degrees(
                 np.fmax.reduce(angles, initial=float("nan"))
+            )
+        off = window.newest.result.stiffness_errors
+        if off is not None:
+            values["stiffness_error_percent"] = 100.0 * float(
+                np.fmax.reduce(off, initial=float("nan"))
             )
         cause = tracking_cause(tracking_signs(loop, window, self._late))
         values["error_cause"] = cause

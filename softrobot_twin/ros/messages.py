@@ -17,6 +17,7 @@ from geometry_msgs.msg import (
     PoseStamped,
     Quaternion,
     Vector3,
+    Vector3Stamped,
     Wrench,
     WrenchStamped,
 )
@@ -64,6 +65,12 @@ def point_message(position: np.ndarray, header: Header) -> PointStamped:
     """A position [m], shape (3,), as a message."""
     x, y, z = map(float, position)
     return PointStamped(header=header, point=Point(x=x, y=y, z=z))
+
+
+def vector_message(vector: np.ndarray, header: Header) -> Vector3Stamped:
+    """A vector, shape (3,), as a message."""
+    x, y, z = map(float, vector)
+    return Vector3Stamped(header=header, vector=Vector3(x=x, y=y, z=z))
 
 
 def pose_message(position: np.ndarray, quaternion: np.ndarray, header: Header) -> PoseStamped:

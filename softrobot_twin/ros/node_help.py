@@ -15,6 +15,7 @@ motors of hinges have angles and torques there, in rad and N m.
 
   in    ~/target/<effector>   geometry_msgs/PointStamped   m
         ~/target_pose/<effector>  geometry_msgs/PoseStamped  m; effectors with orientation
+        ~/target_stiffness/<effector>  geometry_msgs/Vector3Stamped  N/m; effectors with stiffness
         ~/target_velocity     geometry_msgs/Twist          m/s
         ~/command/cables      sensor_msgs/JointState       m or N; cavities Pa (gauge) or m³
         ~/command/angles      sensor_msgs/JointState       rad, of pulleys
@@ -23,12 +24,16 @@ motors of hinges have angles and torques there, in rad and N m.
         ~/measured_cables     sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
         ~/measured_angles     sensor_msgs/JointState       rad, of pulleys
         ~/measured_pressures/<cavity>  sensor_msgs/FluidPressure  Pa (absolute)
+        ~/touch_force/<touch>     geometry_msgs/WrenchStamped  N, on the robot; 0 ends a touch
+        ~/touch_position/<touch>  geometry_msgs/PointStamped   m, touched point; NaN ends it
         ~/markers             sensor_msgs/PointCloud2      m
   out   ~/cables              sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
         ~/angles              sensor_msgs/JointState       rad, N m; of pulleys
         ~/pressures/<cavity>  sensor_msgs/FluidPressure    Pa (absolute)
         ~/effectors/<effector>, ~/effector_poses/<effector>, ~/predicted_markers,
         ~/bodies/<body>, ~/poses/<body>, ~/contacts, /diagnostics
+        ~/touch/<touch>       sensor_msgs/JointState       m and N: displacement, force
+        ~/stiffness/<effector>   geometry_msgs/Vector3Stamped  N/m; effectors with stiffness
         ~/compliance/<effector>  std_msgs/Float64MultiArray  m/N, after actuation
         ~/jacobian/<effector>    std_msgs/Float64MultiArray  by actuator, see its labels
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
@@ -41,12 +46,15 @@ markers. Pressures are absolute in FluidPressure, gauge in JointState.
   out   <twin>/measured_cables   sensor_msgs/JointState     m, N; cavities Pa (gauge) or m³
         <twin>/measured_pressures/<cavity>  sensor_msgs/FluidPressure  Pa (absolute)
         <twin>/markers           sensor_msgs/PointCloud2    m
-        ~/effectors/<effector>, ~/bodies/<body>""",
+        ~/effectors/<effector>, ~/bodies/<body>
+        ~/touch/<touch>          sensor_msgs/JointState     m and N; with device_touch
+        <twin>/touch_position/<touch>  geometry_msgs/PointStamped  m; or touch_force, N""",
     "target": """\
 Publishes targets along a path for an effector of a twin.
 
   in    <twin>/effectors/<effector>  geometry_msgs/PointStamped  m, start point
-  out   <twin>/target/<effector>     geometry_msgs/PointStamped  m""",
+  out   <twin>/target/<effector>     geometry_msgs/PointStamped  m
+        <twin>/target_stiffness/<effector>  geometry_msgs/Vector3Stamped  N/m; target_stiffness""",
 }
 
 

@@ -291,6 +291,13 @@ TARGET = (
           "m, Pa or m³", read_only=True),
     Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0,
           read_only=True),
+    Entry("target_stiffness", [0.0, 0.0], "Stiffness along target_stiffness_axis that is wanted of "
+          "the effector meanwhile: the first, and that after half a period; zeros for none.", "N/m",
+          read_only=True),
+    Entry("target_stiffness_axis", "z", "Axis of that stiffness.", choices=("x", "y", "z"),
+          read_only=True),
+    Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001,
+          86400.0, read_only=True),
     Entry("target_commands", "", "CSV file of commands that are played over and over in place of "
           "targets, searched like scene_file, with the columns of simulate --commands; for a twin "
           "in direct mode; empty for none.", read_only=True),

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, Vector3Stamped
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -21,6 +21,7 @@ from softrobot_twin.control.target_path import (
     has_orientations,
     make_sequence,
 )
+from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.messages import point_message, pose_message, read_pose, stamp_of
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
@@ -59,7 +60,7 @@ class TargetNode(TickingNode):
         self._frame = str(values["frame_id"])
         self._effector = str(values["target_effector"])
         self._twin = str(values["twin"]).rstrip("/")
-        self._targets = self._commands = self._ramped = self._table = None
+        self._targets = self._commands = self._ramped = self._table = self._stiffnesses = None
         self._turns = False
         self._began = math.inf
         self._poses: dict[str, Publisher] = {}
@@ -68,7 +69,7 @@ class TargetNode(TickingNode):
         else:
             what = self._open_path(values)
         self.start(1.0 / values["target_rate"])
-        published = (self._targets, self._commands, *self._poses.values())
+        published = (self._targets, self._commands, self._stiffnesses, *self._poses.values())
         self.watch_topics((), tuple(one for one in published if one is not None))
         kind = PoseStamped if self._turns else PointStamped
         group = "effector_poses" if self._turns else "effectors"
@@ -103,7 +104,27 @@ class TargetNode(TickingNode):
                 tuple(values["target_setpoints"]), values["target_setpoint_period"]
             )
             self._open_commands()
+        if any(values["target_stiffness"]):
+            self._open_stiffness(values)
         return f"{effector} along {', '.join(names)}"
+
+    def _open_stiffness(self, values: Mapping[str, object]) -> None:
+        """Makes the profile of the wanted stiffness."""
+        ends, names = tuple(values["target_stiffness"]), ("target_stiffness", "target_stiffness_period")
+        self._stiffness = ToAndFro(ends, values["target_stiffness_period"], names)
+        if min(ends) <= 0.0:
+            raise ParameterError("target_stiffness", ends, "N/m", "must be above zero, or zeros")
+        self._stiffness_axis = str(values["target_stiffness_axis"])
+        topic = f"{self._twin}/target_stiffness/{self._effector}"
+        self._stiffnesses = self.create_publisher(Vector3Stamped, topic, NEWEST)
+
+    def _publish_stiffness(self, since: float, header: Header) -> None:
+        """Publishes the wanted stiffness at a time since the path began [s]."""
+        if self._stiffnesses is None:
+            return
+        axes = dict.fromkeys("xyz", math.nan)
+        axes[self._stiffness_axis] = self._stiffness.value(since)
+        self._stiffnesses.publish(Vector3Stamped(header=header, vector=Vector3(**axes)))
 
     def _open_table(self, values: Mapping[str, object]) -> str:
         """Reads the table of commands; returns what the node is ready for."""
@@ -169,6 +190,7 @@ class TargetNode(TickingNode):
             self._commands.publish(JointState(
                 header=header, name=[self._actuator], position=[self._setpoints.value(since)]
             ))  # fmt: skip
+        self._publish_stiffness(since, header)
         position = self._ramped.position(since)
         if not self._turns:
             self._targets.publish(point_message(position, header))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, Twist, WrenchStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -41,6 +41,7 @@ from softrobot_twin.ros.messages import (
     read_pose,
     stamp_of,
     touch_message,
+    vector_message,
 )
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
@@ -417,6 +418,11 @@ class TwinNode(TickingNode):
             for index, name in enumerate(simulation.effector_names)
             if simulation.oriented_effectors[index]
         }
+        self._stiffness = {
+            index: self.create_publisher(Vector3Stamped, f"~/stiffness/{name}", NEWEST)
+            for index, name in enumerate(simulation.effector_names)
+            if simulation.stiff_effectors[index]
+        }
         self._markers = None
         if len(simulation.marker_ids):
             self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
@@ -439,6 +445,11 @@ class TwinNode(TickingNode):
                 if self.loop.simulation.oriented_effectors[index]:
                     commands.append(self._listen(PoseStamped, f"~/target_pose/{name}", NEWEST,
                                                  partial(self._take_target_pose, index)))
+                if self.loop.simulation.stiff_effectors[index]:
+                    commands.append(
+                        self._listen(Vector3Stamped, f"~/target_stiffness/{name}", NEWEST,
+                                     partial(self._take_target_stiffness, index))
+                    )
             if self.loop.simulation.effector_names:
                 commands.append(
                     self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
@@ -498,6 +509,12 @@ class TwinNode(TickingNode):
     def _take_target_pose(self, effector: int, message: PoseStamped) -> Refusal | None:
         return self.loop.targets.accept_pose(
             effector, *read_pose(message), self.arrival(message.header)
+        )
+
+    def _take_target_stiffness(self, effector: int, message: Vector3Stamped) -> Refusal | None:
+        vector = message.vector
+        return self.loop.stiffness.accept(
+            effector, (vector.x, vector.y, vector.z), self.arrival(message.header)
         )
 
     def _take_velocity(self, message: Twist) -> Refusal | None:
@@ -608,6 +625,10 @@ class TwinNode(TickingNode):
         turns = outcome.result.effector_orientations
         for index, publisher in self._effector_poses.items():
             publisher.publish(pose_message(positions[index], turns[index], header))
+        reached = outcome.result.effector_stiffness
+        for index, publisher in self._stiffness.items():
+            if reached is not None:
+                publisher.publish(vector_message(reached[index], header))
         if self._markers is not None:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))

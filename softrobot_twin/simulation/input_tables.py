@@ -11,14 +11,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
 from softrobot_twin.simulation.command import (
     Command,
@@ -93,6 +93,7 @@ SINGLE_ROW_TIME_STEP = 0.02
 
 _AXES = ("x", "y", "z")
 _TURN = ("qx", "qy", "qz", "qw")
+_STIFFNESS = ("kx", "ky", "kz")
 # A larger deviation from unit length is not rounding but a mistake.
 _NOT_UNIT = 1.0e-2
 
@@ -112,6 +113,8 @@ class TargetTable:
             that take no efforts.
         orientations: Wanted turns of effectors from rest as unit quaternions (x, y, z, w), shape
             (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
+        stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
+            where the file gives none; None in a file without.
     """
 
     kind: str
@@ -119,19 +122,22 @@ class TargetTable:
     time_steps: np.ndarray
     values: np.ndarray
     orientations: np.ndarray | None = None
+    stiffness: np.ndarray | None = None
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0."""
-        if self.orientations is not None:
-            step = float(self.time_steps[row])
-            return FollowTargets(self.values[row], step, None, self.orientations[row])
-        build = {"targets": FollowTargets, "setpoints": CommandSetpoints, "efforts": CommandEfforts}
-        return build[self.kind](self.values[row], float(self.time_steps[row]))
+        values, step = self.values[row], float(self.time_steps[row])
+        if self.kind == "targets":
+            turns = None if self.orientations is None else self.orientations[row]
+            stiffness = None if self.stiffness is None else self.stiffness[row]
+            return FollowTargets(values, step, None, turns, stiffness)
+        build = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
+        return build[self.kind](values, step)
 
 
 def read_targets(path: Path | str, effector_names: Sequence[str],
                  kind_of: Mapping[str, ActuatorKind],
-                 oriented: Sequence[bool] = ()) -> TargetTable:
+                 oriented: Sequence[bool] = (), stiff: Sequence[bool] = ()) -> TargetTable:
     """Reads and checks a targets file.
 
     Args:
@@ -140,11 +146,12 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
         kind_of: Kind of each actuator by its name, in the simulation's order.
         oriented: Whether each effector asks for an orientation, so that the file may give one; by
             default none does.
+        stiff: The same for a stiffness.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
             column, or contains a value that is not finite, a time that does not increase, a
-            quaternion that is not of unit length, or a setpoint or an effort that its kind cannot
+            quaternion that is not of unit length, a stiffness that is not positive, or a setpoint or an effort that its kind cannot
             have.
     """
     path = Path(path)
@@ -157,6 +164,9 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
         _refuse_turns(path, turned, effector_names, oriented)
         for name in turned:
             asked[name] += [Quantity(part, "") for part in _TURN]
+        stiffened = _stiffness_columns(path, header, effector_names, stiff)
+        for name, part in stiffened:
+            asked[name].append(Quantity(part, "N/m"))
     else:
         asked = {name: [_commanded(made, kind)] for name, made in kind_of.items()}
     wanted = _wanted_columns(path, header, kind, asked, kind_of)
@@ -181,7 +191,32 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
             _refuse_lengths(path, name, quaternions, lines)
             lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
             orientations[:, list(effector_names).index(name)] = quaternions / lengths
-    return TargetTable(kind, times, _time_steps(times), values[:, places], orientations)
+    stiffness = None
+    if stiffened:
+        stiffness = np.full((len(times), len(effector_names), 3), np.nan)
+        for name, part in stiffened:
+            own = values[:, columns.index(f"{name}.{part}")]
+            if (own <= 0.0).any():
+                row = int(np.argmin(own))
+                raise TableFileError(path, "must be positive: it is a stiffness", lines[row],
+                                     f"{name}.{part}", float(own[row]), "N/m")
+            place = list(effector_names).index(name), _STIFFNESS.index(part)
+            stiffness[:, place[0], place[1]] = own
+    return TargetTable(
+        kind, times, _time_steps(times), values[:, places], orientations, stiffness
+    )
+
+
+def _stiffness_columns(path: Path, header: list[str], names: Sequence[str], stiff) -> list:
+    """Effector and axis of each column of a stiffness; refuses those of effectors without one."""
+    asking = [name for name, asks in zip(names, stiff) if asks]
+    found = [(name, part) for name in names for part in _STIFFNESS if f"{name}.{part}" in header]
+    for name, part in found:
+        if name not in asking:
+            raise TableFileError(
+                path, "the effector has no stiffness in the scene; those with one: "
+                f"{', '.join(asking) or 'none'}", 1, f"{name}.{part}")
+    return found
 
 
 def _refuse_turns(path: Path, turned: Sequence[str], names: Sequence[str], oriented) -> None:
@@ -245,12 +280,13 @@ def _kind_of_table(path: Path, header: list[str], kind_of: Mapping[str, Actuator
         if column == "t":
             continue
         name, _, word = column.rpartition(".")
-        if not name or (name not in kind_of and word not in (*_AXES, *_TURN, *words)):
+        parts = (*_AXES, *_TURN, *_STIFFNESS)
+        if not name or (name not in kind_of and word not in (*parts, *words)):
             valid = " or ".join(f"<actuator>.{word}" for word in words)
             raise TableFileError(
                 path, f"is not a valid column; use <effector>.x, .y, .z, {valid}", 1,
                 column or "''")
-        if word in _AXES or word in _TURN:
+        if word in parts:
             meanings[column] = ("targets",)
         elif name in kind_of:
             kind = kind_of[name]
@@ -398,6 +434,28 @@ class Pose:
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
+class TouchColumns:
+    """Forces or displacements of a touch over time.
+
+    A displacement is counted from where the point is when the touch begins; a force or a displacement
+    of zero is no touch.
+    """
+
+    def __init__(self, times: np.ndarray, values: np.ndarray, are_forces: bool):
+        """Stores the rows.
+
+        Args:
+            times: Of the rows [s], shape (row_count,).
+            values: Forces [N] or displacements [m], shape (row_count, 3).
+            are_forces: Which of both.
+        """
+        self._times, self._values, self.are_forces = times, values, are_forces
+
+    def at(self, time: float) -> np.ndarray:
+        """Force [N] or displacement [m] at a time [s], shape (3,)."""
+        return np.array([np.interp(time, self._times, column) for column in self._values.T])
+
+
 @dataclass(frozen=True)
 class CommandTable:
     """A commands file, read and checked.
@@ -410,6 +468,7 @@ class CommandTable:
         poses: Poses of the driven guided bodies, by name.
         is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
+        touches: Forces or displacements of touches, by name.
     """
 
     kind: str
@@ -417,6 +476,28 @@ class CommandTable:
     values: np.ndarray
     poses: Mapping[str, Pose]
     is_constant: np.ndarray
+    touches: Mapping[str, TouchColumns] = field(default_factory=dict)
+
+    def touched(self, time: float, simulation: Simulation) -> Touched | None:
+        """Touches at a time [s]; None without any.
+
+        Args:
+            time: The time [s].
+            simulation: Its touches may have begun already.
+        """
+        before, names = simulation.state.touches, simulation.touch_names
+        forces, places = (np.full((len(names), 3), np.nan) for _ in range(2))
+        for name, columns in self.touches.items():
+            index, value = names.index(name), columns.at(time)
+            if not value.any():
+                continue
+            if columns.are_forces:
+                forces[index] = value
+            else:
+                origins = before.origins if before.is_touched[index] else before.points
+                places[index] = origins[index] + value
+        acts = np.isfinite(forces).any() or np.isfinite(places).any()
+        return Touched(forces, places) if acts else None
 
     def command(self, time: float, time_step: float) -> Command:
         """Command of the actuators at a time [s], for a step of a duration [s]."""
@@ -469,12 +550,13 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     del left[TIME]
     kind, values = _actuator_values(path, simulation, left, len(times), lines)
     poses = _poses(path, simulation, left, times, lines)
+    touches = _touches(path, simulation, left, times)
     if left:
         raise TableFileError(path, "is not a valid column; valid are " + _known(simulation), 1,
                              next(iter(left)))
     commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
     is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, is_constant)
+    return CommandTable(kind, times, values, poses, is_constant, touches)
 
 
 def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> np.ndarray:
@@ -613,6 +695,29 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
     return poses
 
 
+_TOUCH = {"force_{}_N": True, "displacement_{}_m": False}
+"""Ends of the columns of a touch, for each axis, and whether they give forces."""
+
+
+def _touches(path, simulation, left: dict, times) -> dict[str, TouchColumns]:
+    """Columns of touches, which it removes from the remaining ones."""
+    touches = {}
+    for name in simulation.touch_names:
+        for form, are_forces in _TOUCH.items():
+            given = {f"{name}_{form.format(axis)}": place for place, axis in enumerate(_AXES)}
+            given = {column: place for column, place in given.items() if column in left}
+            if not given:
+                continue
+            if name in touches:
+                raise TableFileError(path, f"{name} is touched by forces or by displacements, not "
+                                     "by both", 1, next(iter(given)))
+            values = np.zeros((len(times), 3))
+            for column, place in given.items():
+                values[:, place] = left.pop(column)
+            touches[name] = TouchColumns(times, values, are_forces)
+    return touches
+
+
 def _known(simulation: Simulation) -> str:
     """The columns that a scene accepts, as text."""
     scene, names = simulation.scene, {}
@@ -627,7 +732,15 @@ def _known(simulation: Simulation) -> str:
     return (f"{', '.join(known) or 'no actuators'}, "
             f"<motor>_shortening_m (motors: {motors}), "
             f"{_known_angles(simulation)}<body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
-            f"_qw (guided bodies: {guided})")
+            f"_qw (guided bodies: {guided}){_known_touches(simulation)}")
+
+
+def _known_touches(simulation: Simulation) -> str:
+    """Columns of touches, as text; empty without any."""
+    if not simulation.touch_names:
+        return ""
+    return (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
+            f"{', '.join(simulation.touch_names)})")
 
 
 def _known_angles(simulation: Simulation) -> str:

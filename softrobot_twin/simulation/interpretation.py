@@ -18,6 +18,7 @@ from softrobot_twin.simulation.command import (
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.stiffness_targets import stiffness_of_scene
 from softrobot_twin.solvers.inverse_problem import Bounds
 
 COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)
@@ -55,10 +56,7 @@ class Interpretation:
         self._model, self._actuators = model, model.actuators
         self._why_not_followed = why_not_followed(model)
         entries = [effector.stiffness for effector in model.scene.effectors]
-        self._scene_stiffness = np.full((len(entries), 3), np.nan)
-        for own, entry in zip(self._scene_stiffness, entries, strict=True):
-            if entry is not None:
-                own[:] = [np.nan if one is None else one for one in entry.target]
+        self._scene_stiffness = stiffness_of_scene(model.scene)
         self._weighs_stiffness = np.array(
             [entry is not None and entry.weight > 0.0 for entry in entries], bool
         )

@@ -20,6 +20,7 @@ from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.stiffness_targets import stiffness_of_scene
 from softrobot_twin.simulation.vertebrae_watch import ReductionState, reduction_state
 
 
@@ -167,6 +168,19 @@ class Readouts:
     def oriented_effectors(self) -> tuple[bool, ...]:
         """Whether each effector asks for an orientation."""
         return tuple(effector.orientation is not None for effector in self.scene.effectors)
+
+    @property
+    def stiff_effectors(self) -> tuple[bool, ...]:
+        """Whether each effector asks for a stiffness."""
+        return tuple(effector.stiffness is not None for effector in self.scene.effectors)
+
+    @property
+    def scene_stiffness(self) -> np.ndarray:
+        """Stiffness of each effector that the scene asks for along x, y and z [N/m].
+
+        Shape (effector_count, 3); NaN where none is wanted.
+        """
+        return stiffness_of_scene(self.scene)
 
     @property
     def lengths_per_radian(self) -> np.ndarray:

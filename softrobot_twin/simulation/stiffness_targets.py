@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.apparent_stiffness import ApparentStiffness, ComplianceGradient, State
 from softrobot_twin.simulation.model import Model
 
@@ -151,6 +152,15 @@ class StiffnessTargets:
             stiffness.reshape(count, 3), errors, self.lengths * np.nan_to_num(errors),
             self.lengths * before,
         )  # fmt: skip
+
+
+def stiffness_of_scene(scene: Scene) -> np.ndarray:
+    """Wanted stiffnesses of a scene's effectors [N/m], NaN where free, shape (effector_count, 3)."""
+    wanted = np.full((len(scene.effectors), 3), np.nan)
+    for own, effector in zip(wanted, scene.effectors, strict=True):
+        if effector.stiffness is not None:
+            own[:] = [np.nan if one is None else one for one in effector.stiffness.target]
+    return wanted
 
 
 def stiffness_lengths(model: Model) -> np.ndarray:

@@ -83,7 +83,8 @@ def run_commands(
     for step, time in enumerate(times):
         for name, pose in table.poses.items():
             simulation.model.guides.aim(name, *pose.at(time))
-        result = simulation.step(table.command(time, time_step))
+        touched = table.touched(time, simulation) if table.touches else None
+        result = simulation.step(table.command(time, time_step), None, touched)
         yield DirectRow(step, float(time), result, rigid_poses(simulation),
                         *_pair_forces(result, names))
 
@@ -127,6 +128,8 @@ def direct_header(simulation: Simulation, observed: Sequence[str] = ()) -> list[
         *("_".join(column) for column in actuator_columns(simulation.actuators)),
         *(f"{name}_{axis}_m" for name in simulation.effector_names for axis in "xyz"),
         *(f"{part.name}_{value}" for part in simulation.model.rigid for value in _POSE),
+        *(f"{name}_{column.format(axis)}" for name in simulation.touch_names
+          for column in ("force_{}_N", "displacement_{}_m") for axis in "xyz"),
         *observed,
         "contact_count",
         *(f"{quantity}_N" for first, second in pair_names(simulation)
@@ -139,13 +142,21 @@ def direct_cells(row: DirectRow, actuators: Actuators) -> list[str]:
     """One row as text."""
     result, report = row.result, row.result.report
     before = [*actuator_cells(result, actuators), *result.effector_positions.ravel(), *row.rigid_poses.ravel(),
-              *row.observed]
+              *_touch_cells(result), *row.observed]
     forces = np.column_stack([row.pair_resultants, row.pair_magnitude_sums])
     after = [*forces.ravel(), report.residual, report.contact_residual,
              1e3 * report.compute_time]
     return [str(row.step), repr(row.time), *(repr(float(number)) for number in before),
             str(report.contact_count), *(repr(float(number)) for number in after),
             result.status.value]
+
+
+def _touch_cells(result: StepResult) -> np.ndarray:
+    """Force [N] and displacement [m] of each touch, in one row."""
+    touches = result.touches
+    if touches is None:
+        return np.empty(0)
+    return np.hstack([touches.forces, touches.displacements]).ravel()
 
 
 @contextmanager

@@ -143,7 +143,19 @@ def describe_effector(effector) -> str:
     parts += [directions] if effector.directions else []
     if effector.orientation is not None:
         parts.append(describe_orientation(effector.orientation))
+    if effector.stiffness is not None:
+        parts.append(describe_stiffness(effector.stiffness))
     return ", ".join(parts)
+
+
+def describe_stiffness(stiffness) -> str:
+    """The stiffness that an effector asks for."""
+    axes = [f"{axis} {number(one)} N/m"
+            for axis, one in zip("xyz", stiffness.target, strict=True) if one is not None]
+    length = stiffness.length
+    all_of_it = "a tenth of the robot's size" if length is None else f"{number(1e3 * length)} mm"
+    asked = f"stiffness {' '.join(axes) if axes else 'by messages'}"
+    return f"{asked}, weight {number(stiffness.weight)}, {all_of_it} for all of it"
 
 
 def describe_orientation(orientation) -> str:

@@ -127,23 +127,31 @@ def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
 
 
 def run_header(effector_names: Sequence[str], actuators: Actuators,
-               oriented: Sequence[bool] = ()) -> list[str]:
-    """Columns of a run file; of effectors with orientation also their turns from rest."""
+               oriented: Sequence[bool] = (), stiff: Sequence[bool] = ()) -> list[str]:
+    """Columns of a run file; of effectors with orientation also their turns from rest, of those with
+    stiffness also it [N/m].
+    """
     turned = [name for name, asks in zip(effector_names, oriented) if asks]
+    stiffened = [name for name, asks in zip(effector_names, stiff) if asks]
     return ["step", "t",
             *(f"{name}.{axis}" for name in effector_names for axis in "xyz"),
             *(f"{name}.{part}" for name in turned for part in ("qx", "qy", "qz", "qw")),
+            *(f"{name}.{part}" for name in stiffened for part in ("kx", "ky", "kz")),
             *(f"{name}.{quantity}" for name, quantity, _ in actuator_columns(actuators)),
             "residual", "compute_ms", "status"]
 
 
-def run_cells(row: RunRow, actuators: Actuators) -> list[str]:
+def run_cells(row: RunRow, actuators: Actuators, stiff: Sequence[bool] = ()) -> list[str]:
     """One row as text: SI units; compute time in milliseconds."""
     result = row.result
     numbers = [*result.effector_positions.ravel()]
     turns = result.effector_orientations
     if turns is not None:
         numbers += [*turns[np.isfinite(turns).all(axis=1)].ravel()]
+    if any(stiff):
+        own = result.effector_stiffness
+        numbers += [*np.full((sum(stiff), 3), np.nan).ravel()] if own is None else [
+            *own[np.array(stiff)].ravel()]
     numbers += actuator_cells(result, actuators)
     numbers += [result.report.residual, 1e3 * result.report.compute_time]
     return [str(row.step), repr(row.time), *(repr(float(number)) for number in numbers),
@@ -152,8 +160,8 @@ def run_cells(row: RunRow, actuators: Actuators) -> list[str]:
 
 @contextmanager
 def run_file(path: Path | str, effector_names: Sequence[str],
-             actuators: Actuators,
-             oriented: Sequence[bool] = ()) -> Iterator[Callable[[RunRow], None]]:
+             actuators: Actuators, oriented: Sequence[bool] = (),
+             stiff: Sequence[bool] = ()) -> Iterator[Callable[[RunRow], None]]:
     """Opens a run file and returns a function that appends a row.
 
     An older file is replaced when the run has ended; see `output_file`.
@@ -163,8 +171,8 @@ def run_file(path: Path | str, effector_names: Sequence[str],
     """
     with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(run_header(effector_names, actuators, oriented))
-        yield lambda row: writer.writerow(run_cells(row, actuators))
+        writer.writerow(run_header(effector_names, actuators, oriented, stiff))
+        yield lambda row: writer.writerow(run_cells(row, actuators, stiff))
         file.close()
 
 
@@ -192,6 +200,7 @@ class RunSummary:
     def __init__(self) -> None:
         self._errors: list[np.ndarray] = []
         self._angles: list[np.ndarray] = []
+        self._stiffness: list[np.ndarray] = []
         self._compute_times: list[float] = []
         self.statuses: Counter[str] = Counter()
         self._residual = 0.0
@@ -201,6 +210,8 @@ class RunSummary:
         self._errors.append(row.result.effector_errors)
         if row.result.orientation_errors is not None:
             self._angles.append(row.result.orientation_errors)
+        if row.result.stiffness_errors is not None:
+            self._stiffness.append(row.result.stiffness_errors)
         self._compute_times.append(row.result.report.compute_time)
         self.statuses[row.result.status.value] += 1
         self._residual = float(np.fmax(self._residual, row.result.report.residual))
@@ -219,6 +230,11 @@ class RunSummary:
         if angles.size:
             lines += [("orientation error, mean", f"{angles.mean():.4f}°"),
                       ("orientation error, max", f"{angles.max():.4f}°")]
+        wrong = 100.0 * np.concatenate(self._stiffness) if self._stiffness else np.empty(0)
+        wrong = wrong[np.isfinite(wrong)]
+        if wrong.size:
+            lines += [("stiffness error, mean", f"{wrong.mean():.3f} %"),
+                      ("stiffness error, max", f"{wrong.max():.3f} %")]
         lines += [("residual, max", f"{self._residual:.2g} N"),
                   ("compute time, median", f"{compute.median:.2f} ms"),
                   ("compute time, p99", f"{compute.p99:.2f} ms"),
@@ -249,7 +265,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     for note in simulation.notes:
         warn(note)
     rows = read_targets(targets, simulation.effector_names, simulation.actuators.kind_of,
-                        simulation.oriented_effectors)
+                        simulation.oriented_effectors, simulation.stiff_effectors)
     if far := far_target_warning(simulation, rows):
         warn(far)
     if picture is not None:
@@ -271,7 +287,8 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     failed = 0
     names, actuators = simulation.effector_names, simulation.actuators
-    with run_file(output, names, actuators, simulation.oriented_effectors) as write:
+    asks = simulation.oriented_effectors, simulation.stiff_effectors
+    with run_file(output, names, actuators, *asks) as write:
         with progress() as bar:
             task = bar.add_task(simulation.scene.name, total=len(rows.times), note="")
             for row in run(simulation, rows, settle):

@@ -146,6 +146,27 @@ def test_a_slack_cable_holds_nothing():
     assert (found > (1.0 + 1e-6) * held).any()
 
 
+@pytest.mark.parametrize("law", ["corotational", "neo_hookean"])
+def test_its_derivative_by_the_pressure_of_a_cavity_is_that_of_equilibria(inflatable, law):
+    """What is driven by its pressure keeps it: dC/dp at given pressures."""
+
+    def change(mapping):
+        mapping["body"]["material"]["law"] = law
+        mapping["effectors"] = [{"name": "top", "points": [[0.01, 0.01, 0.06]]}]
+        mapping["solver"] = {"newton_iterations": 60, "residual_tolerance": 1e-12}
+
+    simulation = inflatable(change)
+    stiffness = ApparentStiffness(simulation.model)
+    pressure, found = 5.0e3, {}
+    for p in (pressure - 10.0, pressure + 10.0, pressure):
+        settle(simulation, np.array([p]))
+        found[p] = stiffness.gradient(linearized(simulation), ALL_AXES)
+    expected = (found[pressure + 10.0].compliance - found[pressure - 10.0].compliance) / 20.0
+    here = found[pressure]
+    assert np.abs(here.by_multiplier[:, 0] - expected).max() < 1e-5 * np.abs(expected).max()
+    assert not stiffness._holds(simulation.state.efforts[:1]).any()
+
+
 REFUSED = {
     "dynamic": ({"integration": "dynamic"}, "quasi_static"),
     "contact": ({

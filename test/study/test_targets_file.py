@@ -156,3 +156,34 @@ def test_a_targets_file_without_quaternions_gives_no_orientation(tmp_path):
 def test_wrong_orientations_of_a_targets_file_are_refused(tmp_path, text, oriented, reason):
     with pytest.raises(TableFileError, match=reason):
         read_posed(tmp_path, text, oriented)
+
+
+def read_stiff(tmp_path, text, stiff=(True, False)):
+    path = tmp_path / "targets.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_targets(path, EFFECTORS, ACTUATORS, (), stiff)
+
+
+def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
+    table = read_stiff(tmp_path, "t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,300\n1,1,2,3,350\n")
+    np.testing.assert_array_equal(table.stiffness[:, 0], [[np.nan, np.nan, 300.0],
+                                                          [np.nan, np.nan, 350.0]])
+    assert np.isnan(table.stiffness[:, 1]).all() and table.orientations is None
+    np.testing.assert_array_equal(table.command(1).stiffness, table.stiffness[1])
+    plain = read_stiff(tmp_path, "t,tip.x,tip.y,tip.z\n0,1,2,3\n")
+    assert plain.stiffness is None and plain.command(0).stiffness is None
+
+
+@pytest.mark.parametrize(
+    ("text", "stiff", "reason"),
+    [
+        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
+        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,0\n", (True, False), "tip.kz.*0.*N/m.*positive"),
+        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,-5\n", (True, False), "tip.kz.*-5.*N/m.*positive"),
+        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,nan\n", (True, False), "tip.kz"),
+        ("t,tip.kz\n0,300\n", (True, False), "lacks this column"),
+    ],
+)
+def test_wrong_stiffnesses_of_a_targets_file_are_refused(tmp_path, text, stiff, reason):
+    with pytest.raises(TableFileError, match=reason):
+        read_stiff(tmp_path, text, stiff)
