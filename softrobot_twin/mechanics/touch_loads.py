@@ -124,6 +124,9 @@ class TouchLoads(ForceTerm):
             np.add.at(forces, self._free[moving], shares[moving])
         return 0
 
+    def add_force_curvature(self, positions, direction, reach, curvature) -> None:
+        """Adds nothing: the forces are linear in the positions."""
+
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces, and the stiffness of held points, which is positive, to the system matrix."""
         if not self.is_active:

@@ -23,7 +23,7 @@ serves all actuators: with dq = A⁻¹ (b + Hᵀλ) of a step (eq. 15), and y = 
 
     C(λ) = C(q, λ₀) + yᵀ (b + H_aᵀ λ) + Σ_i ∂C/∂λ_i (λ_i - λ₀_i).
 
-So a direction costs three solutions with the factor, one pass over the elements, and four
+So a direction costs two or three solutions with the factor, one pass over the elements, and four
 evaluations of the rows, whatever the number of actuators. Coevoet 2017, section 7.2.4, controls
 W_ee with the actuators' efforts given; here what holds its displacement resists too.
 """
@@ -105,6 +105,10 @@ class ApparentStiffness:
         blocks, values = np.empty((len(points.entry_rows), 3)), np.empty(points.row_count)
         points.evaluate(model.nodes.rest_positions, blocks, values)
         self._loads = points.entry_rows, points.entry_nodes, blocks
+        # Rows of axes that the scene controls, which are condensed already.
+        own = model.effectors
+        places = 3 * own.row_effector[: own.position_row_count] + own.row_axis
+        self._row_of = {place: row for row, place in enumerate(places.tolist())}
 
     def gradient(self, state: State, directions: np.ndarray) -> ComplianceGradient:
         """Compliance along some directions, and its derivatives.
@@ -124,7 +128,7 @@ class ApparentStiffness:
     def _along(self, state: State, direction: int) -> tuple:
         """One entry of each field of `ComplianceGradient`."""
         load = self._load(direction)
-        x, Lambda = self._response(state, load)
+        x, Lambda = self._response(state, direction, load)
         compliance = float(np.vdot(load, x))
         by_position, by_effort = self._derivatives(state, x, Lambda)
         y = state.solver.solve(by_position)
@@ -149,23 +153,26 @@ class ApparentStiffness:
         np.add.at(load, nodes[own], blocks[own])
         return load
 
-    def _response(self, state: State, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _response(
+        self, state: State, direction: int, load: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """x [m/N], shape (free_node_count, 3), and Λ, shape (actuator_row_count,)."""
-        x = state.solver.solve(load)
         linear = state.linear
         W, held = linear.W_aa, self._holds(state.efforts)
-        moved = self._row_motion(x)
+        row = self._row_of.get(direction)
+        if row is None:
+            moved = self._row_motion(state.solver.solve(load))
+        else:
+            moved = linear.W[linear.groups.actuators, linear.groups.effectors.start + row]
         # Held rows do not move; the efforts λ̂ - ρ δ of the others do not change.
         rho = np.zeros(len(moved)) if linear.augmentation is None else linear.augmentation.stiffness
         share = np.where(held, 1.0, -rho)
         M = share[:, None] * W
         M[np.diag_indices_from(M)] += np.where(held, SHARING * W.diagonal(), 1.0)
         change = np.linalg.solve(M, -share * moved)
-        if change.any():
-            forces = load.copy()
-            self._add_row_forces(self._model.rows.blocks, change, forces)
-            x = state.solver.solve(forces)
-        return x, np.where(held, change, 0.0)
+        forces = load.copy()
+        self._add_row_forces(self._model.rows.blocks, change, forces)
+        return state.solver.solve(forces), np.where(held, change, 0.0)
 
     def _holds(self, efforts: np.ndarray) -> np.ndarray:
         """Whether each actuator with a row holds its displacement."""

@@ -309,7 +309,8 @@ class Simulation(Readouts):
         held = self._direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
         state = rows = None
-        if asked.stiffness is not None:
+        is_held = self._touches is not None and self._touches.hold_points
+        if asked.stiffness is not None and not is_held:
             state = self._newton.linearized_state(positions, efforts)
             rows = self._stiffness.rows(state, asked.stiffness)
             clock.mark("stiffness")

@@ -146,6 +146,12 @@ class Touches:
             return CommandSetpoints(state.setpoints, command.time_step)
         return command
 
+    @property
+    def hold_points(self) -> bool:
+        """Whether a finger holds a point at its place now: there the robot shows no stiffness of its
+        own."""
+        return bool(self._term.is_held.any())
+
     def end(self, positions: np.ndarray) -> TouchState:
         """The touches where a step ended, at node positions [m]."""
         forces = np.where(self._term.axes, self._term.forces(positions), 0.0)

@@ -33,3 +33,8 @@ def run_every_path(simulation) -> None:
         here, turns = simulation.effector_positions(), simulation.effector_orientations()
         simulation.step(FollowTargets(here, TIME_STEP, None, turns))
         simulation.step(FollowTargets(here, TIME_STEP, None, turns), budget=0.0)
+        if simulation.model.weighs_stiffness:
+            # Any stiffness; that of the second step is found from the active limits of the first.
+            wanted = np.where(np.array(simulation.stiff_effectors)[:, None], np.ones(3), np.nan)
+            for _ in range(2):
+                simulation.step(FollowTargets(here, TIME_STEP, None, turns, wanted))

@@ -80,10 +80,10 @@ def test_the_loop_follows_a_stiffness_alone(loop):
     assert outcome.activity is not Activity.FOLLOWING
     loop.simulation.reset()
     loop.enable(0.0)
-    assert loop.stiffness.accept(0, (np.nan, np.nan, 450.0), arrival(now=0.02)) is None
+    assert loop.stiffness.accept(0, (np.nan, np.nan, 540.0), arrival(now=0.02)) is None
     outcomes = ticks(loop, 60, 1)
     assert outcomes[-1].activity is Activity.FOLLOWING
-    assert outcomes[-1].result.effector_stiffness[0, 2] == pytest.approx(450.0, rel=0.01)
+    assert outcomes[-1].result.effector_stiffness[0, 2] == pytest.approx(540.0, rel=0.01)
 
 
 def test_scenes_without_stiffness_are_asked_for_none(simulation):

@@ -9,7 +9,7 @@ import yaml
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status, Touched
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 
 FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "stifface.yaml"
@@ -92,7 +92,7 @@ def test_a_stiffness_out_of_reach_ends_at_the_nearest_and_is_told(pad):
         longer[cable] += 1e-4
         for _ in range(5):
             pad.step(CommandSetpoints(longer, 10.0))
-        assert stiffness_at_state(pad) < 1.01 * nearest
+        assert stiffness_at_state(pad) < 1.05 * nearest
 
 
 @pytest.mark.slow
@@ -155,6 +155,35 @@ def test_without_a_target_nothing_is_computed(pad):
     result = pad.follow(np.nan, steps=1)[0]
     assert "stiffness" not in result.report.stage_times and result.effector_stiffness is None
     assert "stiffness" in pad.follow(250.0, steps=1)[0].report.stage_times
+
+
+def test_warming_up_runs_what_a_message_may_ask_for(pad, monkeypatch):
+    asked, rows = [], pad._stiffness.rows
+    monkeypatch.setattr(
+        pad._stiffness, "rows", lambda *arguments: asked.append(arguments[1]) or rows(*arguments)
+    )
+    before = pad.state
+    pad.warm_up()
+    assert len(asked) >= 2 and np.isfinite(asked[0]).all()
+    assert pad.state is before
+
+
+def test_while_a_finger_holds_a_point_no_stiffness_is_looked_for():
+    def counteract(mapping):
+        mapping["touches"][0]["while_touched"] = "follow_targets"
+
+    pad = make(counteract, weight=1.0, target=[None, None, 250.0])
+    tip = pad.effector_positions()
+    follow = FollowTargets(tip + WHERE, 0.02)
+    assert pad.step(follow).effector_stiffness is not None
+    pressed = Touched(NOWHERE, pad.effector_positions() - [[0.0, 0.0, 1e-4]])
+    result = pad.step(follow, touched=pressed)
+    assert result.effector_stiffness is None and not result.status.is_failure
+    weight = Touched(np.array([[0.0, 0.0, -0.02]]), NOWHERE)
+    for _ in range(40):
+        result = pad.step(follow, touched=weight)
+    assert result.effector_stiffness[0, 2] == pytest.approx(250.0, rel=1e-3)
+    assert result.effector_errors[0] < 1e-5
 
 
 def test_other_commands_ask_for_no_stiffness(pad):
