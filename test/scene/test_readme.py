@@ -44,7 +44,8 @@ def test_the_robot_with_symmetry_in_the_readme_is_valid(shown):
 
 
 def test_the_orientation_in_the_readme_fits_the_robot(shown):
-    (part,) = (part for part in shown if list(part) == ["effectors"])
+    parts = (part for part in shown if list(part) == ["effectors"])
+    (part,) = (part for part in parts if "orientation" in part["effectors"][0])
     orientation = scene_from_mapping({**shown[0], **part}).effectors[0].orientation
     assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4
 
@@ -71,3 +72,9 @@ def test_the_motor_of_a_hinge_in_the_readme_fits_the_beams(shown):
     table["hinge_motors"] = read_yaml(motor)
     scene = scene_from_mapping(table)
     assert scene.hinge_motors[0].rate == 1.5 and scene.beams[0].joined[1].by == "hinge"
+
+
+def test_the_touch_in_the_readme_fits_the_robot(shown):
+    (part,) = (part for part in shown if list(part) == ["touches"])
+    touch = scene_from_mapping({**shown[0], **part}).touches[0]
+    assert len(touch.points) == 2 and touch.while_touched == "hold_actuators"

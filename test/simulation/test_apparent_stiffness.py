@@ -13,6 +13,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status, Touched
 from softrobot_twin.simulation.apparent_stiffness import ApparentStiffness
+from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.time_budget import StageClock
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
@@ -64,9 +65,15 @@ def settle(simulation, lengths):
     raise AssertionError(f"{result.status}, residual {result.report.residual} N")
 
 
-def linearized(simulation):
-    newton, state = simulation._newton, simulation.state
-    newton.linearize(state.positions, state.efforts, StageClock(time.perf_counter))
+def linearized(simulation, lengths=None):
+    """The state; where lengths are given, its tangent may be augmented by the rows of the cables."""
+    newton, state, held = simulation._newton, simulation.state, None
+    if lengths is not None:
+        limits = simulation.limits
+        held = HeldActuators(
+            simulation.actuators.drives(lengths), limits.effort_min, limits.effort_max
+        )
+    newton.linearize(state.positions, state.efforts, StageClock(time.perf_counter), held=held)
     return newton.linearized_state(state.positions, state.efforts)
 
 
@@ -117,6 +124,33 @@ def test_the_linearization_begins_at_the_state(pulled):
     found = stiffness.gradient(state, ALL_AXES)
     here = found.free + found.by_multiplier @ state.efforts
     np.testing.assert_allclose(here, found.compliance, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_its_derivatives_are_right_where_the_tangent_alone_is_indefinite():
+    simulation = shipped("diamond", lambda mapping: None)
+    stiffness = ApparentStiffness(simulation.model)
+    lengths = simulation.rest_setpoints - 1e-3 * np.array([16.3, 18.3, 12.1, 14.6])
+    settle(simulation, lengths)
+    state = linearized(simulation, lengths)
+    assert simulation._newton.is_augmented
+    gradient = stiffness.gradient(state, ALL_AXES)
+    here = gradient.free + gradient.by_multiplier @ simulation.state.efforts
+    np.testing.assert_allclose(here, gradient.compliance, rtol=1e-8)
+    # The multipliers of the augmented system change by the inverse of its own compliance.
+    found = gradient.by_multiplier @ np.linalg.inv(state.linear.W_aa)
+    expected, step = np.empty_like(found), 1.0e-5
+    for cable in range(4):
+        sides = []
+        for sign in (1.0, -1.0):
+            other = lengths.copy()
+            other[cable] -= sign * step
+            settle(simulation, other)
+            sides.append(
+                stiffness.gradient(linearized(simulation, other), ALL_AXES).compliance
+            )
+        expected[:, cable] = (sides[0] - sides[1]) / (2.0 * step)
+    assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_a_finger_that_presses_the_pad_meets_it():

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints
-from softrobot_twin.simulation.augmented_tangent import AugmentedTangent, HeldActuators
+from softrobot_twin.simulation.augmented_tangent import (
+    AugmentedLU,
+    AugmentedTangent,
+    HeldActuators,
+)
 from softrobot_twin.solvers.factorization import NodeRows
 
 
@@ -89,6 +93,36 @@ def test_efforts_come_back_from_the_solution(tangents):
     expected = solved - augmented.stiffness * (displacements - held.displacements)
     np.testing.assert_allclose(found, expected)
     assert found[0] == found[3] == 2.0 and found[1] < 2.0 < found[2]
+
+
+@pytest.mark.parametrize("kind", ["cables", "any actuators"])
+def test_the_solution_for_any_forces_is_that_of_the_condensed_system(beam, kind):
+    """Cables of several stretches, whose rows couple more unknowns than the elements do."""
+    simulation = beam()
+    wound = np.array([0.004, 0.001, 0.0, 0.003])
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 0.1))
+    model, newton, state = simulation.model, simulation._newton, simulation.state
+    rows, factorization = model.rows, model.factorization
+    if kind == "cables":
+        augmented = AugmentedTangent(rows.terms[0], factorization)
+    else:
+        augmented = AugmentedLU(factorization, np.zeros(4, bool))
+    newton._assemble(state.positions, rows.multipliers(state.efforts), False)
+    assert factorization.factor()
+    H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
+    b = newton._forces.copy()
+    augmented.measure(factorization.condense(H, b).W[:4, :4])
+    held = HeldActuators(np.zeros(4), np.zeros(4), np.full(4, 9.0))
+    assert augmented.choose(np.array([1.0, 1.0, 0.0, 1.0]), held)
+    newton._assemble(state.positions, rows.multipliers(state.efforts), False)
+    assert augmented.factor(state.positions)
+    augmented.condense(H, b)
+    expected = augmented.expand(np.zeros(rows.row_count)).copy()
+    found = augmented.solve(b)
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    augmented.condense(H, b)
+    plain = factorization.solve(b)
+    assert np.abs(plain - expected).max() > 1e-3 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize(
