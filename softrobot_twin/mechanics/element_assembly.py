@@ -44,6 +44,7 @@ from softrobot_twin.mechanics.element_inversion import count_inverted, find_fold
 from softrobot_twin.mechanics.point_law import (
     differential,
     energy_density,
+    law_at,
     law_projects,
     law_turns,
     linearize,
@@ -163,33 +164,34 @@ def seen_by_law(law, F, R, e):
 
 
 @njit(**UNCACHED)
-def weighted_stresses(law, weights, F, R, S):
-    """S = w P at one point; where the law turns, P is its answer P Rᵀ times R."""
+def weighted_stresses(law, k, q, weights, F, R, S):
+    """S = w P at point q of batch k; where the law turns, P is its answer P Rᵀ times R."""
     for e in range(BATCH):
-        answer = scaled_matrix(stress(law, seen_by_law(law, F, R, e)), weights[e])
+        answer = stress(law_at(law, k, q, e), seen_by_law(law, F, R, e))
+        answer = scaled_matrix(answer, weights[e])
         if law_turns(law):
             answer = product(answer, matrix_at(R, 0, e))
         put_matrix(S, 0, e, answer)
 
 
 @njit(**UNCACHED)
-def linearize_all(law, F, R, upright, projected, L):
-    """What the differential needs of the deformation at one point."""
+def linearize_all(law, k, q, F, R, upright, projected, L):
+    """What the differential needs of the deformation at point q of batch k."""
     for e in range(BATCH):
         V, is_upright = seen_by_law(law, F, R, e), upright[e] > 0.0
-        put_matrix(L, 0, e, linearize(law, V, is_upright, projected))
+        put_matrix(L, 0, e, linearize(law_at(law, k, q, e), V, is_upright, projected))
 
 
 @njit(**UNCACHED)
-def differentiate_node(law, b, weights, g, L, T):
-    """w ∂P : e_i g_bᵀ at one point for i = 0, 1, 2."""
+def differentiate_node(law, k, q, b, weights, g, L, T):
+    """w ∂P : e_i g_bᵀ at point q of batch k for i = 0, 1, 2."""
     gradients, zero = of_node(g, b), (0.0, 0.0, 0.0)
     for e in range(BATCH):
-        at_point = matrix_at(L, 0, e)
+        here, at_point = law_at(law, k, q, e), matrix_at(L, 0, e)
         row = scaled(vector_at(gradients, 0, e), weights[e])
-        put_matrix(T, 0, e, differential(law, at_point, (row, zero, zero)))
-        put_matrix(T, 1, e, differential(law, at_point, (zero, row, zero)))
-        put_matrix(T, 2, e, differential(law, at_point, (zero, zero, row)))
+        put_matrix(T, 0, e, differential(here, at_point, (row, zero, zero)))
+        put_matrix(T, 1, e, differential(here, at_point, (zero, row, zero)))
+        put_matrix(T, 2, e, differential(here, at_point, (zero, zero, row)))
 
 
 @njit(**UNCACHED)
@@ -225,10 +227,10 @@ def project(C):
 
 
 @njit(**UNCACHED)
-def project_all(law, L, C):
-    """The projected derivatives of all elements at one point."""
+def project_all(law, k, q, L, C):
+    """The projected derivatives of all elements at point q of batch k."""
     for e in range(BATCH):
-        fill_derivative(law, matrix_at(L, 0, e), C[e])
+        fill_derivative(law_at(law, k, q, e), matrix_at(L, 0, e), C[e])
         project(C[e])
 
 
@@ -278,7 +280,7 @@ def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
             for e in range(BATCH):
                 if weights[k, q, e] > 0.0:
                     V = seen_by_law(law, F, rotations[k, q], e)
-                    total += weights[k, q, e] * energy_density(law, V)
+                    total += weights[k, q, e] * energy_density(law_at(law, k, q, e), V)
     return total
 
 
@@ -325,7 +327,7 @@ def add_forces(
             find_state(law, F, rotations[k, q], uprights[k, q], change)
             take_lowest(uprights[k, q], lowest)
             take_least_volumes(F, uprights[k, q], least_volumes)
-            weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+            weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
             add_stress_to_nodes(S, gradients[k, q], P)
         subtract_forces(free[k], P, forces)
         if len(to_corners) > 0:
@@ -377,12 +379,12 @@ def add_stiffness(
                 deform(U, gradients[k, q], F)
                 find_state(law, F, rotations[k, q], uprights[k, q], change)
                 take_least_volumes(F, uprights[k, q], least_volumes)
-                weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+                weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
                 add_stress_to_nodes(S, gradients[k, q], P)
             see_gradients(law, gradients[k, q], rotations[k, q], g[q])
-            linearize_all(law, F, rotations[k, q], uprights[k, q], projected, L[q])
+            linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
             if by_matrix:
-                project_all(law, L[q], C[q])
+                project_all(law, k, q, L[q], C[q])
         if not are_known:
             subtract_forces(free[k], P, forces)
         pair = 0
@@ -391,7 +393,7 @@ def add_stiffness(
                 if by_matrix:
                     apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
                 else:
-                    differentiate_node(law, b, weights[k, q], g[q], L[q], T[q])
+                    differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
             for a in range(b, node_count):
                 for q in range(point_count):
                     contract(a, g[q], T[q], K, q == 0)
@@ -432,7 +434,16 @@ def assembly_of(parameters: type) -> Assembly:
     Args:
         parameters: The type of the law's parameters.
     """
-    return _KEPT if parameters.__module__.startswith(_PACKAGE) else _assembly(UNCACHED)
+    return _KEPT if is_of_package(parameters) else _assembly(UNCACHED)
+
+
+def is_of_package(parameters: type) -> bool:
+    """Whether a law is defined inside this package; see `assembly_of`.
+
+    Args:
+        parameters: The type of the law's parameters.
+    """
+    return parameters.__module__.startswith(_PACKAGE)
 
 
 def _assembly(options: dict) -> Assembly:

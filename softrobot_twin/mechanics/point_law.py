@@ -28,10 +28,13 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
+from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.material import lame_parameters
 
 # Without it the kernels would be called, not inlined, at twice the time.
 _INLINED = {"forceinline": True}
+GENERIC = {**INLINED, "cache": False}
+"""Options of a kernel that takes any law: it is kept on disk with the assembly it is inlined in."""
 
 
 class PointLaw(NamedTuple):
@@ -47,6 +50,8 @@ class PointLaw(NamedTuple):
         linearize: Kernel, or None.
         turns: Whether the kernels see the material from the frame that turns with it.
         is_linear: Whether the differential is the same in every state.
+        at_point: Kernel, or None for a law that is the same at every point.
+        is_law_of_scenes: Whether scenes may name it.
     """
 
     name: str
@@ -58,6 +63,8 @@ class PointLaw(NamedTuple):
     linearize: Callable | None
     turns: bool
     is_linear: bool
+    at_point: Callable | None = None
+    is_law_of_scenes: bool = True
 
 
 _LAWS: dict[type, PointLaw] = {}
@@ -73,6 +80,8 @@ def register_law(
     turns: bool = False,
     is_linear: bool = False,
     of_moduli: Callable[[float, float], tuple] | None = None,
+    at_point: Callable | None = None,
+    is_law_of_scenes: bool = True,
 ) -> None:
     """Register a law for elements and scenes.
 
@@ -87,6 +96,10 @@ def register_law(
         is_linear: Whether the differential is the same in every state: the stiffness is then
             summed only once.
         of_moduli: Makes the parameters from E [Pa] and ν; when None they are Lamé's constants.
+        at_point: The kernel that gives the law at a point, ``at_point(law, k, q, e)``, where the
+            parameters hold arrays of what points remember: it is of a type that is registered too.
+            Batches k are those of `element_batches.py`.
+        is_law_of_scenes: False for a law that only others are wrapped in.
 
     Raises:
         ValueError: Another law has this name, or these parameters.
@@ -101,13 +114,13 @@ def register_law(
 
     _LAWS[parameters] = PointLaw(
         name, parameters, of_moduli, energy_density, stress, differential, linearize,
-        turns, is_linear,
+        turns, is_linear, at_point, is_law_of_scenes,
     )  # fmt: skip
 
 
 def law_names() -> tuple[str, ...]:
-    """Names of all laws."""
-    return tuple(law.name for law in _LAWS.values())
+    """Names of all laws of scenes."""
+    return tuple(law.name for law in _LAWS.values() if law.is_law_of_scenes)
 
 
 def law_named(name: str) -> PointLaw:
@@ -117,7 +130,7 @@ def law_named(name: str) -> PointLaw:
         KeyError: There is none.
     """
     for law in _LAWS.values():
-        if law.name == name:
+        if law.name == name and law.is_law_of_scenes:
             return law
     raise KeyError(f"no law is named {name!r}; there are {', '.join(law_names())}")
 
@@ -135,6 +148,20 @@ def _law_of_type(parameters: type) -> PointLaw:
     if parameters not in _LAWS:
         raise KeyError(f"{parameters.__name__} are the parameters of no registered law")
     return _LAWS[parameters]
+
+
+def can_remember(parameters: type) -> bool:
+    """Whether a law can be viscous or soften: its energy is of shape and volume apart.
+
+    Args:
+        parameters: The type of its parameters.
+    """
+    return "bulk_modulus" in getattr(parameters, "_fields", ())
+
+
+def law_at(law, k, q, e):
+    """The law at point q of element e of batch k, inside kernels: see `register_law`."""
+    raise NotImplementedError("only inside compiled kernels")
 
 
 def energy_density(law, F):
@@ -165,6 +192,14 @@ def law_turns(law):
 def law_projects(law):
     """Whether the law projects its differential itself, inside kernels."""
     raise NotImplementedError("only inside compiled kernels")
+
+
+@overload(law_at, jit_options=_INLINED)
+def _law_at(law, k, q, e):
+    kernel = _law_of_type(law.instance_class).at_point
+    if kernel is None:
+        return lambda law, k, q, e: law
+    return lambda law, k, q, e: kernel(law, k, q, e)
 
 
 @overload(energy_density, jit_options=_INLINED)

@@ -8,8 +8,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from softrobot_twin.mechanics.element_kinds import element_named, element_names
-from softrobot_twin.mechanics.laws import law_names
-from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, registered, unit
+from softrobot_twin.mechanics.laws import law_named, law_names
+from softrobot_twin.mechanics.point_law import can_remember
+from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, refusal, registered, unit
 
 # --- deformable bodies ---------------------------------------------------------------------------
 
@@ -29,6 +30,27 @@ class Mesh(Entry):
     mesh into several parts; 0 merges none."""
 
 
+class ViscosityTerm(Entry):
+    """A term of a Prony series: a share of the stiffness that relaxes."""
+
+    share: Annotated[float, unit("", gt=0.0, lt=1.0)]
+    """g: share of the modulus at once; it is not part of young_modulus, the modulus after a long
+    time."""
+    time: Annotated[float, unit("s", gt=0.0)]
+    """τ: in this time its stress falls to 1/e."""
+
+
+class Softening(Entry):
+    """Softening by the first stretch, the Mullins effect (Ogden and Roxburgh 1999)."""
+
+    r: Annotated[float, unit("", gt=1.0)]
+    """The stress falls by 1/r of itself at most."""
+    m: Annotated[float, unit("J/m³", gt=0.0)]
+    """Energy density; a small one softens after small stretches."""
+    beta: Annotated[float, unit("", ge=0.0)] = 0.0
+    """β: greater ones soften less after great stretches."""
+
+
 class Material(Entry):
     """The material law of a body."""
 
@@ -39,6 +61,9 @@ class Material(Entry):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """The mass of the whole body, in place of a density."""
+    viscosity: tuple[ViscosityTerm, ...] = ()
+    """Prony series of a hyperelastic law: creep, relaxation, hysteresis."""
+    softening: Softening | None = None
 
     @model_validator(mode="after")
     def _one_mass(self):
@@ -81,6 +106,9 @@ class RegionMaterial(Entry):
     poisson_ratio: Annotated[float | None, unit("", gt=-1.0, lt=0.5)] = None
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Law, Poisson's ratio and density are by default those of the body's material."""
+    viscosity: tuple[ViscosityTerm, ...] | None = None
+    """By default, as the softening, that of the body's material; [] for none."""
+    softening: Softening | None = None
 
     @model_validator(mode="after")
     def _one_place(self):
@@ -220,6 +248,38 @@ class Body(Entry):
                 "a body with materials needs material.density: a total_mass does not say how the "
                 "mass is distributed"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _remembers(self):
+        """Refuse viscosity and softening where they are not built."""
+        base = self.material
+        for key, entry in (("material", base), *(
+            (f"materials[{index}]", entry) for index, entry in enumerate(self.materials))
+        ):  # fmt: skip
+            law = base.law if entry.law is None else entry.law
+            viscosity = base.viscosity if entry.viscosity is None else entry.viscosity
+            softening = base.softening if entry.softening is None else entry.softening
+            shares = [term.share for term in viscosity]
+            if shares and not sum(shares) < 1.0:
+                raise refusal(
+                    f"{key}.viscosity", f"shares {shares}",
+                    f"sum to {sum(shares):g}: they are shares of the modulus at once, and must "
+                    "leave some of it: less than 1",
+                )  # fmt: skip
+            for name, asked in (("viscosity", shares), ("softening", softening)):
+                if not asked:
+                    continue
+                if not can_remember(law_named(law).parameters):
+                    names = [name for name in law_names()
+                             if can_remember(law_named(name).parameters)]  # fmt: skip
+                    raise refusal(
+                        f"{key}.{name}", law,
+                        f"is not a law that {name} is built for: {', '.join(names)}",
+                    )
+                if self.vertebrae is not None:
+                    raise refusal(f"{key}.{name}", self.name,
+                                  "is not built for bodies that are reduced to vertebrae")  # fmt: skip
         return self
 
     @property

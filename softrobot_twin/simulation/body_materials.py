@@ -13,9 +13,11 @@ from softrobot_twin.geometry.mesh_parts import MeshParts
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import LameParameters, lame_parameters
+from softrobot_twin.mechanics.softening import SofteningConstants
+from softrobot_twin.mechanics.viscosity import ViscousTerm
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
-from softrobot_twin.scene.body_entries import RegionMaterial
+from softrobot_twin.scene.body_entries import RegionMaterial, Softening, ViscosityTerm
 
 # A cell with corners on both sides of a face of a box, farther from it than this share of the
 # body's size, is reported: it belongs to the side of its centre.
@@ -34,6 +36,8 @@ class MaterialPart:
         density: [kg/m³].
         cells: Its cells, int64, shape (cell_count,); None for a body of one material.
         volume: Their volume [m³].
+        viscosity: Its Prony series; empty for none.
+        softening: Its softening; None for none.
     """
 
     key: str
@@ -43,6 +47,8 @@ class MaterialPart:
     density: float
     cells: np.ndarray | None
     volume: float
+    viscosity: tuple[ViscousTerm, ...] = ()
+    softening: SofteningConstants | None = None
 
     @property
     def turns(self) -> bool:
@@ -80,11 +86,12 @@ def material_parts(
         SceneError: A region is not known, a box is empty, or two entries claim a cell.
     """
     base = entry.material
+    memory = _memory(base.viscosity, base.softening)
     if not entry.materials:
         volume = float(mesh.volume)
         density = base.total_mass / volume if base.density is None else base.density
         return (MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                             density, None, volume),)  # fmt: skip
+                             density, None, volume, *memory),)  # fmt: skip
     owner = np.full(mesh.cell_count, -1)
     made = []
     for index, other in enumerate(entry.materials):
@@ -96,13 +103,14 @@ def material_parts(
             place, _or(other.law, base.law), other.young_modulus,
             _or(other.poisson_ratio, base.poisson_ratio), _or(other.density, base.density), cells,
             float(mesh.volumes[cells].sum()),
+            *_memory(_or(other.viscosity, base.viscosity), _or(other.softening, base.softening)),
         ))  # fmt: skip
     rest = np.flatnonzero(owner < 0)
     if not len(rest):
         notes.append(f"{key}.material is not used: {key}.materials claims every cell")
         return tuple(made)
     own = MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                       base.density, rest, float(mesh.volumes[rest].sum()))  # fmt: skip
+                       base.density, rest, float(mesh.volumes[rest].sum()), *memory)  # fmt: skip
     return (own, *made)
 
 
@@ -125,6 +133,16 @@ def cell_values(parts: tuple[MaterialPart, ...], name: str, cell_count: int):
     for part in parts:
         values[part.cells] = getattr(part, name)
     return values
+
+
+def _memory(
+    viscosity: tuple[ViscosityTerm, ...], softening: Softening | None
+) -> tuple[tuple[ViscousTerm, ...], SofteningConstants | None]:
+    """What entries of viscosity and softening say, for `RememberingElements`."""
+    terms = tuple(ViscousTerm(term.share, term.time) for term in viscosity)
+    if softening is None:
+        return terms, None
+    return terms, SofteningConstants(softening.r, softening.m, softening.beta)
 
 
 def _or(value, otherwise):

@@ -30,6 +30,7 @@ from softrobot_twin.mechanics.inertia import (
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.liquid_filling import LiquidFilling
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
@@ -151,7 +152,13 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
     """A term for each material of a body and each kind of its cells."""
     for part in body.materials:
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
-            yield Elements(block.mesh, layout.nodes.free_index, part.law_parameters)
+            if part.viscosity or part.softening:
+                yield RememberingElements(
+                    block.mesh, layout.nodes.free_index, part.law_parameters, part.viscosity,
+                    part.softening,
+                )  # fmt: skip
+            else:
+                yield Elements(block.mesh, layout.nodes.free_index, part.law_parameters)
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:

@@ -11,6 +11,7 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.actuators import Actuators
@@ -77,6 +78,12 @@ class Model:
     def cable_friction(self) -> FrictionCables | None:
         """Constraint term of the cables where some have friction along their paths; else None."""
         return next((term for term in self.rows.terms if isinstance(term, FrictionCables)), None)
+
+    @property
+    def remembering(self) -> tuple[RememberingElements, ...]:
+        """Force terms of the materials that remember; empty without any."""
+        terms = (term.on_points for term in self.forces)
+        return tuple(term for term in terms if isinstance(term, RememberingElements))
 
     @property
     def is_dynamic(self) -> bool:

@@ -48,6 +48,8 @@ class State:
             belong to another motion.
         slips: Share of the friction that acts at each point of each cable, -1 to 1; see
             `cable_friction`, shape (segment_count,), or empty without friction along cables.
+        history: What the points of viscous and softening materials remember, term after term; see
+            `remembering_elements`, shape (value_count,), or empty without such materials.
     """
 
     positions: np.ndarray
@@ -58,10 +60,11 @@ class State:
     velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     past: PastMotion | None = None
     slips: np.ndarray = field(default_factory=lambda: np.empty(0))
+    history: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self):
         arrays = (self.positions, self.setpoints, self.efforts, self.velocities, self.slips)
-        for array in arrays:
+        for array in (*arrays, self.history):
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:
