@@ -58,3 +58,49 @@ def bulk_modulus(young_modulus: float, poisson_ratio: float) -> float:
         poisson_ratio: ν, below 0.5.
     """
     return young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio))
+
+
+class Moduli(NamedTuple):
+    """Small-strain moduli of an isotropic material.
+
+    Attributes:
+        young_modulus: E [Pa].
+        poisson_ratio: ν.
+    """
+
+    young_modulus: float
+    poisson_ratio: float
+
+
+def moduli_of_shear_and_bulk(shear_modulus: float, bulk_modulus: float) -> Moduli:
+    """E and ν of µ and κ.
+
+    Args:
+        shear_modulus: µ [Pa], positive.
+        bulk_modulus: κ [Pa], positive.
+    """
+    whole = 3.0 * bulk_modulus + shear_modulus
+    return Moduli(
+        9.0 * bulk_modulus * shear_modulus / whole,
+        0.5 * (3.0 * bulk_modulus - 2.0 * shear_modulus) / whole,
+    )
+
+
+def bulk_modulus_of_shear(shear_modulus: float, poisson_ratio: float) -> float:
+    """κ of µ and ν [Pa].
+
+    Args:
+        shear_modulus: µ [Pa].
+        poisson_ratio: ν, below 0.5.
+    """
+    return 2.0 * shear_modulus * (1.0 + poisson_ratio) / (3.0 * (1.0 - 2.0 * poisson_ratio))
+
+
+def poisson_ratio_of_bulk(young_modulus: float, bulk_modulus: float) -> float:
+    """ν of E and κ.
+
+    Args:
+        young_modulus: E [Pa].
+        bulk_modulus: κ [Pa].
+    """
+    return 0.5 - young_modulus / (6.0 * bulk_modulus)

@@ -133,16 +133,26 @@ def softened_stress(law, F):
 
 
 @njit(**GENERIC)
-def softened_differential(law, F, dF):
-    """dP [Pa]."""
+def softened_linearize(law, F, upright, projected):
+    """F, P of the shape, two factors, and what the differential of the law needs."""
     energy, constants = energy_density(law.shape, F), law.constants
     x, span = lag(constants, law.greatest, energy)
     share = 1.0 - math.erf(x) / constants.r
     # On the curve of new material nothing softens; at its very end the slope is that of loading.
     slope = 2.0 * math.exp(-x * x) / (_ROOT_PI * constants.r * span) if x > 0.0 else 0.0
-    P, C = stress(law.shape, F), cofactor(F)
-    dP = scaled_matrix(differential(law.shape, linearize(law.shape, F, True, False), dF), share)
+    rows = (*F, *stress(law.shape, F), (share, slope, 0.0))
+    return rows + linearize(law.shape, F, upright, False)
+
+
+@njit(**GENERIC)
+def softened_differential(law, linearized, dF):
+    """dP [Pa]."""
+    F = (linearized[0], linearized[1], linearized[2])
+    P = (linearized[3], linearized[4], linearized[5])
+    share, slope, _ = linearized[6]
+    dP = scaled_matrix(differential(law.shape, linearized[7:], dF), share)
     dP = add_scaled_matrix(dP, P, slope * inner(P, dF))
+    C = cofactor(F)
     _, U_slope, U_curvature = volumetric(determinant(F))
     dP = add_scaled_matrix(dP, C, law.bulk_modulus * U_curvature * inner(C, dF))
     return add_scaled_matrix(dP, cofactor_change(F, dF), law.bulk_modulus * U_slope)
@@ -151,7 +161,7 @@ def softened_differential(law, F, dF):
 for _parameters, _at_point in ((SoftenedLaw, softened_at), (SoftenedPoint, None)):
     register_law(
         f"softened ({_parameters.__name__})", _parameters, softened_energy, softened_stress,
-        softened_differential, at_point=_at_point, is_law_of_scenes=False,
+        softened_differential, softened_linearize, at_point=_at_point, is_law_of_scenes=False,
     )
 
 

@@ -116,9 +116,15 @@ def viscous_stress(law, F):
 
 
 @njit(**GENERIC)
-def viscous_differential(law, F, dF):
+def viscous_linearize(law, F, upright, projected):
+    """What the differential of the law needs."""
+    return linearize(law.base, F, upright, False)
+
+
+@njit(**GENERIC)
+def viscous_differential(law, linearized, dF):
     """dP [Pa]."""
-    dP = differential(law.base, linearize(law.base, F, True, False), dF)
+    dP = differential(law.base, linearized, dF)
     return add_scaled_matrix(product(dF, law.memory), dP, law.scale)
 
 
@@ -172,5 +178,5 @@ def step_factors(series: tuple[ViscousTerm, ...], time_step: float) -> StepFacto
 for _parameters, _at_point in ((ViscousLaw, viscous_at), (ViscousPoint, None)):
     register_law(
         f"viscous ({_parameters.__name__})", _parameters, viscous_energy, viscous_stress,
-        viscous_differential, at_point=_at_point, is_law_of_scenes=False,
+        viscous_differential, viscous_linearize, at_point=_at_point, is_law_of_scenes=False,
     )

@@ -11,7 +11,6 @@ from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.mesh_parts import MeshParts
 from softrobot_twin.geometry.regions import nodes_in_box
-from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import LameParameters, lame_parameters
 from softrobot_twin.mechanics.softening import SofteningConstants
 from softrobot_twin.mechanics.viscosity import ViscousTerm
@@ -31,8 +30,9 @@ class MaterialPart:
     Attributes:
         key: Key of its entry, such as ``body.material`` or ``body.materials[0]``.
         law: Name of its law.
-        young_modulus: [Pa].
-        poisson_ratio: [1].
+        law_parameters: Parameters of its law.
+        young_modulus: At rest [Pa].
+        poisson_ratio: At rest.
         density: [kg/m³].
         cells: Its cells, int64, shape (cell_count,); None for a body of one material.
         volume: Their volume [m³].
@@ -42,6 +42,7 @@ class MaterialPart:
 
     key: str
     law: str
+    law_parameters: tuple
     young_modulus: float
     poisson_ratio: float
     density: float
@@ -56,13 +57,8 @@ class MaterialPart:
         return self.law != "linear"
 
     @property
-    def law_parameters(self) -> tuple:
-        """Parameters of its law."""
-        return law_named(self.law).of_moduli(self.young_modulus, self.poisson_ratio)
-
-    @property
     def lame_parameters(self) -> LameParameters:
-        """Lamé's constants [Pa]."""
+        """Lamé's constants at rest [Pa]."""
         return lame_parameters(self.young_modulus, self.poisson_ratio)
 
 
@@ -90,8 +86,8 @@ def material_parts(
     if not entry.materials:
         volume = float(mesh.volume)
         density = base.total_mass / volume if base.density is None else base.density
-        return (MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                             density, None, volume, *memory),)  # fmt: skip
+        return (MaterialPart(f"{key}.material", base.law, *base.at_rest, density, None, volume,
+                             *memory),)  # fmt: skip
     owner = np.full(mesh.cell_count, -1)
     made = []
     for index, other in enumerate(entry.materials):
@@ -100,17 +96,16 @@ def material_parts(
         _refuse_claimed_twice(cells, owner, index, other, key, scene)
         owner[cells] = index
         made.append(MaterialPart(
-            place, _or(other.law, base.law), other.young_modulus,
-            _or(other.poisson_ratio, base.poisson_ratio), _or(other.density, base.density), cells,
-            float(mesh.volumes[cells].sum()),
+            place, _or(other.law, base.law), *entry.part_at_rest(index),
+            _or(other.density, base.density), cells, float(mesh.volumes[cells].sum()),
             *_memory(_or(other.viscosity, base.viscosity), _or(other.softening, base.softening)),
         ))  # fmt: skip
     rest = np.flatnonzero(owner < 0)
     if not len(rest):
         notes.append(f"{key}.material is not used: {key}.materials claims every cell")
         return tuple(made)
-    own = MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                       base.density, rest, float(mesh.volumes[rest].sum()), *memory)  # fmt: skip
+    own = MaterialPart(f"{key}.material", base.law, *base.at_rest, base.density, rest,
+                       float(mesh.volumes[rest].sum()), *memory)  # fmt: skip
     return (own, *made)
 
 
