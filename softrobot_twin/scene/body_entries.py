@@ -28,6 +28,7 @@ from softrobot_twin.scene.entry import (
     registered,
     unit,
 )
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO, UNFITTED
 
 # --- deformable bodies ---------------------------------------------------------------------------
 
@@ -82,6 +83,40 @@ class AtRest(NamedTuple):
     poisson_ratio: float
 
 
+def with_preset(entry: Mapping) -> Mapping:
+    """An entry with what its preset gives.
+
+    Args:
+        entry: An entry of a material as it is written.
+
+    Raises:
+        PydanticCustomError: The preset is not known, is refused, or something beside it says
+            otherwise.
+    """
+    name = entry.get("preset")
+    if name is None:
+        return entry
+    if name in UNFITTED:
+        raise refusal("preset", name, f"is refused: {UNFITTED[name]}; give law and constants")
+    if not isinstance(name, str) or name not in MATERIAL_PRESETS:
+        known = ", ".join(MATERIAL_PRESETS)
+        raise refusal("preset", name, f"is none of the presets: {known}")
+    preset = MATERIAL_PRESETS[name]
+    own = {"law": preset.law, "constants": preset.constants, "young_modulus": None}
+    for key, value in own.items():
+        given = entry.get(key)
+        if given is not None and given != value:
+            raise refusal(key, given, f"is what the preset {name} gives: leave out one of them")
+    filled = {**entry, "law": preset.law, "constants": dict(preset.constants)}
+    if entry.get("poisson_ratio") is None and entry.get("bulk_modulus") is None:
+        filled["poisson_ratio"] = POISSON_RATIO
+    if entry.get("density") is None and entry.get("total_mass") is None:
+        filled["density"] = preset.density
+    if entry.get("strain_range") is None:
+        filled["strain_range"] = preset.strain_range
+    return filled
+
+
 def _numbers_by_name(given: Any) -> Any:
     """Constants as floats and tuples of floats; which of them a law takes is checked later."""
     if given is None:
@@ -108,6 +143,9 @@ def _constant(name: str, value: Any) -> float | tuple[float, ...]:
 class ElasticEntry(Entry):
     """The constants of a law, which a body's material and those of its parts share."""
 
+    preset: str | None = None
+    """Name of a material in `material_presets`: it gives law, constants, Poisson's ratio, density
+    and strain range; Poisson's ratio, density and strain range may be given beside it."""
     law: Annotated[str | None, registered("law", law_names)] = None
     """Name of a registered law: one of `mechanics/laws`, or one from outside the package."""
     young_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
@@ -117,6 +155,22 @@ class ElasticEntry(Entry):
     """κ at rest, in place of Poisson's ratio."""
     constants: Annotated[Any, BeforeValidator(_numbers_by_name)] = None
     """Constants of laws that have their own, in place of Young's modulus."""
+    strain_range: Annotated[tuple[float, float] | None, unit("")] = None
+    """Least and greatest principal strain that the law is trusted in; others are reported."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, entry: Any) -> Any:
+        return with_preset(entry) if isinstance(entry, Mapping) else entry
+
+    @model_validator(mode="after")
+    def _strains_in_order(self):
+        if self.strain_range is not None and not -1.0 < self.strain_range[0] < 0.0 < self.strain_range[1]:
+            raise refusal(
+                "strain_range", list(self.strain_range),
+                "must be two strains: the least between -1 and 0, the greatest above 0",
+            )  # fmt: skip
+        return self
 
     @model_validator(mode="after")
     def _one_volume_constant(self):

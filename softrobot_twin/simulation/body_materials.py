@@ -16,7 +16,7 @@ from softrobot_twin.mechanics.softening import SofteningConstants
 from softrobot_twin.mechanics.viscosity import ViscousTerm
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
-from softrobot_twin.scene.body_entries import RegionMaterial, Softening, ViscosityTerm
+from softrobot_twin.scene.body_entries import Material, RegionMaterial, Softening, ViscosityTerm
 
 # A cell with corners on both sides of a face of a box, farther from it than this share of the
 # body's size, is reported: it belongs to the side of its centre.
@@ -38,6 +38,7 @@ class MaterialPart:
         volume: Their volume [m³].
         viscosity: Its Prony series; empty for none.
         softening: Its softening; None for none.
+        strain_range: Least and greatest principal strain that the law is trusted in; None for any.
     """
 
     key: str
@@ -50,6 +51,7 @@ class MaterialPart:
     volume: float
     viscosity: tuple[ViscousTerm, ...] = ()
     softening: SofteningConstants | None = None
+    strain_range: tuple[float, float] | None = None
 
     @property
     def turns(self) -> bool:
@@ -82,7 +84,7 @@ def material_parts(
         SceneError: A region is not known, a box is empty, or two entries claim a cell.
     """
     base = entry.material
-    memory = _memory(base.viscosity, base.softening)
+    memory = (*_memory(base.viscosity, base.softening), base.strain_range)
     if not entry.materials:
         volume = float(mesh.volume)
         density = base.total_mass / volume if base.density is None else base.density
@@ -99,6 +101,7 @@ def material_parts(
             place, _or(other.law, base.law), *entry.part_at_rest(index),
             _or(other.density, base.density), cells, float(mesh.volumes[cells].sum()),
             *_memory(_or(other.viscosity, base.viscosity), _or(other.softening, base.softening)),
+            _strain_range(other, base),
         ))  # fmt: skip
     rest = np.flatnonzero(owner < 0)
     if not len(rest):
@@ -138,6 +141,12 @@ def _memory(
     if softening is None:
         return terms, None
     return terms, SofteningConstants(softening.r, softening.m, softening.beta)
+
+
+def _strain_range(part: RegionMaterial, base: Material) -> tuple[float, float] | None:
+    """Range of a part: its own, or that of the body where it has the body's law and constants."""
+    is_other = part.law not in (None, base.law) or part.constants not in (None, base.constants)
+    return part.strain_range if part.strain_range or is_other else base.strain_range
 
 
 def _or(value, otherwise):

@@ -35,6 +35,7 @@ from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.beam_bodies import all_elements
 from softrobot_twin.simulation.cavity_walls import cavity_surface
@@ -152,13 +153,14 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
     """A term for each material of a body and each kind of its cells."""
     for part in body.materials:
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
-            if part.viscosity or part.softening:
-                yield RememberingElements(
-                    block.mesh, layout.nodes.free_index, part.law_parameters, part.viscosity,
-                    part.softening,
-                )  # fmt: skip
+            law, memory = part.law_parameters, (part.viscosity, part.softening)
+            if any(memory):
+                term = RememberingElements(block.mesh, layout.nodes.free_index, law, *memory)
             else:
-                yield Elements(block.mesh, layout.nodes.free_index, part.law_parameters)
+                term = Elements(block.mesh, layout.nodes.free_index, law)
+            if part.strain_range is not None:
+                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+            yield term
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
