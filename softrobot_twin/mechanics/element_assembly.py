@@ -55,6 +55,7 @@ from softrobot_twin.mechanics.element_inversion import count_inverted, find_fold
 from softrobot_twin.mechanics.point_law import (
     differential,
     energy_density,
+    law_at,
     law_is_isotropic,
     law_projects,
     law_turns,
@@ -185,64 +186,65 @@ def seen_by_law(law, F, R, e):
 
 
 @njit(**UNCACHED)
-def weighted_stresses(law, weights, F, R, S):
-    """S = w P at one point; where the law turns, P is its answer P Rᵀ times R."""
+def weighted_stresses(law, k, q, weights, F, R, S):
+    """S = w P at point q of batch k; where the law turns, P is its answer P Rᵀ times R."""
     for e in range(BATCH):
-        answer = scaled_matrix(stress(law, seen_by_law(law, F, R, e)), weights[e])
+        answer = stress(law_at(law, k, q, e), seen_by_law(law, F, R, e))
+        answer = scaled_matrix(answer, weights[e])
         if law_turns(law):
             answer = product(answer, matrix_at(R, 0, e))
         put_matrix(S, 0, e, answer)
 
 
 @njit(**UNCACHED)
-def linearize_all(law, F, R, upright, projected, L):
-    """What the differential needs of the deformation at one point."""
+def linearize_all(law, k, q, F, R, upright, projected, L):
+    """What the differential needs of the deformation at point q of batch k."""
     for e in range(BATCH):
         V, is_upright = seen_by_law(law, F, R, e), upright[e] > 0.0
-        put_rows(L, 0, linearize(law, V, is_upright, projected), e)
+        put_rows(L, 0, linearize(law_at(law, k, q, e), V, is_upright, projected), e)
 
 
 @njit(**UNCACHED, forceinline=True)
 def linearized_rows(law):
     """As many rows as `linearize` returns."""
-    return linearize(law, IDENTITY, True, False)
+    return linearize(law_at(law, 0, 0, 0), IDENTITY, True, False)
 
 
 @njit(**UNCACHED)
-def differentiate_node(law, b, weights, g, L, T):
-    """w ∂P : e_i g_bᵀ at one point for i = 0, 1, 2."""
+def differentiate_node(law, k, q, b, weights, g, L, T):
+    """w ∂P : e_i g_bᵀ at point q of batch k for i = 0, 1, 2."""
     gradients, zero, like = of_node(g, b), (0.0, 0.0, 0.0), linearized_rows(law)
     for e in range(BATCH):
-        at_point = rows_at(L, 0, like, e)
+        here, at_point = law_at(law, k, q, e), rows_at(L, 0, like, e)
         row = scaled(vector_at(gradients, 0, e), weights[e])
-        put_matrix(T, 0, e, differential(law, at_point, (row, zero, zero)))
-        put_matrix(T, 1, e, differential(law, at_point, (zero, row, zero)))
-        put_matrix(T, 2, e, differential(law, at_point, (zero, zero, row)))
+        put_matrix(T, 0, e, differential(here, at_point, (row, zero, zero)))
+        put_matrix(T, 1, e, differential(here, at_point, (zero, row, zero)))
+        put_matrix(T, 2, e, differential(here, at_point, (zero, zero, row)))
 
 
 @njit(**UNCACHED, forceinline=True)
-def fill_column(law, L, j, dF, C):
-    """Column j of C for all elements at one point."""
+def fill_column(law, k, q, L, j, dF, C):
+    """Column j of C for all elements at point q of batch k."""
     like = linearized_rows(law)
     for e in range(BATCH):
-        dP = differential(law, rows_at(L, 0, like, e), dF)
+        dP = differential(law_at(law, k, q, e), rows_at(L, 0, like, e), dF)
         C[at(j, e)], C[at(9 + j, e)], C[at(18 + j, e)] = dP[0]
         C[at(27 + j, e)], C[at(36 + j, e)], C[at(45 + j, e)] = dP[1]
         C[at(54 + j, e)], C[at(63 + j, e)], C[at(72 + j, e)] = dP[2]
 
 
 @njit(**UNCACHED)
-def fill_derivatives(law, L, C):
-    """C = ∂P/∂F of all elements at one point: entry 9 i + j is ∂P_i/∂F_j, both row by row."""
-    fill_column(law, L, 0, UNIT_CHANGES[0], C)
-    fill_column(law, L, 1, UNIT_CHANGES[1], C)
-    fill_column(law, L, 2, UNIT_CHANGES[2], C)
-    fill_column(law, L, 3, UNIT_CHANGES[3], C)
-    fill_column(law, L, 4, UNIT_CHANGES[4], C)
-    fill_column(law, L, 5, UNIT_CHANGES[5], C)
-    fill_column(law, L, 6, UNIT_CHANGES[6], C)
-    fill_column(law, L, 7, UNIT_CHANGES[7], C)
-    fill_column(law, L, 8, UNIT_CHANGES[8], C)
+def fill_derivatives(law, k, q, L, C):
+    """C = ∂P/∂F of all elements at point q of batch k: entry 9 i + j is ∂P_i/∂F_j, both row by row."""
+    fill_column(law, k, q, L, 0, UNIT_CHANGES[0], C)
+    fill_column(law, k, q, L, 1, UNIT_CHANGES[1], C)
+    fill_column(law, k, q, L, 2, UNIT_CHANGES[2], C)
+    fill_column(law, k, q, L, 3, UNIT_CHANGES[3], C)
+    fill_column(law, k, q, L, 4, UNIT_CHANGES[4], C)
+    fill_column(law, k, q, L, 5, UNIT_CHANGES[5], C)
+    fill_column(law, k, q, L, 6, UNIT_CHANGES[6], C)
+    fill_column(law, k, q, L, 7, UNIT_CHANGES[7], C)
+    fill_column(law, k, q, L, 8, UNIT_CHANGES[8], C)
 
 
 @njit(**KERNEL)
@@ -334,8 +336,8 @@ def in_axes(U, V, dP):
 
 
 @njit(**UNCACHED)
-def project_all(law, weights, negative, F, R, L, C):
-    """Projects the derivatives of the elements that are marked as negative, at one point.
+def project_all(law, k, q, weights, negative, F, R, L, C):
+    """Projects the derivatives of the elements that are marked as negative, at point q of batch k.
 
     Returns:
         Whether there is one.
@@ -346,7 +348,7 @@ def project_all(law, weights, negative, F, R, L, C):
             is_any = True
             if law_is_isotropic(law):
                 V, at_point = seen_by_law(law, F, R, e), rows_at(L, 0, linearized_rows(law), e)
-                project_isotropic(law, V, at_point, C, e)
+                project_isotropic(law_at(law, k, q, e), V, at_point, C, e)
             else:
                 project_one(C, e)
     return is_any
@@ -398,7 +400,7 @@ def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
             for e in range(BATCH):
                 if weights[k, q, e] > 0.0:
                     V = seen_by_law(law, F, rotations[k, q], e)
-                    total += weights[k, q, e] * energy_density(law, V)
+                    total += weights[k, q, e] * energy_density(law_at(law, k, q, e), V)
     return total
 
 
@@ -445,7 +447,7 @@ def add_forces(
             find_state(law, F, rotations[k, q], uprights[k, q], change)
             take_lowest(uprights[k, q], lowest)
             take_least_volumes(F, uprights[k, q], least_volumes)
-            weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+            weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
             add_stress_to_nodes(S, gradients[k, q], P)
         subtract_forces(free[k], P, forces)
         if len(to_corners) > 0:
@@ -500,14 +502,16 @@ def add_stiffness(
                 deform(U, gradients[k, q], F)
                 find_state(law, F, rotations[k, q], uprights[k, q], change)
                 take_least_volumes(F, uprights[k, q], least_volumes)
-                weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+                weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
                 add_stress_to_nodes(S, gradients[k, q], P)
             see_gradients(law, gradients[k, q], rotations[k, q], g[q])
-            linearize_all(law, F, rotations[k, q], uprights[k, q], projected, L[q])
+            linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
             if is_tested:
-                fill_derivatives(law, L[q], C[q])
+                fill_derivatives(law, k, q, L[q], C[q])
                 find_negative(C[q], factor, negative)
-                by_matrix |= project_all(law, weights[k, q], negative, F, rotations[k, q], L[q], C[q])
+                by_matrix |= project_all(
+                    law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
+                )
         if not are_known:
             subtract_forces(free[k], P, forces)
         pair = 0
@@ -516,7 +520,7 @@ def add_stiffness(
                 if by_matrix:
                     apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
                 else:
-                    differentiate_node(law, b, weights[k, q], g[q], L[q], T[q])
+                    differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
             for a in range(b, node_count):
                 for q in range(point_count):
                     contract(a, g[q], T[q], K, q == 0)
@@ -555,12 +559,12 @@ def deform_along(D, F, step, shifted):
 
 
 @njit(**UNCACHED)
-def differentials_along(law, F, D, R, upright, weights, S):
-    """S = w ∂P/∂F : D at one point; where the law turns, its answer times R."""
+def differentials_along(law, k, q, F, D, R, upright, weights, S):
+    """S = w ∂P/∂F : D at point q of batch k; where the law turns, its answer times R."""
     for e in range(BATCH):
-        V, A = seen_by_law(law, F, R, e), seen_by_law(law, D, R, e)
-        at_point = linearize(law, V, upright[e] > 0.0, False)
-        answer = scaled_matrix(differential(law, at_point, A), weights[e])
+        here, V, A = law_at(law, k, q, e), seen_by_law(law, F, R, e), seen_by_law(law, D, R, e)
+        at_point = linearize(here, V, upright[e] > 0.0, False)
+        answer = scaled_matrix(differential(here, at_point, A), weights[e])
         if law_turns(law):
             answer = product(answer, matrix_at(R, 0, e))
         put_matrix(S, 0, e, answer)
@@ -597,10 +601,10 @@ def add_force_curvature(
                 D[at(8, e)] -= 1.0
             inverse = deform_along(D, F, step, shifted)
             find_state(law, shifted, R, upright, change)
-            differentials_along(law, shifted, D, R, upright, weights[k, q], S)
+            differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], S)
             deform_along(D, F, -step, shifted)
             find_state(law, shifted, R, upright, change)
-            differentials_along(law, shifted, D, R, upright, weights[k, q], other)
+            differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], other)
             for entry in range(9):
                 for e in range(BATCH):
                     i = at(entry, e)
@@ -638,7 +642,16 @@ def assembly_of(parameters: type) -> Assembly:
     Args:
         parameters: The type of the law's parameters.
     """
-    return _KEPT if parameters.__module__.startswith(_PACKAGE) else _assembly(UNCACHED)
+    return _KEPT if is_of_package(parameters) else _assembly(UNCACHED)
+
+
+def is_of_package(parameters: type) -> bool:
+    """Whether a law is defined inside this package; see `assembly_of`.
+
+    Args:
+        parameters: The type of the law's parameters.
+    """
+    return parameters.__module__.startswith(_PACKAGE)
 
 
 def _assembly(options: dict) -> Assembly:

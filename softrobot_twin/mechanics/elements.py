@@ -19,6 +19,7 @@ from softrobot_twin.mechanics.element_inversion import (
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import law_of
 from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.strain_watch import StrainWatch, extreme_squares
 from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_energies,
     add_barrier_stiffness,
@@ -53,7 +54,10 @@ class Elements(ForceTerm):
 
     Attributes:
         law: Parameters of the law.
+        strain_watch: Watches their strain, where their law has a range of strains; else None.
     """
+
+    strain_watch: StrainWatch | None = None
 
     def __init__(self, mesh, free_index: np.ndarray, law: tuple):
         """Prepare the elements.
@@ -244,6 +248,20 @@ class Elements(ForceTerm):
             self.law, positions - self._reference, writable(direction), self._cells, self._free,
             self._gradients, self._weights, CURVATURE_STEP, curvature,
         )  # fmt: skip
+
+    def extreme_squares(
+        self, positions: np.ndarray, least: float, greatest: float
+    ) -> tuple[float, float]:
+        """Squares of the least and greatest principal stretch beyond given ones.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            least: Only lower squares count.
+            greatest: Only greater ones count.
+        """
+        return extreme_squares(
+            positions - self._reference, self._cells, self._gradients, self._weights, least, greatest
+        )
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J].

@@ -36,10 +36,12 @@ from softrobot_twin.mechanics.patch_volumes import (
     element_bulk,
     patches_of,
 )
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.beam_bodies import all_elements
@@ -191,10 +193,17 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     free_index = layout.nodes.free_index
     for part in body.materials:
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
-            law, bulk_modulus = part.law_parameters, 0.0
+            law, memory = part.law_parameters, (part.viscosity, part.softening)
+            bulk_modulus = 0.0
             if body.entry.volume == "patches":
                 law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
-            yield Elements(block.mesh, free_index, law)
+            if any(memory):
+                term = RememberingElements(block.mesh, free_index, law, *memory)
+            else:
+                term = Elements(block.mesh, free_index, law)
+            if part.strain_range is not None:
+                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+            yield term
             if bulk_modulus > 0.0:
                 yield PatchVolumes(block.mesh, free_index, bulk_modulus, patches_of(block.mesh))
 

@@ -12,6 +12,8 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
+from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.actuators import Actuators
@@ -83,6 +85,18 @@ class Model:
     def has_motors_of_hinges(self) -> bool:
         """True when a motor turns a hinge, which perhaps nothing else holds."""
         return any(isinstance(term, HingeAngles) for term in self.rows.terms)
+
+    @property
+    def remembering(self) -> tuple[RememberingElements, ...]:
+        """Force terms of the materials that remember; empty without any."""
+        terms = (term.on_points for term in self.forces)
+        return tuple(term for term in terms if isinstance(term, RememberingElements))
+
+    @property
+    def strain_watches(self) -> tuple[StrainWatch, ...]:
+        """Watches of the materials that have a range of strains; empty without any."""
+        watches = (getattr(term.on_points, "strain_watch", None) for term in self.forces)
+        return tuple(watch for watch in watches if watch is not None)
 
     @property
     def is_dynamic(self) -> bool:

@@ -113,6 +113,7 @@ class Simulation(Readouts):
         self._cable_friction = self.model.cable_friction
         touch_loads = touch_term(self.model)
         self._touches = None if touch_loads is None else Touches(self.model, touch_loads)
+        self._remembering = self.model.remembering
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self._newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
@@ -145,6 +146,7 @@ class Simulation(Readouts):
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
             velocities=self._motion.at_rest(), slips=self._slips_at_rest(),
             touches=self._untouched(),
+            history=np.zeros(sum(term.history_size for term in self._remembering)),
         )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
@@ -174,6 +176,7 @@ class Simulation(Readouts):
             or state.velocities.shape != self.state.velocities.shape
             or state.slips.shape != self.state.slips.shape
             or (state.touches is None) != (self._touches is None)
+            or state.history.shape != self.state.history.shape
             or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
@@ -230,6 +233,7 @@ class Simulation(Readouts):
         command, holds_others = self._touch(command, touched)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
+        self._recall()
         is_changed = self._begin(
             positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
@@ -435,6 +439,13 @@ class Simulation(Readouts):
             self._beginners, positions, velocities, past, time_step, follows_targets
         )
 
+    def _recall(self) -> None:
+        """Let materials that remember take what the state holds of theirs."""
+        first = 0
+        for term in self._remembering:
+            term.begin_history(self.state.history[first : first + term.history_size])
+            first += term.history_size
+
     def _actuate(
         self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None,
         stiffness: StiffnessRows | None,
@@ -547,6 +558,7 @@ class Simulation(Readouts):
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             motion.velocities, motion.past, self._slips(outcome),
             None if self._touches is None else self._touches.end(outcome.positions),
+            self._history(outcome.positions),
         )  # fmt: skip
         return self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
@@ -557,6 +569,12 @@ class Simulation(Readouts):
         if self._cable_friction is None:
             return self.state.slips
         return self._cable_friction.shares_at(outcome.positions, outcome.actuation.efforts)
+
+    def _history(self, positions: np.ndarray) -> np.ndarray:
+        """What materials remember where a step ended; see `State`."""
+        if not self._remembering:
+            return self.state.history
+        return np.concatenate([term.history_after(positions) for term in self._remembering])
 
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
