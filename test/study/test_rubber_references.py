@@ -53,24 +53,34 @@ def test_cooks_membrane_of_linear_tetrahedra_locks_without_patches():
     assert cook("linear", 8, 0.4999).corner > 0.75 * 6.92
 
 
-def test_a_block_is_compressed():
-    """Half the cells of a side are under the load; finer meshes (8) change it by 0.2 points.
-
-    The last value is 0.5 to 0.7 points below the reference on all meshes that were tried.
-    """
+@pytest.fixture(scope="module")
+def compressed_block():
+    """Shortening [%] by p/p₀ of a block under a load on a quarter of its face, top held across."""
     mesh = mapped_mesh("quadratic", (4, 4, 4), lambda points: points.copy())
     x = mesh.node_positions
     held, top = np.abs(x) < 1e-9, x[:, 2] > 1.0 - 1e-9
     held[top, :2] = True
     loads = traction_loads(mesh, top & (x[:, :2] < 0.5 + 1e-9).all(axis=1), (0.0, 0.0, -4.0))
     block = Specimen(mesh, law_of(0.4999), np.zeros(len(x), bool), held)
-    centre = int(np.argmin(np.linalg.norm(x - [0.0, 0.0, 1.0], axis=1)))
-    for level, expected, points in ((20, 22.0, 0.5), (40, 42.6, 0.5), (60, 58.8, 0.5), (80, 70.1, 1.0)):
+    centre, found = int(np.argmin(np.linalg.norm(x - [0.0, 0.0, 1.0], axis=1))), {}
+    for level in (20, 40, 60, 80):
         for part in (0.25, 0.5, 0.75, 1.0):
             block.solve(loads * (level - 20.0 + 20.0 * part))
-        shortening = 100.0 * (1.0 - block.positions[centre, 2])
-        assert shortening == pytest.approx(expected, abs=points), level
+        found[level] = 100.0 * (1.0 - block.positions[centre, 2])
         assert_quadratic(block)
+    return found
+
+
+NOT_CLOSED = pytest.mark.xfail(
+    strict=True, reason="69.3 to 69.5 % on meshes of 4, 6 and 8 cells: see docs/architecture.md"
+)
+
+
+@pytest.mark.parametrize(
+    "level, shortening", [(20, 22.0), (40, 42.6), (60, 58.8), pytest.param(80, 70.1, marks=NOT_CLOSED)]
+)
+def test_a_block_is_compressed(compressed_block, level, shortening):
+    assert compressed_block[level] == pytest.approx(shortening, abs=0.5)
 
 
 def shell_octant(kind, count, layers):
@@ -228,8 +238,8 @@ def test_a_cylinder_is_twisted_at_fixed_length():
         assert_quadratic(cylinder)
         force, at = cylinder.reactions()[top], cylinder.positions[top]
         moment = np.sum(at[:, 0] * force[:, 1] - at[:, 1] * force[:, 0])
-        assert moment == pytest.approx(0.5 * np.pi * twist, rel=0.02)
-        assert force[:, 2].sum() == pytest.approx(-0.25 * np.pi * twist**2, rel=0.06)
+        assert moment == pytest.approx(0.5 * np.pi * twist, rel=0.01)
+        assert force[:, 2].sum() == pytest.approx(-0.25 * np.pi * twist**2, rel=0.02)
 
 
 def test_nafems_le10():
