@@ -1,8 +1,8 @@
 """Test pieces of rubber without a scene: a mesh of one hyperelastic law, held, loaded and solved.
 
-Published problems prescribe what scenes have no entry for: tractions, symmetry planes, the pressure on
-a face. Here force terms are summed and factorized as in a step, by plain Newton iterations with exact
-tangents, and the size of each correction is kept, so that the order of convergence can be seen.
+Published problems prescribe what scenes have no entry for: tractions and symmetry planes. Here
+force terms are summed and factorized as in a step, by plain Newton iterations with exact tangents,
+and the size of each correction is kept, so that the order of convergence can be seen.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, block_mesh, enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.patch_volumes import (
@@ -48,7 +46,9 @@ class Rollers(ForceTerm):
 
     name = "rollers"
 
-    def __init__(self, rest: np.ndarray, free_index: np.ndarray, held: np.ndarray, stiffness: float):
+    def __init__(
+        self, rest: np.ndarray, free_index: np.ndarray, held: np.ndarray, stiffness: float
+    ):
         """Take the nodes.
 
         Args:
@@ -82,45 +82,6 @@ class Rollers(ForceTerm):
         storage[self._places] += self._stiffness
 
 
-class FacePressure(CavityLoad):
-    """A pressure on some triangles, which follows them.
-
-    Attributes:
-        pressure: [Pa]; set between solutions.
-    """
-
-    name = "pressure"
-
-    def __init__(self, centre: int, triangles: np.ndarray, free_index, rest_positions):
-        """Take the triangles.
-
-        Args:
-            centre: A fixed node on all symmetry planes: the volume is that between it and the
-                triangles.
-            triangles: Nodes, outwards seen from the gas, shape (triangle_count, 3).
-            free_index, rest_positions: See `CavityLoad`.
-        """
-        used, inverse = np.unique(triangles, return_inverse=True)
-        nodes = np.concatenate([[centre], used])[:, None]
-        vertices = BarycentricMapping(nodes, np.ones((len(nodes), 1)))
-        surface = CavitySurface("gas", vertices, 1 + inverse.reshape(triangles.shape))
-        super().__init__((surface,), free_index, rest_positions)
-        self.pressure = 0.0
-        self._blocks = np.empty((len(self.walls.entry_nodes), 3))
-
-    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """p ∂V/∂q; see `ForceTerm.add_forces`."""
-        self.walls.write_gradients(positions, self._blocks)
-        np.add.at(forces, self.walls.entry_nodes, self.pressure * self._blocks)
-        return 0
-
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """See `ForceTerm.add`."""
-        self.add_forces(positions, forces)
-        if not projected:
-            self.walls.add_stiffness(positions, np.array([self.pressure]), storage)
-
-
 class Times(NamedTuple):
     """Time of one Newton iteration [s].
 
@@ -149,7 +110,7 @@ class Specimen:
     """
 
     def __init__(
-        self, mesh, law, fixed, held=None, by_patches: bool = True, pressed=None,
+        self, mesh, law, fixed, held=None, by_patches: bool = True,
         patch_size: int | None = None, share: float | None = None,
     ):  # fmt: skip
         """Build and bind the terms.
@@ -159,8 +120,7 @@ class Specimen:
             law: Parameters with a `shear_modulus` and a `bulk_modulus`.
             fixed: Nodes that are fixed, of bool, shape (node_count,).
             held: Coordinates that rollers hold, of bool, shape (node_count, 3); None for none.
-            by_patches: Whether volumes are kept by patches, or element by element and point by point.
-            pressed: Triangles under pressure, outwards seen from the gas; None for none.
+            by_patches: Whether volumes are kept by patches, or by every element.
             patch_size: Tetrahedra of a patch; by default that of `PATCH_SIZES`.
             share: Bulk modulus that elements keep, by the shear modulus; by default `element_bulk`.
         """
@@ -182,11 +142,6 @@ class Specimen:
         self.terms: list[ForceTerm] = [self.elements]
         if self.volumes is not None:
             self.terms.append(self.volumes)
-        self.pressure = None
-        if pressed is not None:
-            centre = int(np.flatnonzero(np.asarray(fixed))[0])
-            self.pressure = FacePressure(centre, pressed, free_index, rest)
-            self.terms.append(self.pressure)
         scale = law.shear_modulus * np.cbrt(mesh.volumes.mean())
         # What rollers bear, and the round-off of these large springs, is no residual.
         self._counts = np.ones((len(free), 3), bool) if held is None else ~held[free]
@@ -208,15 +163,15 @@ class Specimen:
         return forces
 
     def reactions(self) -> np.ndarray:
-        """What holds the nodes: minus the forces of the material on them [N], shape (node_count, 3).
-        """
+        """What holds the nodes, minus the material's forces [N], shape (node_count, 3)."""
         everywhere, block = np.arange(len(self._rest)), self.mesh.blocks()[0].mesh
         terms: list[ForceTerm] = [Elements(block, everywhere, self.elements.law)]
         if self.volumes is not None:
             kappa = self.volumes.bulk_modulus
             terms.append(PatchVolumes(block, everywhere, kappa, self._patches))
         forces = np.zeros((len(self._rest), 3))
-        rows, columns = stencil_pairs(np.concatenate([t.stencils() for t in terms[-1:]]))
+        # A patch couples all that its elements do.
+        rows, columns = stencil_pairs(terms[-1].stencils())
         matrix = Multifrontal(rows, columns, len(everywhere))
         for term in terms:
             term.bind(matrix.elimination_rank, matrix.slots)

@@ -77,7 +77,8 @@ NOT_CLOSED = pytest.mark.xfail(
 
 
 @pytest.mark.parametrize(
-    "level, shortening", [(20, 22.0), (40, 42.6), (60, 58.8), pytest.param(80, 70.1, marks=NOT_CLOSED)]
+    "level, shortening",
+    [(20, 22.0), (40, 42.6), (60, 58.8), pytest.param(80, 70.1, marks=NOT_CLOSED)],
 )
 def test_a_block_is_compressed(compressed_block, level, shortening):
     assert compressed_block[level] == pytest.approx(shortening, abs=0.5)
@@ -149,7 +150,8 @@ def test_a_cylinder_is_inflated(kind, count, share):
 
     def place(points):
         angle, radius = 0.5 * np.pi * points[:, 0], 2.0 ** points[:, 1]
-        return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), thick * points[:, 2]])
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        return np.column_stack([x, y, thick * points[:, 2]])
 
     mesh = mapped_mesh(kind, (count, count, 1), place)
     x = mesh.node_positions
@@ -184,7 +186,8 @@ def test_a_thin_balloon():
         work = np.sum(balloon.reactions()[inner] * thin[inner])
         # Radius and stretch are those of the middle of the wall.
         found.append(work / (0.5 * np.pi * stretch**2) / (2.0 * wall) * (1.0 + 0.5 * wall))
-    middle = [((1.0 + 0.5 * wall) ** 3 + s**3 - 1.0) ** (1 / 3) / (1.0 + 0.5 * wall) for s in stretches]
+    own = 1.0 + 0.5 * wall
+    middle = [(own**3 + s**3 - 1.0) ** (1.0 / 3.0) / own for s in stretches]
     expected = np.array([1.0 / s - 1.0 / s**7 for s in middle])
     np.testing.assert_allclose(found, expected, rtol=0.02)
     assert np.argmax(found) == 2 and found[2] == pytest.approx(0.61973, rel=0.02)
