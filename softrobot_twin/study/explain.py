@@ -460,6 +460,12 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
                       if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
+    if entry.volume == "patches":
+        own = [name for name in names if "patch volumes" in name]
+        listed.append(Effect(
+            f"{key}.volume", "changes of volume resisted by patches of elements",
+            _term(own, "patch volumes"),
+        ))  # fmt: skip
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))

@@ -307,15 +307,17 @@ def icosphere():
         near = np.linalg.norm(points[:, None] - points, axis=2) < 1.2
         triangles = [t for t in itertools.combinations(range(12), 3)
                      if all(near[i, j] for i, j in itertools.combinations(t, 2))]  # fmt: skip
-        triangles = np.array([t if np.linalg.det(points[list(t)]) > 0.0 else t[::-1] for t in triangles])
+        triangles = np.array(
+            [t if np.linalg.det(points[list(t)]) > 0.0 else t[::-1] for t in triangles]
+        )
         for _ in range(level):
             halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
             edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
             (a, b, c), (ab, bc, ca) = triangles.T, len(points) + place.reshape(-1, 3).T
             middle = points[edges].mean(axis=1)
             points = np.vstack([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
-            triangles = np.concatenate([np.stack(corners, axis=1) for corners in
-                                        ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])  # fmt: skip
+            parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+            triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
         return points, triangles
 
     return make
@@ -331,8 +333,8 @@ def layered():
         sorted_triangles = np.sort(triangles, axis=1)
         for k in range(len(layers) - 1):
             (a, b, c), up = sorted_triangles.T + k * count, count
-            tets += [np.stack(t, axis=1) for t in
-                     ((a, b, c, c + up), (a, b, b + up, c + up), (a, a + up, b + up, c + up))]  # fmt: skip
+            prism = ((a, b, c, c + up), (a, b, b + up, c + up), (a, a + up, b + up, c + up))
+            tets += [np.stack(tet, axis=1) for tet in prism]
         points, tets = np.concatenate(layers), np.concatenate(tets)
         edges = points[tets[:, 1:]] - points[tets[:, :1]]
         wrong = np.linalg.det(edges) < 0.0

@@ -18,10 +18,10 @@ SIZE = (0.06, 0.01, 0.01)
 def bar(simulate, body_of, block):
     """Makes a bar that is clamped at one end and bends under its weight."""
 
-    def make(poisson=0.4999, element="linear", law="neo_hookean", cells=(12, 2, 2), body=(), **entries):
-        own = dict(body)
+    def make(poisson=0.4999, element="linear", law="neo_hookean", body=(), **entries):
         foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]
-        made = body_of(block(SIZE, cells, 0.0), "bar", 1e5, poisson, element=element, fixed=foot, **own)
+        mesh = block(SIZE, (12, 2, 2), 0.0)
+        made = body_of(mesh, "bar", 1e5, poisson, element=element, fixed=foot, **dict(body))
         made["material"]["law"] = law
         entries = {"gravity": [0.0, 0.0, -9.81], "solver": {"newton_iterations": 20}, **entries}
         return simulate(body=made, **entries)
@@ -45,7 +45,8 @@ def test_a_body_that_names_no_patches_has_no_term_for_them(bar):
     for element in ("linear", "quadratic"):
         terms = bar(element=element).model.forces
         assert not any(isinstance(term, PatchVolumes) for term in terms)
-    (term,) = [t for t in bar(body={"volume": "patches"}).model.forces if isinstance(t, PatchVolumes)]
+    forces = bar(body={"volume": "patches"}).model.forces
+    (term,) = [term for term in forces if isinstance(term, PatchVolumes)]
     assert 12 * term.patch_count == pytest.approx(12 * 2 * 2 * 6, rel=0.2)
 
 
