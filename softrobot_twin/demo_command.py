@@ -139,7 +139,8 @@ def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | Non
         return None
     names = recorder.actuator_names
     return TrackingRecord(
-        None if recorder.is_direct else target, twin, device, names, tuple(kinds[name].setpoint.unit for name in names),
+        None if recorder.is_direct else target, twin, device, names,
+        tuple(kinds[name].setpoint.unit for name in names),
         tuple(kinds[name].effort.unit for name in names), setpoints, efforts,
     )  # fmt: skip
 

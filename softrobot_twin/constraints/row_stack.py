@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 
@@ -195,6 +196,7 @@ class RowStack:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
+        positions = writable(positions)
         # Allocated anew: a linearization keeps the values of its own state.
         self.values = np.empty(self.row_count)
         for term, blocks, rows in self._parts:
@@ -328,6 +330,7 @@ class RowStack:
             storage: The factorization's storage [N/m]; added to.
             projected: True for a part of it that is never negative.
         """
+        positions = writable(positions)
         for term, _, rows in self._parts:
             term.add_stiffness(positions, multipliers[rows], storage, projected)
 

@@ -13,6 +13,11 @@ from numba import njit
 
 from softrobot_twin.geometry.vector3 import add_scaled, row, set_row
 
+# A weight below this is round-off of a point that is a node of the mesh.
+NO_WEIGHT = 1.0e-6
+# On the nodes of a frame, weights are places in it [m]; this is round-off of a zero there.
+NO_LEVER = 1.0e-12
+
 
 def writable(array: np.ndarray) -> np.ndarray:
     """The array, or a copy if it is read-only: a kernel is compiled again for read-only arrays."""
@@ -92,15 +97,26 @@ class BarycentricMapping:
             np.add.at(sums[point], place, weights[point][used])
         return BarycentricMapping(merged, sums)
 
-    def without_zeros(self) -> BarycentricMapping:
-        """The same points without the nodes whose weight is zero, as narrow as possible."""
-        carrying = self.barycentric_weights != 0.0
-        order = np.argsort(~carrying, axis=1, kind="stable")
-        width = max(1, int(carrying.sum(axis=1).max(initial=1)))
+    def reduced(self, least: float = NO_WEIGHT) -> BarycentricMapping:
+        """The same points without weights that are round-off, as narrow as possible.
+
+        A point that is a node of the mesh is carried by that node alone.
+
+        Args:
+            least: Least weight that is kept.
+        """
+        weights = self.barycentric_weights
+        whole = weights.sum(axis=1, keepdims=True)
+        # Weights of nodes have a sum of 1, but those of bubbles are added to them.
+        whole = np.where(np.abs(whole - 1.0) < NO_WEIGHT, 1.0, whole)
+        weights = np.where(np.abs(weights) < least, 0.0, weights)
+        weights = weights / weights.sum(axis=1, keepdims=True) * whole
+        order = np.argsort(weights == 0.0, axis=1, kind="stable")
+        width = max(1, int((weights != 0.0).sum(axis=1).max(initial=0)))
         return BarycentricMapping(
-            *(np.take_along_axis(array, order, axis=1)[:, :width]
-              for array in (self.nodes, self.barycentric_weights))
-        )  # fmt: skip
+            np.take_along_axis(self.nodes, order, axis=1)[:, :width],
+            np.take_along_axis(weights, order, axis=1)[:, :width],
+        )
 
     def mean(self) -> BarycentricMapping:
         """One point that moves as the mean of all of them."""

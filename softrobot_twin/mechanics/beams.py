@@ -78,7 +78,7 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import is_same
 from softrobot_twin.mechanics.rigid_bodies import rotation_at
 from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial, turn_between
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 
 # An element whose ends are turned by more than this against each other counts as folded, and no
 # step makes one [rad]: at π the logarithm has a jump.
@@ -408,21 +408,6 @@ def project(K):
                     K[i, j] -= 2.0 * values[k] * vectors[i, k] * vectors[j, k]
 
 
-@njit(**INLINED)
-def scatter(order, offsets, strides, whole, storage):
-    """Add the blocks of one element to the storage."""
-    pair = 0
-    for column in range(4):
-        for line in range(column, 4):
-            o, stride = offsets[pair], strides[pair]
-            pair += 1
-            if o >= 0:
-                a, b = 3 * order[line], 3 * order[column]
-                for j in range(3):
-                    for i in range(3):
-                        storage[o + j * stride + i] += whole[a + i, b + j]
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def end_move(before, after, origin, point):
     """Move of an end to first order, and the turn of its frame, from one state to another."""
@@ -485,7 +470,7 @@ def add_beam_stiffness(
             move_to_frame(1, end_lever(x, origins[e, 1], points[e, 1]), f, whole)
         if projected:
             project(whole)
-        scatter(order[e], offsets[e], strides[e], whole, storage)
+        add_stencil_matrix(order[e], offsets[e], strides[e], whole, storage)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -26,7 +26,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import product, product_transposed, scaled_matrix, transform
+from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
+    product,
+    product_transposed,
+    scaled_matrix,
+    transform,
+)
 from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
@@ -36,7 +42,9 @@ from softrobot_twin.mechanics.element_batches import (
     matrix_at,
     of_node,
     put_matrix,
+    put_rows,
     put_vector,
+    rows_at,
     scratch,
     vector_at,
 )
@@ -177,15 +185,21 @@ def linearize_all(law, F, R, upright, projected, L):
     """What the differential needs of the deformation at one point."""
     for e in range(BATCH):
         V, is_upright = seen_by_law(law, F, R, e), upright[e] > 0.0
-        put_matrix(L, 0, e, linearize(law, V, is_upright, projected))
+        put_rows(L, 0, linearize(law, V, is_upright, projected), e)
+
+
+@njit(**UNCACHED, forceinline=True)
+def linearized_rows(law):
+    """As many rows as `linearize` returns."""
+    return linearize(law, IDENTITY, True, False)
 
 
 @njit(**UNCACHED)
 def differentiate_node(law, b, weights, g, L, T):
     """w ∂P : e_i g_bᵀ at one point for i = 0, 1, 2."""
-    gradients, zero = of_node(g, b), (0.0, 0.0, 0.0)
+    gradients, zero, like = of_node(g, b), (0.0, 0.0, 0.0), linearized_rows(law)
     for e in range(BATCH):
-        at_point = matrix_at(L, 0, e)
+        at_point = rows_at(L, 0, like, e)
         row = scaled(vector_at(gradients, 0, e), weights[e])
         put_matrix(T, 0, e, differential(law, at_point, (row, zero, zero)))
         put_matrix(T, 1, e, differential(law, at_point, (zero, row, zero)))
@@ -228,7 +242,7 @@ def project(C):
 def project_all(law, L, C):
     """The projected derivatives of all elements at one point."""
     for e in range(BATCH):
-        fill_derivative(law, matrix_at(L, 0, e), C[e])
+        fill_derivative(law, rows_at(L, 0, linearized_rows(law), e), C[e])
         project(C[e])
 
 
@@ -363,7 +377,8 @@ def add_stiffness(
     S, change = scratch(9), scratch(1)
     least_volumes, nearly_flat_count = no_volumes_yet(), 0
     # What each point keeps until the blocks are summed.
-    g, L = np.empty((point_count, width)), np.empty((point_count, 9 * BATCH))
+    g = np.empty((point_count, width))
+    L = np.empty((point_count, 3 * len(linearized_rows(law)) * BATCH))
     by_matrix = projected and not law_projects(law)
     C = np.empty((point_count, BATCH if by_matrix else 0, 9, 9))
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 
 # Strictly by IEEE: no line may be reordered or fused, so that vector code and the scalar code that
 # stands in for it where arrays seem to overlap give the same bits. It costs nothing measurable.
@@ -57,6 +58,37 @@ def put_matrix(A, index, e, matrix):
     put_vector(A, first, e, matrix[0])
     put_vector(A, first + 1, e, matrix[1])
     put_vector(A, first + 2, e, matrix[2])
+
+
+def rows_at(A, first, like, e):
+    """Rows from number `first` on of element e, as many as the tuple `like` has, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+@overload(rows_at, jit_options={"forceinline": True})
+def _rows_at(A, first, like, e):
+    if len(like) == 1:
+        return lambda A, first, like, e: (vector_at(A, first, e),)
+    return lambda A, first, like, e: (
+        (vector_at(A, first, e),) + rows_at(A, first + 1, like[1:], e)
+    )
+
+
+def put_rows(A, first, rows, e):
+    """Write what `rows_at` reads, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+@overload(put_rows, jit_options={"forceinline": True})
+def _put_rows(A, first, rows, e):
+    if len(rows) == 1:
+        return lambda A, first, rows, e: put_vector(A, first, e, rows[0])
+
+    def put(A, first, rows, e):
+        put_vector(A, first, e, rows[0])
+        put_rows(A, first + 1, rows[1:], e)
+
+    return put
 
 
 @njit(**INLINED)

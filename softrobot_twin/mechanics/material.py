@@ -5,6 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
+INCOMPRESSIBLE = 1.0e4
+"""Bulk modulus of a Poisson's ratio of exactly 0.5, by the shear modulus: where the pressure is p, the
+volume changes by the share p/κ."""
+
+
 class LameParameters(NamedTuple):
     """Lamé's constants of an isotropic material.
 
@@ -55,6 +60,56 @@ def bulk_modulus(young_modulus: float, poisson_ratio: float) -> float:
 
     Args:
         young_modulus: E [Pa].
-        poisson_ratio: ν, below 0.5.
+        poisson_ratio: ν, at most 0.5; for 0.5 itself κ is `INCOMPRESSIBLE` shear moduli.
     """
+    if poisson_ratio == 0.5:
+        return INCOMPRESSIBLE * shear_modulus(young_modulus, poisson_ratio)
     return young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio))
+
+
+class Moduli(NamedTuple):
+    """Small-strain moduli of an isotropic material.
+
+    Attributes:
+        young_modulus: E [Pa].
+        poisson_ratio: ν.
+    """
+
+    young_modulus: float
+    poisson_ratio: float
+
+
+def moduli_of_shear_and_bulk(shear_modulus: float, bulk_modulus: float) -> Moduli:
+    """E and ν of µ and κ.
+
+    Args:
+        shear_modulus: µ [Pa], positive.
+        bulk_modulus: κ [Pa], positive.
+    """
+    whole = 3.0 * bulk_modulus + shear_modulus
+    return Moduli(
+        9.0 * bulk_modulus * shear_modulus / whole,
+        0.5 * (3.0 * bulk_modulus - 2.0 * shear_modulus) / whole,
+    )
+
+
+def bulk_modulus_of_shear(shear_modulus: float, poisson_ratio: float) -> float:
+    """κ of µ and ν [Pa].
+
+    Args:
+        shear_modulus: µ [Pa].
+        poisson_ratio: ν, at most 0.5; for 0.5 itself κ is `INCOMPRESSIBLE` shear moduli.
+    """
+    if poisson_ratio == 0.5:
+        return INCOMPRESSIBLE * shear_modulus
+    return 2.0 * shear_modulus * (1.0 + poisson_ratio) / (3.0 * (1.0 - 2.0 * poisson_ratio))
+
+
+def poisson_ratio_of_bulk(young_modulus: float, bulk_modulus: float) -> float:
+    """ν of E and κ.
+
+    Args:
+        young_modulus: E [Pa].
+        bulk_modulus: κ [Pa].
+    """
+    return 0.5 - young_modulus / (6.0 * bulk_modulus)

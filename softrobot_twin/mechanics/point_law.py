@@ -15,15 +15,16 @@ Two things may be added:
 - A law that `turns` is evaluated in the frame that rotates with the material: its kernels get F Rᵀ,
 the left stretch, with the rotation R of F = R S, and return P Rᵀ. The elements compute R once per
 state. So small-strain laws become corotational ones.
-- `linearize(law, F, upright, projected)` is called once per point. It returns the matrix that
-  `differential` gets in place of F, and it is responsible for the projection: where `projected` is
-  true the differential must be positive semidefinite, dF : dP ≥ 0. A law without it has its 9×9
-  matrix of derivatives projected by eigenvalues, which is general and slow.
+- `linearize(law, F, upright, projected)` is called once per point. It returns the rows, each a
+  vector, that `differential` gets in place of F: any number of them, so that what depends on F
+  alone is computed once. A law that `projects` is responsible for the projection: where
+  `projected` is true its differential must be positive semidefinite, dF : dP ≥ 0. The 9×9 matrix
+  of derivatives of another law is tested, and projected by eigenvalues where it is negative.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from numba.extending import overload
@@ -34,28 +35,62 @@ from softrobot_twin.mechanics.material import lame_parameters
 _INLINED = {"forceinline": True}
 
 
+class LawConstant(NamedTuple):
+    """A constant of a law, which scenes give under ``constants``.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit, ``Pa``; empty for a number.
+        is_list: Whether it has one value for each of any number of terms.
+    """
+
+    name: str
+    unit: str
+    is_list: bool = False
+
+
+class OwnConstants(NamedTuple):
+    """How a law is made from constants of its own, in place of Young's modulus.
+
+    Attributes:
+        constants: What they are.
+        shear_modulus: Gives µ at rest [Pa] of a mapping of all of them by name; raises ValueError,
+            which says why, where they do not fit each other.
+        parameters: Makes the parameters from such a mapping and the bulk modulus [Pa].
+    """
+
+    constants: tuple[LawConstant, ...]
+    shear_modulus: Callable[[Mapping], float]
+    parameters: Callable[[Mapping, float], tuple]
+
+
 class PointLaw(NamedTuple):
     """The properties of a registered law.
 
     Attributes:
         name: Its name in scenes (``material.law``).
-        parameters: The NamedTuple of its parameters, all floats.
-        of_moduli: Makes them from Young's modulus [Pa] and Poisson's ratio.
+        parameters: The NamedTuple of its parameters: floats, or tuples of them.
+        of_moduli: Makes them from Young's modulus [Pa] and Poisson's ratio; None for a law with
+            constants of its own.
+        own: Constants of its own; None for a law of these two moduli.
         energy_density: Kernel.
         stress: Kernel.
         differential: Kernel.
         linearize: Kernel, or None.
+        projects: Whether this kernel projects the differential.
         turns: Whether the kernels see the material from the frame that turns with it.
         is_linear: Whether the differential is the same in every state.
     """
 
     name: str
     parameters: type
-    of_moduli: Callable[[float, float], tuple]
+    of_moduli: Callable[[float, float], tuple] | None
+    own: OwnConstants | None
     energy_density: Callable
     stress: Callable
     differential: Callable
     linearize: Callable | None
+    projects: bool
     turns: bool
     is_linear: bool
 
@@ -70,9 +105,11 @@ def register_law(
     stress: Callable,
     differential: Callable,
     linearize: Callable | None = None,
+    projects: bool = False,
     turns: bool = False,
     is_linear: bool = False,
     of_moduli: Callable[[float, float], tuple] | None = None,
+    own: OwnConstants | None = None,
 ) -> None:
     """Register a law for elements and scenes.
 
@@ -83,10 +120,12 @@ def register_law(
         stress: The kernel.
         differential: The kernel.
         linearize: The kernel; without it F itself is given to `differential`.
+        projects: Whether this kernel projects the differential.
         turns: Whether the kernels see the material from the frame that turns with it.
         is_linear: Whether the differential is the same in every state: the stiffness is then
             summed only once.
         of_moduli: Makes the parameters from E [Pa] and ν; when None they are Lamé's constants.
+        own: Constants of its own, in place of E and ν.
 
     Raises:
         ValueError: Another law has this name, or these parameters.
@@ -94,14 +133,14 @@ def register_law(
     taken = [law.name for law in _LAWS.values()]
     if name in taken or parameters in _LAWS:
         raise ValueError(f"the law {name!r} or its {parameters.__name__} is registered already")
-    if of_moduli is None:
+    if of_moduli is None and own is None:
 
         def of_moduli(young_modulus: float, poisson_ratio: float) -> tuple:
             return parameters(*lame_parameters(young_modulus, poisson_ratio))
 
     _LAWS[parameters] = PointLaw(
-        name, parameters, of_moduli, energy_density, stress, differential, linearize,
-        turns, is_linear,
+        name, parameters, of_moduli, own, energy_density, stress, differential, linearize,
+        projects, turns, is_linear,
     )  # fmt: skip
 
 
@@ -120,6 +159,15 @@ def law_named(name: str) -> PointLaw:
         if law.name == name:
             return law
     raise KeyError(f"no law is named {name!r}; there are {', '.join(law_names())}")
+
+
+def has_bulk_modulus(parameters: type) -> bool:
+    """Whether a law's energy of volume changes is κ U(J), with a parameter `bulk_modulus`.
+
+    Args:
+        parameters: The type of the law's parameters.
+    """
+    return "bulk_modulus" in parameters._fields
 
 
 def law_of(parameters: tuple) -> PointLaw:
@@ -148,7 +196,7 @@ def stress(law, F):
 
 
 def linearize(law, F, upright, projected):
-    """The matrix that `differential` gets for F, inside kernels."""
+    """The rows that `differential` gets for F, inside kernels."""
     raise NotImplementedError("only inside compiled kernels")
 
 
@@ -201,5 +249,5 @@ def _law_turns(law):
 
 @overload(law_projects, jit_options=_INLINED)
 def _law_projects(law):
-    projects = _law_of_type(law.instance_class).linearize is not None
+    projects = _law_of_type(law.instance_class).projects
     return lambda law: projects

@@ -12,6 +12,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.vector3 import INLINED
 
 Slots = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -69,6 +72,29 @@ def bind_stencils(
     strides = np.zeros(present.shape, dtype=np.int64)
     offsets[present], strides[present] = slots(row_nodes[present], column_nodes[present])
     return BoundStencils(order, offsets, strides)
+
+
+@njit(**INLINED)
+def add_stencil_matrix(order, offsets, strides, matrix, storage):
+    """Add the symmetric matrix of one stencil to the storage, wherever both nodes are free.
+
+    Args:
+        order: Columns of the stencil in elimination order, shape (width,).
+        offsets: Place of each pair's block, -1 for none; see `BoundStencils`.
+        strides: Distance between two columns of that block, same shape.
+        matrix: By the unsorted stencil, shape (3 width, 3 width).
+        storage: The factorization's storage [N/m]; added to.
+    """
+    pair = 0
+    for column in range(len(order)):
+        for line in range(column, len(order)):
+            o, stride = offsets[pair], strides[pair]
+            pair += 1
+            if o >= 0:
+                a, b = 3 * order[line], 3 * order[column]
+                for j in range(3):
+                    for i in range(3):
+                        storage[o + j * stride + i] += matrix[a + i, b + j]
 
 
 def stencil_pairs(

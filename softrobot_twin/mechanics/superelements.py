@@ -58,7 +58,7 @@ from softrobot_twin.geometry.vector3 import (
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.polynomials import Monomials, write_monomials
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 
 # Points of a superelement: the four frame nodes of each of its two vertebrae.
 POINTS = 8
@@ -411,16 +411,7 @@ def add_enthalpy_stiffness(
             add_bending(gradient[s], ends[s], levers[s], whole)
             add_turning(gradient[s], slopes[s], own_shares, row(weights, s), levers[s], whole)
             add_drawn(centre_slopes[s], by_unknowns[s], drawn[s], whole)
-        pair = 0
-        for column in range(4):
-            for line in range(column, 4):
-                o, stride = offsets[s, pair], strides[s, pair]
-                pair += 1
-                if o >= 0:
-                    a, b = 3 * order[s, line], 3 * order[s, column]
-                    for j in range(3):
-                        for i in range(3):
-                            storage[o + j * stride + i] += whole[a + i, b + j]
+        add_stencil_matrix(order[s], offsets[s], strides[s], whole, storage)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

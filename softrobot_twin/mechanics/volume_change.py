@@ -38,6 +38,14 @@ def volumetric(J):
 
 
 @njit(**INLINED)
+def volumetric_slopes(J):
+    """U' and U'', without the logarithm that U itself needs."""
+    at = max(J, LEAST_VOLUME)
+    curvature = 0.5 * (1.0 + 1.0 / (at * at))
+    return 0.5 * (at - 1.0 / at) + curvature * (J - at), curvature
+
+
+@njit(**INLINED)
 def volume_power(J, exponent):
     """J to a power, and its first two derivatives."""
     at = max(J, LEAST_VOLUME)

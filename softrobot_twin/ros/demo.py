@@ -1,5 +1,5 @@
-"""The demo: twin, device and target run as three processes. A robot that follows targets runs open
-loop, then closed loop; one that is driven directly plays its commands.
+"""The demo: twin, device and target run as three processes. A robot that follows targets runs
+open loop, then closed loop; one that is driven directly plays its commands.
 
 The file contains, in this order: processor use, the plan, the processes, the recorder, the run.
 """
@@ -38,6 +38,7 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import ParameterError, SoftRobotTwinError
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file
+from softrobot_twin.scene import load_scene
 
 NOTICEABLE_SHARE = 0.1
 """If other programs use a larger share of the processor, the demo's times are affected."""
@@ -130,7 +131,8 @@ class DemoPlan:
         scene_file: The twin's scene.
         effector: Effector that is driven or, where commands are played, compared.
         touch: Touch where the device's fingertip presses; empty for none.
-        runs: Names of the runs, in order: `RUNS`, or `DIRECT_RUNS` where commands are played.
+        runs: Names of the runs, in order: `RUNS`, only the first of them where no marker measures
+            an effector, or `DIRECT_RUNS` where commands are played.
         run_time: Length of each run [s].
         paths: Paths of a run, in turn; empty where commands are played.
         turn_time: Length of each path within a run [s].
@@ -194,7 +196,7 @@ class DemoPlan:
 
     def _target_overrides(self) -> dict[str, object]:
         if self.is_direct:
-            return {}
+            return {}  # The rest of its parameters belongs to paths.
         return {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
                 "target_ramp_time": self.ramp_time}
 
@@ -211,6 +213,7 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     Raises:
         ParameterError: There is no such robot, it neither follows targets nor plays commands, or
             its parameters cannot be used.
+        SceneError: Its scene cannot be used.
     """
     file = _parameter_file(robot)
     values = _DEFAULTS | _parameters(file)
@@ -226,6 +229,8 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     # A path keeps its own pace: in a short run there are fewer of them, not faster ones.
     count = int(min(len(paths), max(1.0, run_time // (_LEAST_RAMPS * ramp_time or run_time))))
     turn_time = run_time / count
+    scene_file = find_scene_file(str(values["scene_file"]), "scene_file")
+    is_measured = any(effector.measured_by for effector in load_scene(scene_file).effectors)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -233,8 +238,9 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     return DemoPlan(
         robot=robot, parameter_file=file,
-        scene_file=find_scene_file(str(values["scene_file"]), "scene_file"),
-        effector=str(values["target_effector"]), touch=str(values["device_touch"]), runs=DIRECT_RUNS if is_direct else RUNS,
+        scene_file=scene_file, effector=str(values["target_effector"]),
+        touch=str(values["device_touch"]),
+        runs=DIRECT_RUNS if is_direct else RUNS if is_measured else RUNS[:1],
         run_time=run_time, paths=() if is_direct else tuple(paths[:count]), turn_time=turn_time,
         ramp_time=min(ramp_time, 0.5 * turn_time),
         period=1.0 / float(values["rate"]),

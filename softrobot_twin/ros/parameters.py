@@ -299,8 +299,8 @@ TARGET = (
     Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001,
           86400.0, read_only=True),
     Entry("target_commands", "", "CSV file of commands that are played over and over in place of "
-          "targets, searched like scene_file, with the columns of simulate --commands; for a twin in "
-          "direct mode; empty for none.", read_only=True),
+          "targets, searched like scene_file, with the columns of simulate --commands; for a twin "
+          "in direct mode; empty for none.", read_only=True),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

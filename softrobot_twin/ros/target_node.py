@@ -40,8 +40,8 @@ class TargetNode(TickingNode):
 
     Along a path with orientations it publishes poses, and starts at the effector's present one.
 
-    With a table of commands it publishes these and no targets: setpoints or efforts of all actuators
-    and poses of guided bodies, from the table's first row on, and over again after the last.
+    With a table of commands it publishes these and no targets: setpoints or efforts of all
+    actuators and poses of guided bodies, from the table's first row on, over again after the last.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -72,7 +72,8 @@ class TargetNode(TickingNode):
         published = (self._targets, self._commands, self._stiffnesses, *self._poses.values())
         self.watch_topics((), tuple(one for one in published if one is not None))
         kind = PoseStamped if self._turns else PointStamped
-        self._topic = f"{self._twin}/{'effector_poses' if self._turns else 'effectors'}/{self._effector}"
+        group = "effector_poses" if self._turns else "effectors"
+        self._topic = f"{self._twin}/{group}/{self._effector}"
         take = self._take_start_pose if self._turns else self._take_start
         self._listener = self.create_subscription(kind, self._topic, take, NEWEST)
         self.get_logger().info(f"ready: {what}")

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from softrobot_twin.mechanics.element_kinds import element_named, element_names
-from softrobot_twin.mechanics.laws import law_names
-from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, registered, unit
+from softrobot_twin.mechanics.laws import law_named, law_names
+from softrobot_twin.mechanics.material import (
+    bulk_modulus_of_shear,
+    moduli_of_shear_and_bulk,
+    poisson_ratio_of_bulk,
+)
+from softrobot_twin.mechanics.point_law import OwnConstants, has_bulk_modulus
+from softrobot_twin.scene.entry import (
+    LARGEST,
+    Angles,
+    Entry,
+    Name,
+    Vector,
+    refusal,
+    registered,
+    unit,
+)
 
 # --- deformable bodies ---------------------------------------------------------------------------
 
@@ -29,13 +47,167 @@ class Mesh(Entry):
     mesh into several parts; 0 merges none."""
 
 
-class Material(Entry):
+class AtRest(NamedTuple):
+    """A law with its constants.
+
+    Attributes:
+        parameters: Parameters of the law.
+        young_modulus: E at rest [Pa].
+        poisson_ratio: ν at rest.
+    """
+
+    parameters: tuple
+    young_modulus: float
+    poisson_ratio: float
+
+
+def _numbers_by_name(given: Any) -> Any:
+    """Constants as floats and tuples of floats; which of them a law takes is checked later."""
+    if given is None:
+        return None
+    if not isinstance(given, Mapping):
+        raise ValueError("must be a section with the constants of the law by name")
+    return {str(name): _constant(str(name), value) for name, value in given.items()}
+
+
+def _constant(name: str, value: Any) -> float | tuple[float, ...]:
+    if isinstance(value, list | tuple):
+        return tuple(_constant(f"{name}[{index}]", part) for index, part in enumerate(value))
+    try:
+        if isinstance(value, bool | bytes):
+            raise TypeError
+        number = float(value)
+    except (TypeError, ValueError):
+        raise refusal(name, value, "must be a number, written without its unit") from None
+    if not math.isfinite(number):
+        raise refusal(name, value, "must be finite")
+    return number
+
+
+class ElasticEntry(Entry):
+    """The constants of a law, which a body's material and those of its parts share."""
+
+    law: Annotated[str | None, registered("law", law_names)] = None
+    """Name of a registered law: one of `mechanics/laws`, or one from outside the package."""
+    young_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
+    """E at rest, for laws without constants of their own."""
+    poisson_ratio: Annotated[float | None, unit("", gt=-1.0, le=0.5)] = None
+    """0.5, incompressible, is that of hyperelastic laws; see `mechanics.material.INCOMPRESSIBLE`."""
+    bulk_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
+    """κ at rest, in place of Poisson's ratio."""
+    constants: Annotated[Any, BeforeValidator(_numbers_by_name)] = None
+    """Constants of laws that have their own, in place of Young's modulus."""
+
+    @model_validator(mode="after")
+    def _one_volume_constant(self):
+        if self.poisson_ratio is not None and self.bulk_modulus is not None:
+            raise refusal(
+                "bulk_modulus", self.bulk_modulus,
+                f"is beside poisson_ratio {self.poisson_ratio:g}, which says the same; give one",
+            )  # fmt: skip
+        return self
+
+    def elasticity(self, law: str, otherwise: ElasticEntry | None = None) -> AtRest:
+        """The law with these constants.
+
+        Args:
+            law: Its name.
+            otherwise: An entry whose Poisson's ratio or bulk modulus holds where this has none.
+
+        Raises:
+            PydanticCustomError: A constant is missing, is none of the law's, or does not fit.
+        """
+        nu, kappa = self.poisson_ratio, self.bulk_modulus
+        if nu is None and kappa is None and otherwise is not None:
+            nu, kappa = otherwise.poisson_ratio, otherwise.bulk_modulus
+        if nu is None and kappa is None:
+            raise refusal(
+                "poisson_ratio", "(nothing)", "is required, or bulk_modulus [Pa] in its place"
+            )
+        if nu == 0.5 and not has_bulk_modulus(law_named(law).parameters):
+            raise refusal(
+                "poisson_ratio", nu,
+                f"the law {law} is not defined for an incompressible material: give less than "
+                "0.5, or a law with a bulk modulus, such as neo_hookean",
+            )  # fmt: skip
+        own = law_named(law).own
+        if own is not None:
+            return self._of_constants(law, own, nu, kappa)
+        if self.constants is not None:
+            raise refusal(
+                "constants", self.constants, f"the law {law} has no constants of its own; it takes "
+                "young_modulus [Pa] and poisson_ratio",
+            )  # fmt: skip
+        if self.young_modulus is None:
+            raise refusal("young_modulus", "(nothing)", f"is required by the law {law}")
+        if nu is None:
+            nu = poisson_ratio_of_bulk(self.young_modulus, kappa)
+            if not nu > -1.0:
+                least = self.young_modulus / 9.0
+                raise refusal("bulk_modulus", kappa, f"must be above young_modulus / 9, {least:g} Pa")
+        return AtRest(law_named(law).of_moduli(self.young_modulus, nu), self.young_modulus, nu)
+
+    def _of_constants(
+        self, law: str, own: OwnConstants, nu: float | None, kappa: float | None
+    ) -> AtRest:
+        """The law with constants of its own."""
+        takes = f"the law {law} takes constants: {{{_described(own)}}}"
+        if self.young_modulus is not None:
+            raise refusal("young_modulus", self.young_modulus, f"{takes}, not young_modulus")
+        if self.constants is None:
+            raise refusal("constants", "(nothing)", f"is required: {takes}")
+        _check_constants(self.constants, own, takes)
+        try:
+            mu = own.shear_modulus(self.constants)
+        except ValueError as error:
+            raise refusal("constants", self.constants, f"{error}; {takes}") from None
+        if not mu > 0.0:
+            raise refusal(
+                "constants", self.constants,
+                f"give the shear modulus {mu:g} Pa at rest, which must be above 0 Pa", unit="Pa",
+            )  # fmt: skip
+        if kappa is None:
+            parameters = own.parameters(self.constants, bulk_modulus_of_shear(mu, nu))
+            return AtRest(parameters, 2.0 * mu * (1.0 + nu), nu)
+        return AtRest(own.parameters(self.constants, kappa), *moduli_of_shear_and_bulk(mu, kappa))
+
+
+def _described(own: OwnConstants) -> str:
+    """Constants of a law with their units: ``c10, c01 [Pa]``."""
+    words = []
+    for index, constant in enumerate(own.constants):
+        name = f"{constant.name}: [..]" if constant.is_list else constant.name
+        rest = own.constants[index + 1 :]
+        same = rest and (rest[0].unit, rest[0].is_list) == (constant.unit, constant.is_list)
+        words.append(name if same or not constant.unit else f"{name} [{constant.unit}]")
+    return ", ".join(words)
+
+
+def _check_constants(given: dict, own: OwnConstants, takes: str) -> None:
+    """Refuse unknown, missing, wrong and endless constants by name."""
+    known = {constant.name: constant for constant in own.constants}
+    for name, value in given.items():
+        if name not in known:
+            raise refusal(f"constants.{name}", value, f"is none of its constants: {takes}")
+    for name, constant in known.items():
+        key, measured = f"constants.{name}", constant.unit
+        if name not in given:
+            raise refusal(key, "(nothing)", f"is required: {takes}", unit=measured)
+        value = given[name]
+        if isinstance(value, tuple) != constant.is_list:
+            kind = "a list of numbers, one for each term" if constant.is_list else "one number"
+            raise refusal(key, value, f"must be {kind}: {takes}", unit=measured)
+        numbers = value if constant.is_list else (value,)
+        if not numbers or any(isinstance(number, tuple) for number in numbers):
+            raise refusal(key, value, f"must have a number for each term: {takes}", unit=measured)
+        if not all(abs(number) <= LARGEST for number in numbers):
+            raise refusal(key, value, f"must not be greater than {LARGEST:g}", unit=measured)
+
+
+class Material(ElasticEntry):
     """The material law of a body."""
 
     law: Annotated[str, registered("law", law_names)] = "corotational"
-    """Name of a registered law: corotational, linear, neo_hookean, or one from outside the package."""
-    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
-    poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """The mass of the whole body, in place of a density."""
@@ -51,6 +223,16 @@ class Material(Entry):
             raise ValueError("density [kg/m³] or total_mass [kg] is required")
         return self
 
+    @model_validator(mode="after")
+    def _fits_its_law(self):
+        self.elasticity(self.law)
+        return self
+
+    @property
+    def at_rest(self) -> AtRest:
+        """Its law with its constants."""
+        return self.elasticity(self.law)
+
 
 class BoxRegion(Entry):
     """Nodes inside an axis-aligned box."""
@@ -65,7 +247,7 @@ class BoxRegion(Entry):
         return self
 
 
-class RegionMaterial(Entry):
+class RegionMaterial(ElasticEntry):
     """The material of some cells of a body: of a named region of its mesh file, or of a box."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box"}
@@ -76,11 +258,9 @@ class RegionMaterial(Entry):
     """The cells whose centre is in it."""
     frame: Literal["world", "mesh"] = "world"
     """Coordinates of the box: of the world, or of the mesh before its placement."""
-    law: Annotated[str | None, registered("law", law_names)] = None
-    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
-    poisson_ratio: Annotated[float | None, unit("", gt=-1.0, lt=0.5)] = None
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
-    """Law, Poisson's ratio and density are by default those of the body's material."""
+    """Law, Poisson's ratio (or bulk modulus) and density are by default those of the body's
+    material."""
 
     @model_validator(mode="after")
     def _one_place(self):
@@ -203,6 +383,9 @@ class Body(Entry):
     have `material`."""
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()
+    volume: Literal["per_element", "patches"] = "per_element"
+    """Where changes of volume are resisted: in every element, or in patches of elements, which do not
+    lock as Poisson's ratio approaches 0.5. Patches are for hyperelastic laws with a bulk modulus."""
     mass: Literal["lumped", "consistent", "uniform"] | None = None
     """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
     ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
@@ -221,6 +404,24 @@ class Body(Entry):
                 "mass is distributed"
             )
         return self
+
+    @model_validator(mode="after")
+    def _fits_the_laws_of_parts(self):
+        for index in range(len(self.materials)):
+            try:
+                self.part_at_rest(index)
+            except PydanticCustomError as error:
+                inner = error.context
+                raise refusal(
+                    f"materials[{index}].{inner['key']}", inner["value"], inner["reason"],
+                    unit=inner["unit"],
+                ) from None  # fmt: skip
+        return self
+
+    def part_at_rest(self, index: int) -> AtRest:
+        """The law of an entry of `materials`, with its constants."""
+        part = self.materials[index]
+        return part.elasticity(part.law or self.material.law, self.material)
 
     @property
     def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:

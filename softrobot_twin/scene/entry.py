@@ -79,7 +79,9 @@ def _numbers(value: Any) -> list[float]:
     return []
 
 
-def refusal(key: str, value: object, reason: str, also: str = "") -> PydanticCustomError:
+def refusal(
+    key: str, value: object, reason: str, also: str = "", unit: str = ""
+) -> PydanticCustomError:
     """An error about one key, for checks that compare several entries.
 
     Args:
@@ -87,10 +89,12 @@ def refusal(key: str, value: object, reason: str, also: str = "") -> PydanticCus
         value: The value of this key.
         reason: What is required.
         also: Another key that the reason ends with.
+        unit: Unit of the value where the entry does not state it.
     """
     # The reason may contain braces, which a template would replace.
     return PydanticCustomError("refusal", "{reason}", {"key": key, "value": value,
-                                                       "reason": reason, "also": also})  # fmt: skip
+                                                       "reason": reason, "also": also,
+                                                       "unit": unit})  # fmt: skip
 
 
 def unit(name: str, **limits) -> object:

@@ -19,7 +19,6 @@ from softrobot_twin.scene.entry import is_entry, item_of_list, plain
 NOT_BUILT = {
     "shells": "shells",
     "reduction": "reduced models",
-    "neo_hookean": "the Neo-Hookean law",
 }
 SYNONYMS = {
     "e": "young_modulus", "nu": "poisson_ratio", "rho": "density", "mu": "friction",
@@ -55,13 +54,14 @@ def scene_error(
     # A misspelt key also makes the correct one missing; the message names the misspelt one.
     first = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
     location = tuple(first["loc"])
-    value, reason = first.get("input"), ""
+    value, reason, own_unit = first.get("input"), "", ""
     if first["type"] == "refusal":
         context = first["ctx"]
         below = parts(context["key"])
         location, value, reason = (*location, *below), context["value"], context["reason"]
         if context["also"]:
             reason += _also(as_written, parts(context["also"]))
+        own_unit = context["unit"]
     elif first["type"] == "missing":
         location, value, reason = _missing(root, location, value)
     elif first["type"] == "extra_forbidden":
@@ -78,7 +78,7 @@ def scene_error(
         others = len(set(places)) - 1
         reason += f" (and {others} more error{'s' if others > 1 else ''})"
     return SceneError(path, dotted((*above, *written)) or "scene", short(value),
-                      unit_at(root, location), reason)  # fmt: skip
+                      own_unit or unit_at(root, location), reason)  # fmt: skip
 
 
 def _also(as_written: Callable, location: list) -> str:

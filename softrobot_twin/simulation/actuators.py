@@ -82,9 +82,12 @@ class Actuators:
         displacements, efforts = self._joined("displacement_bounds"), self._joined("effort_bounds")
         self._signs = np.array([kind.sign for kind in self.kinds], float)
         self._signed_rest = self._signs * self.rest_setpoints
+        # Contiguous: kernels are compiled again for arrays with strides.
+        least, greatest = displacements.T.copy()
+        effort_min, effort_max = efforts.T.copy()
         self.limits = ActuatorLimits(
-            self.names, displacements[:, 0], displacements[:, 1], self._joined("rates"),
-            efforts[:, 0], efforts[:, 1], scale, _effort_scale(efforts, work / scale), self._signs,
+            self.names, least, greatest, self._joined("rates"), effort_min, effort_max, scale,
+            _effort_scale(efforts, work / scale), self._signs,
             self.is_effort_driven, tuple(kind.displacement.word for kind in self.kinds),
             tuple(kind.effort.word for kind in self.kinds), self._flows(), self._limit_names(),
         )  # fmt: skip

@@ -22,7 +22,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
 from softrobot_twin.mechanics.beam_sections import BeamSection, rectangle, tube
 from softrobot_twin.mechanics.beams import BeamElements, element_stiffness, write_deformations
 from softrobot_twin.mechanics.hinged_frames import WORLD as WORLD_FRAME
@@ -37,8 +37,6 @@ from softrobot_twin.simulation.frame_part import FramePart
 SAME_PLACE = 1.0e-4
 # The thickness direction must differ from the axis by at least this angle's sine.
 LEAST_SINE = 1.0e-3
-# A point this near to a node moves with it, as a share of an element.
-AT_NODE = 1.0e-4
 # What fixed ends are joined to.
 WORLD = "world"
 # Places at which a smooth curve is measured, for each element.
@@ -208,7 +206,7 @@ class BeamBody:
             points: In the world, at rest [m], shape (point_count, 3).
 
         Returns:
-            Their mapping, onto eight frame nodes each.
+            Their mapping, onto at most eight frame nodes each.
         """
         axis, ends = self.axis_at(elements, shares), _hermite(np.asarray(shares, float))
         length = self.lengths[elements]
@@ -222,7 +220,7 @@ class BeamBody:
             local += np.einsum("nij,nj->ni", self.carriers.local_axes[node], own)
             nodes.append(self.carriers.frame_nodes[node][:, None] + np.arange(4))
             weights.append(np.column_stack([place - local.sum(axis=1), local]))
-        return BarycentricMapping(np.hstack(nodes), np.hstack(weights))
+        return BarycentricMapping(np.hstack(nodes), np.hstack(weights)).reduced(NO_LEVER)
 
     def distances(self, points) -> np.ndarray:
         """Distances of points at rest from it, zero inside [m]; points (count, 3).

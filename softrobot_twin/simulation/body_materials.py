@@ -12,7 +12,14 @@ from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.mesh_parts import MeshParts
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.material import LameParameters, lame_parameters
+from softrobot_twin.mechanics.material import (
+    INCOMPRESSIBLE,
+    LameParameters,
+    bulk_modulus,
+    lame_parameters,
+    shear_modulus,
+)
+from softrobot_twin.mechanics.point_law import has_bulk_modulus
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import RegionMaterial
@@ -29,8 +36,9 @@ class MaterialPart:
     Attributes:
         key: Key of its entry, such as ``body.material`` or ``body.materials[0]``.
         law: Name of its law.
-        young_modulus: [Pa].
-        poisson_ratio: [1].
+        law_parameters: Parameters of its law.
+        young_modulus: At rest [Pa].
+        poisson_ratio: At rest.
         density: [kg/m³].
         cells: Its cells, int64, shape (cell_count,); None for a body of one material.
         volume: Their volume [m³].
@@ -38,6 +46,7 @@ class MaterialPart:
 
     key: str
     law: str
+    law_parameters: tuple
     young_modulus: float
     poisson_ratio: float
     density: float
@@ -50,13 +59,16 @@ class MaterialPart:
         return self.law != "linear"
 
     @property
-    def law_parameters(self) -> tuple:
-        """Parameters of its law."""
-        return law_named(self.law).of_moduli(self.young_modulus, self.poisson_ratio)
+    def shear_modulus(self) -> float:
+        """µ at rest [Pa]."""
+        return shear_modulus(self.young_modulus, self.poisson_ratio)
 
     @property
     def lame_parameters(self) -> LameParameters:
-        """Lamé's constants [Pa]."""
+        """Lamé's constants at rest [Pa]."""
+        if self.poisson_ratio == 0.5:
+            mu = self.shear_modulus
+            return LameParameters(bulk_modulus(self.young_modulus, 0.5) - 2.0 * mu / 3.0, mu)
         return lame_parameters(self.young_modulus, self.poisson_ratio)
 
 
@@ -77,14 +89,50 @@ def material_parts(
         The materials that have cells: that of the body first, then the others in their order.
 
     Raises:
-        SceneError: A region is not known, a box is empty, or two entries claim a cell.
+        SceneError: A region is not known, a box is empty, two entries claim a cell, or a law does
+            not offer what the body asks for.
     """
+    made = _parts_of_cells(entry, key, mesh, parts, scene, notes)
+    for part in made:
+        _check_volume(part, entry, key, scene, notes)
+    return made
+
+
+def _check_volume(
+    part: MaterialPart, entry: BodyEntry, key: str, scene: Scene, notes: list[str]
+) -> None:
+    """Refuse what needs a bulk modulus of laws that have none, and tell what 0.5 stands for."""
+    if part.poisson_ratio == 0.5:
+        kappa = INCOMPRESSIBLE * part.shear_modulus
+        notes.append(
+            f"{part.key}.poisson_ratio = 0.5: incompressible, by a bulk modulus of {kappa:.3g} Pa, "
+            f"{INCOMPRESSIBLE:g} shear moduli; a pressure of {1e-3 * kappa:.3g} Pa changes volumes "
+            "by 0.1 %"
+        )
+    if entry.volume != "patches":
+        return
+    if not has_bulk_modulus(law_named(part.law).parameters):
+        raise SceneError(
+            scene.path, f"{key}.volume", entry.volume, "",
+            f"patches need a law with a bulk modulus, such as neo_hookean; the law {part.law} of "
+            f"{part.key} has none",
+        )  # fmt: skip
+    if entry.vertebrae is not None:
+        raise SceneError(
+            scene.path, f"{key}.volume", entry.volume, "",
+            "superelements of vertebrae are not built with patches: omit volume or vertebrae",
+        )  # fmt: skip
+
+
+def _parts_of_cells(
+    entry: BodyEntry, key: str, mesh: CellMesh, parts: MeshParts, scene: Scene, notes: list[str]
+) -> tuple[MaterialPart, ...]:
+    """See `material_parts`."""
     base = entry.material
     if not entry.materials:
         volume = float(mesh.volume)
         density = base.total_mass / volume if base.density is None else base.density
-        return (MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                             density, None, volume),)  # fmt: skip
+        return (MaterialPart(f"{key}.material", base.law, *base.at_rest, density, None, volume),)
     owner = np.full(mesh.cell_count, -1)
     made = []
     for index, other in enumerate(entry.materials):
@@ -93,16 +141,15 @@ def material_parts(
         _refuse_claimed_twice(cells, owner, index, other, key, scene)
         owner[cells] = index
         made.append(MaterialPart(
-            place, _or(other.law, base.law), other.young_modulus,
-            _or(other.poisson_ratio, base.poisson_ratio), _or(other.density, base.density), cells,
-            float(mesh.volumes[cells].sum()),
+            place, _or(other.law, base.law), *entry.part_at_rest(index),
+            _or(other.density, base.density), cells, float(mesh.volumes[cells].sum()),
         ))  # fmt: skip
     rest = np.flatnonzero(owner < 0)
     if not len(rest):
         notes.append(f"{key}.material is not used: {key}.materials claims every cell")
         return tuple(made)
-    own = MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                       base.density, rest, float(mesh.volumes[rest].sum()))  # fmt: skip
+    own = MaterialPart(f"{key}.material", base.law, *base.at_rest, base.density, rest,
+                       float(mesh.volumes[rest].sum()))  # fmt: skip
     return (own, *made)
 
 

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from functools import reduce
-
 import numpy as np
 
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.cubic_bubbles import CubicMesh
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
-from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import CavityWall
-from softrobot_twin.simulation.deformable_body import Body, carry, part_named
+from softrobot_twin.simulation.deformable_body import Body, part_named
 
 # How often each triangle of a wall is cut into four, so that the facets follow the curved faces of
 # quadratic tetrahedra, and so that their vertices sample the bubbles of cubic ones.
 _CUTS_OF_QUADRATIC, _CUTS_OF_CUBIC = 1, 2
-# A weight below this is round-off of a vertex that is a node of the mesh.
-NO_WEIGHT = 1.0e-6
 
 
 def cavity_surface(
@@ -65,26 +60,7 @@ def cavity_wall(
     # Pressure acts on nodes at the middle of edges too, and on bubbles.
     for _ in range(max(_cuts(body.mesh) for body in bodies)):
         points, triangles = _quartered(points, triangles)
-    return reduced(_carried_by_nearest(layout, bodies, points, key, notes)), triangles
-
-
-def _carried_by_nearest(
-    layout, bodies: list[Body], points: np.ndarray, key: str, notes: list[str]
-) -> BarycentricMapping:
-    """Each point is carried by the nearest body."""
-    if len(bodies) == 1:
-        return carry(bodies[0], points, key, layout.scene, notes)
-    nearest = np.argmin(
-        [locate_points(body.mesh.corner_mesh, points).distances for body in bodies], axis=0
-    )
-    own = [np.flatnonzero(nearest == index) for index in range(len(bodies))]
-    mappings = [
-        carry(body, points[place], key, layout.scene, notes)
-        for body, place in zip(bodies, own, strict=True) if len(place)
-    ]  # fmt: skip
-    joined = reduce(BarycentricMapping.followed_by, mappings)
-    order = np.argsort(np.concatenate(own))
-    return BarycentricMapping(joined.nodes[order], joined.barycentric_weights[order])
+    return layout.carried_by_nearest(bodies, points, key, notes), triangles
 
 
 def _cuts(mesh) -> int:
@@ -138,25 +114,3 @@ def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     quartered = np.stack([np.stack(corners, axis=1) for corners in parts], axis=1).reshape(-1, 3)
     return np.vstack([points, points[edges].mean(axis=1)]), quartered
-
-
-def reduced(mapping: BarycentricMapping) -> BarycentricMapping:
-    """The same points without weights that are round-off, as narrow as possible.
-
-    A vertex that is a node of the mesh is carried by that node alone.
-
-    Args:
-        mapping: The points.
-    """
-    weights = mapping.barycentric_weights
-    whole = weights.sum(axis=1, keepdims=True)
-    # Weights of nodes have a sum of 1, but those of bubbles are added to them.
-    whole = np.where(np.abs(whole - 1.0) < NO_WEIGHT, 1.0, whole)
-    weights = np.where(np.abs(weights) < NO_WEIGHT, 0.0, weights)
-    weights = weights / weights.sum(axis=1, keepdims=True) * whole
-    order = np.argsort(weights == 0.0, axis=1, kind="stable")
-    width = max(1, int((weights != 0.0).sum(axis=1).max(initial=0)))
-    return BarycentricMapping(
-        np.take_along_axis(mapping.nodes, order, axis=1)[:, :width],
-        np.take_along_axis(weights, order, axis=1)[:, :width],
-    )

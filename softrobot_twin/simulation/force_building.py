@@ -30,6 +30,7 @@ from softrobot_twin.mechanics.inertia import (
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.liquid_filling import LiquidFilling
+from softrobot_twin.mechanics.patch_volumes import PatchVolumes, divided, patches_of
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
@@ -180,20 +181,33 @@ def with_nodes(layout: Layout) -> list[Body]:
     return [body for body in layout.bodies if body.vertebrae is None]
 
 
-def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
-    """A term for each material of a body and each kind of its cells."""
+def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
+    """A term for each material of a body and each kind of its cells, and one for its patches."""
+    free_index = layout.nodes.free_index
     for part in body.materials:
+        law, bulk_modulus = part.law_parameters, 0.0
+        if body.entry.volume == "patches":
+            law, bulk_modulus = divided(law, part.shear_modulus)
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
-            yield Elements(block.mesh, layout.nodes.free_index, part.law_parameters)
+            yield Elements(block.mesh, free_index, law)
+            if bulk_modulus > 0.0:
+                yield PatchVolumes(block.mesh, free_index, bulk_modulus, patches_of(block.mesh))
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
-    """A term for each material of a body and each kind of its cells."""
+    """A term for each material of a body and each kind of its cells.
+
+    With patches it is the elements' share of the stiffness that is damped.
+    """
     beta = body.entry.damping.stiffness
     for part in body.materials:
+        lame = part.lame_parameters
+        if body.entry.volume == "patches":
+            kept = divided(part.law_parameters, lame.shear_modulus).law.bulk_modulus
+            lame = lame._replace(lame_lambda=kept - 2.0 * lame.shear_modulus / 3.0)
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
             yield StrainRateDamping(
-                block.mesh, layout.nodes.free_index, part.lame_parameters, beta
+                block.mesh, layout.nodes.free_index, lame, beta
             )
 
 

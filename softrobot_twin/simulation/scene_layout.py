@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry import shapes
 from softrobot_twin.geometry.surface_reading import read_solid_surface
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.hinged_frames import HingedFrames, Hinges
 from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
@@ -30,7 +30,7 @@ from softrobot_twin.scene.body_entries import (
 )
 from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.beam_bodies import BeamBody, BeamNet
-from softrobot_twin.simulation.cavity_walls import cavity_wall, reduced
+from softrobot_twin.simulation.cavity_walls import cavity_wall
 from softrobot_twin.simulation.deformable_body import (
     Body,
     build_body,
@@ -421,15 +421,13 @@ class Layout(NamedTuple):
             own = np.flatnonzero(nearest == index)
             if len(own):
                 mappings.append(
-                    carry(body, points[own], key, self.scene, notes, spread_radius, own)
-                    if isinstance(body, Body) else body.carried(points[own])
+                    carry(body, points[own], key, self.scene, notes, spread_radius, own).reduced()
+                    if isinstance(body, Body) else body.carried(points[own]).reduced(NO_LEVER)
                 )  # fmt: skip
                 places.append(own)
         joined = reduce(BarycentricMapping.followed_by, mappings)
         order = np.argsort(np.concatenate(places))
-        return reduced(
-            BarycentricMapping(joined.nodes[order], joined.barycentric_weights[order])
-        )
+        return BarycentricMapping(joined.nodes[order], joined.barycentric_weights[order])
 
     def in_world(self, name: str | None, frame: str, points) -> np.ndarray:
         """Points of an entry with its own frame, in the world [m], shape (count, 3)."""

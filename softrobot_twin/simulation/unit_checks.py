@@ -14,7 +14,7 @@ YOUNG_RANGE = (1.0e3, 3.0e11)
 """Range from jelly to steel [Pa]."""
 THICK_SHARE = 1.0
 """A beam that is more across than this share of its length is none."""
-LOCKING_RATIO = 0.48
+LOCKING_RATIO = 0.47
 """Above this Poisson ratio linear tetrahedra lock."""
 SAG_SHARE = 0.5
 """A sag by more than this share of the size is reported as unlikely."""
@@ -69,11 +69,12 @@ def _odd_values(body) -> list[str]:
     weight = "density" if has_density else "total_mass over its volume"
     notes = []
     for part in body.materials:
-        if body.entry.element == "linear" and part.poisson_ratio > LOCKING_RATIO:
+        locks = body.entry.element == "linear" and body.entry.volume == "per_element"
+        if locks and part.poisson_ratio > LOCKING_RATIO:
             notes.append(
                 f"{part.key}.poisson_ratio = {part.poisson_ratio:g} with {body.key}.element = "
                 f"linear: above {LOCKING_RATIO:g} linear tetrahedra lock, the body is far too "
-                "stiff; use element: quadratic"
+                "stiff; use volume: patches with a hyperelastic law, or element: quadratic"
             )
     checked = [(f"{body.key}.mesh size", body.size, SIZE_RANGE, "m",
                 "is the mesh in millimetres? then give scale: 0.001")]  # fmt: skip

@@ -37,8 +37,10 @@ from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
+from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.superelements import SuperelementFit
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.body_materials import MaterialPart
 from softrobot_twin.simulation.deformable_body import Body, part_named
 from softrobot_twin.simulation.frame_part import FramePart
 
@@ -337,7 +339,7 @@ def fingerprints(division: Division) -> dict[str, str]:
         return np.floor(points / scale + 0.5).astype(np.int64)
 
     materials = [
-        (part.law, repr((part.young_modulus, part.poisson_ratio, part.density)),
+        (part.law, repr((*_constants(part), part.density)),
          np.arange(body.mesh.cell_count) if part.cells is None else part.cells)
         for part in body.materials
     ]  # fmt: skip
@@ -378,6 +380,13 @@ class Reduction(NamedTuple):
     rest_volumes: np.ndarray
     rest_areas: np.ndarray
     measured: np.ndarray = np.full(2, np.nan)
+
+
+def _constants(part: MaterialPart) -> tuple:
+    """What the stiffness of a material follows from: E and ν, or the constants of its law."""
+    if law_named(part.law).own is None:
+        return part.young_modulus, part.poisson_ratio
+    return part.law_parameters
 
 
 def write_reduction(path: Path, reduction: Reduction, prints: dict[str, str]) -> None:

@@ -688,7 +688,7 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
     # The size is that of the corners: linear tetrahedra have no other nodes.
     by_corners = scene if scene.body.element == HEXAHEDRAL else with_element(scene, "linear")
     size = only_body(by_corners).size
-    tolerance = _RELATIVE_TOLERANCE * scene.body.material.young_modulus * size**2
+    tolerance = _RELATIVE_TOLERANCE * scene.body.material.at_rest.young_modulus * size**2
     free = without_effort_limits(without_rate_limits(with_volumes(scene)))
     return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
 

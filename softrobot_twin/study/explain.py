@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
+from softrobot_twin.scene.body_entries import AtRest, Fibre, RegionMaterial
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.beam_bodies import BeamBody
@@ -69,8 +70,25 @@ def describe_material(material) -> str:
     """A material entry."""
     weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
                else f"{number(material.total_mass)} kg in total")
-    return (f"{material.law}, E {number(material.young_modulus)} Pa, "
-            f"ν {number(material.poisson_ratio)}, {weighed}")
+    return f"{_describe_law(material.law, material.at_rest, material.constants)}, {weighed}"
+
+
+def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | None) -> str:
+    """A law, its moduli at rest and its own constants, if it has any."""
+    moduli = f"E {number(at_rest.young_modulus)} Pa, ν {number(at_rest.poisson_ratio)}"
+    if constants is None:
+        return f"{law}, {moduli}"
+    words = [
+        f"{constant.name} {_values(constants[constant.name])} {constant.unit}".rstrip()
+        for constant in law_named(law).own.constants
+    ]
+    return f"{law}, {', '.join(words)}, at rest {moduli}"
+
+
+def _values(constant: float | tuple[float, ...]) -> str:
+    if isinstance(constant, tuple):
+        return f"[{', '.join(map(number, constant))}]"
+    return number(constant)
 
 
 def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
@@ -78,9 +96,8 @@ def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
     place = f"region {entry.region}"
     if entry.box is not None:
         place = f"box from {millimetres(entry.box.minimum)} to {millimetres(entry.box.maximum)}"
-    return (f"{place}: {part.law}, E {number(part.young_modulus)} Pa, "
-            f"ν {number(part.poisson_ratio)}, {number(part.density)} kg/m³, "
-            f"{number(part.volume)} m³")
+    return (f"{place}: {_describe_law(part.law, part, entry.constants)}, "
+            f"{number(part.density)} kg/m³, {number(part.volume)} m³")
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:

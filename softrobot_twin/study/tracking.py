@@ -1,8 +1,8 @@
 """Tracking errors of recorded runs, as a report and a picture.
 
 The error at the time t of a device sample is ‖x_device(t) - x_target(t)‖ or, for a robot that is
-driven by commands, ‖x_device(t) - x_twin(t)‖: how far the twin predicts wrongly. Target and twin are
-interpolated linearly in time. An error therefore includes a delay.
+driven by commands, ‖x_device(t) - x_twin(t)‖: how far the twin predicts wrongly. Target and twin
+are interpolated linearly in time. An error therefore includes a delay.
 """
 
 from __future__ import annotations

@@ -9,7 +9,6 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
-from softrobot_twin.simulation.cavity_walls import reduced
 
 SIZE = np.array([0.2, 0.3, 0.4])
 
@@ -31,7 +30,7 @@ def cavity(request, block):
         mesh = add_mid_edge_nodes(mesh)
     found = locate_points(mesh.corner_mesh, points)
     carriers = BarycentricMapping(*mesh.carriers(found.cells, found.barycentric_weights))
-    return mesh, CavitySurface("air", reduced(carriers), boundary_triangles(inner.cells))
+    return mesh, CavitySurface("air", carriers.reduced(), boundary_triangles(inner.cells))
 
 
 def shaken(mesh, amount=0.01):

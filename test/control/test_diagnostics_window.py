@@ -31,6 +31,15 @@ def test_the_worst_status_is_reported_and_not_only_the_newest(outcome):
     assert window.newest.result.status is Status.OK
 
 
+def test_steps_are_counted_by_their_status_until_clear(outcome):
+    window = DiagnosticsWindow()
+    for status in (Status.OK, Status.LINEARIZED, Status.OK):
+        window.add(changed(outcome, status))
+    assert window.statuses == {"ok": 2, "linearized": 1}
+    window.clear()
+    assert window.statuses == {}
+
+
 def test_a_residual_of_nan_is_the_worst(outcome):
     window = DiagnosticsWindow()
     window.add(changed(outcome, residual=math.nan))

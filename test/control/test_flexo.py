@@ -70,4 +70,5 @@ def test_the_closed_loop_leads_the_robot_while_its_hand_opens_and_closes(twin_an
           f"{1e3 * closed.mean():.2f} / {1e3 * closed.max():.2f} mm, model {1e3 * model.max():.4f} mm")
     assert np.ptp(lengths) > 0.012 and model.max() < 1e-3
     assert opened.max() < 0.010
+    assert opened.max() < 2.0 * opened.mean(), "no jumps where the hand is shut"
     assert closed.mean() < 0.5 * opened.mean()

@@ -35,8 +35,8 @@ def close(driver, ticks=150):
     return driver.tick(ticks)
 
 
-def test_targets_for_a_scene_without_effectors_are_refused_before_the_loop_starts(grasper):
-    with pytest.raises(ParameterError, match="no effectors.*direct") as refusal:
+def test_targets_in_contact_with_friction_are_refused_before_the_loop_starts(grasper):
+    with pytest.raises(ParameterError, match="grasper.*friction.*direct") as refusal:
         TwinLoop(grasper, LoopSettings(), Mode.INVERSE)
     assert refusal.value.name == "mode"
 

@@ -24,6 +24,7 @@ from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.element_assembly import assembly_of
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws import law_named
+from softrobot_twin.mechanics.material import bulk_modulus, shear_modulus
 from softrobot_twin.mechanics.point_law import (
     differential,
     energy_density,
@@ -36,8 +37,10 @@ from softrobot_twin.scene import scene_from_mapping
 YOUNG, POISSON = 2.0e5, 0.35
 
 
-class SaintVenantKirchhoff(NamedTuple):
-    """A law from outside: Ψ = µ E:E + λ/2 tr²(E), E = (FᵀF - 1)/2."""
+class FromOutside(NamedTuple):
+    """A law from outside, as simple as can be, which the package has too: that of St. Venant and
+    Kirchhoff, Ψ = µ E:E + λ/2 tr²(E), E = (FᵀF - 1)/2.
+    """
 
     lame_lambda: float
     shear_modulus: float
@@ -57,29 +60,43 @@ def green_strain(F):
 
 
 @njit(**INLINED)
-def saint_venant_energy(law, F):
+def outside_energy(law, F):
     strain = green_strain(F)
     return 0.5 * inner(second_piola(law, strain), strain)
 
 
 @njit(**INLINED)
-def saint_venant_stress(law, F):
+def outside_stress(law, F):
     return product(F, second_piola(law, green_strain(F)))
 
 
 @njit(**INLINED)
-def saint_venant_differential(law, F, dF):
+def outside_differential(law, F, dF):
     change = second_piola(law, symmetric(transposed_product(F, dF)))
     turned = product(dF, second_piola(law, green_strain(F)))
     return add_scaled_matrix(turned, product(F, change), 1.0)
 
 
 register_law(
-    "saint_venant_kirchhoff", SaintVenantKirchhoff,
-    saint_venant_energy, saint_venant_stress, saint_venant_differential,
+    "from_outside", FromOutside, outside_energy, outside_stress, outside_differential,
 )  # fmt: skip
 
-LAWS = ("corotational", "linear", "neo_hookean", "saint_venant_kirchhoff")
+SHEAR, BULK = shear_modulus(YOUNG, POISSON), bulk_modulus(YOUNG, POISSON)
+CONSTANTS = {
+    "mooney_rivlin": {"c10": 0.35 * SHEAR, "c01": 0.15 * SHEAR},
+    "yeoh": {"c1": 0.5 * SHEAR, "c2": -0.02 * SHEAR, "c3": 0.01 * SHEAR},
+}
+"""Constants of laws that have their own, of a material with these moduli at rest."""
+MODULI = ("corotational", "linear", "neo_hookean", "saint_venant_kirchhoff", "from_outside")
+LAWS = (*MODULI, *CONSTANTS)
+
+
+def parameters_of(law):
+    """The parameters of a law that is at rest like all others here."""
+    own = law_named(law).own
+    if own is None:
+        return law_named(law).of_moduli(YOUNG, POISSON)
+    return own.parameters(CONSTANTS[law], BULK)
 
 
 class Hexahedron:
@@ -137,7 +154,7 @@ def law(request):
 @pytest.fixture
 def body(mesh, law, bind):
     """A body of every element and every law; its first two nodes are held."""
-    parameters = law_named(law).of_moduli(YOUNG, POISSON)
+    parameters = parameters_of(law)
     return mesh, bind(
         (lambda mesh, free, _: Elements(mesh, free, parameters), mesh, 1.0, 0.0), fixed=[0, 1]
     )
@@ -188,18 +205,26 @@ def test_the_projected_stiffness_has_no_negative_curvature_and_is_exact_where_no
 
 def density_of(law, parameters, F):
     """The energy per volume, written with numpy."""
+    J, C = np.linalg.det(F), F.T @ F
+    volumetric = 0.25 * (J**2 - 1.0 - 2.0 * np.log(J))
+    first = J ** (-2.0 / 3.0) * np.trace(C) - 3.0
+    second = J ** (-4.0 / 3.0) * 0.5 * (np.trace(C) ** 2 - np.trace(C @ C)) - 3.0
     if law == "neo_hookean":
-        shear, bulk = parameters
-        J = np.linalg.det(F)
-        shape = J ** (-2.0 / 3.0) * np.sum(F**2) - 3.0
-        return 0.5 * shear * shape + 0.25 * bulk * (J**2 - 1.0 - 2.0 * np.log(J))
+        return 0.5 * parameters.shear_modulus * first + parameters.bulk_modulus * volumetric
+    if law == "yeoh":
+        c1, c2, c3, bulk = parameters
+        return c1 * first + c2 * first**2 + c3 * first**3 + bulk * volumetric
+    if law == "mooney_rivlin":
+        c10, c01, bulk = parameters
+        return c10 * first + c01 * second + bulk * volumetric
     lame, shear = parameters
-    strain = 0.5 * (F.T @ F - np.eye(3)) if law == "saint_venant_kirchhoff" else F - np.eye(3)
+    is_green = law in ("saint_venant_kirchhoff", "from_outside")
+    strain = 0.5 * (C - np.eye(3)) if is_green else F - np.eye(3)
     return shear * np.sum(strain**2) + 0.5 * lame * np.trace(strain) ** 2
 
 
 def test_uniform_strain_stores_the_energy_of_its_law(mesh, law, bind):
-    parameters = law_named(law).of_moduli(YOUNG, POISSON)
+    parameters = parameters_of(law)
     bound = bind((lambda mesh, free, _: Elements(mesh, free, parameters), mesh, 1.0, 0.0))
     F = np.array([[1.02, 0.01, 0.0], [0.01, 0.97, 0.02], [0.0, 0.02, 1.01]])
     volume = bound.terms[0].energy(mesh.node_positions @ F.T) / density_of(law, parameters, F)
@@ -230,7 +255,7 @@ def rows(matrix):
 
 
 def test_at_a_point_stress_and_differential_are_the_derivatives_of_the_energy(law):
-    parameters = law_named(law).of_moduli(YOUNG, POISSON)
+    parameters = parameters_of(law)
     rng = np.random.default_rng(1)
     # A law that turns sees a symmetric stretch, and changes of it.
     shake = 0.1 * rng.standard_normal((2, 3, 3))
@@ -253,18 +278,18 @@ def test_a_scene_may_name_a_law_from_outside(tmp_path):
         "body": {
             "mesh": {"file": "body.vtk"},
             "material": {
-                "law": "saint_venant_kirchhoff", "young_modulus": 1e5, "poisson_ratio": 0.3,
+                "law": "from_outside", "young_modulus": 1e5, "poisson_ratio": 0.3,
                 "density": 1000.0,
             },
         }
     }  # fmt: skip
     scene = scene_from_mapping(mapping, tmp_path / "scene.yaml")
-    assert scene.body.material.law == "saint_venant_kirchhoff"
+    assert scene.body.material.law == "from_outside"
 
 
 def test_only_laws_of_the_package_are_kept_on_disk():
     """numba would not notice a change in the file of a law from outside."""
-    assert assembly_of(SaintVenantKirchhoff).add_forces.stats.cache_path is None
+    assert assembly_of(FromOutside).add_forces.stats.cache_path is None
     assert assembly_of(law_named("corotational").parameters).add_forces.stats.cache_path
 
 

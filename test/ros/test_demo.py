@@ -64,6 +64,16 @@ def test_a_short_run_keeps_to_its_first_path_at_the_pace_of_the_parameters(tmp_p
     assert plan_demo("diamond", tmp_path, 2.0, view=False).ramp_time == 1.0
 
 
+def test_a_robot_without_markers_runs_open_loop_only(tmp_path, monkeypatch):
+    scene = (ROOT / "config" / "scenes" / "octoleg.yaml").read_text().replace(
+        "    measured_by: [0]\n", "").replace("../../meshes", str(ROOT / "meshes"))
+    (tmp_path / "blind.yaml").write_text(scene)
+    (tmp_path / "robot.yaml").write_text(
+        f"/**: {{ros__parameters: {{mode: inverse, scene_file: {tmp_path / 'blind.yaml'}}}}}")
+    monkeypatch.setattr("softrobot_twin.ros.demo.config_folders", lambda: [tmp_path])
+    assert plan_demo("robot", tmp_path / "demo", 5.0, view=False).runs == ("open_loop",)
+
+
 def test_a_robot_that_is_driven_directly_plays_its_commands_in_one_run(tmp_path):
     plan = plan_demo("grasper", tmp_path, 5.0, view=False)
     assert plan.is_direct and plan.runs == ("direct",) and plan.paths == ()
@@ -301,8 +311,8 @@ def report_of(folder):
 
 
 @pytest.mark.slow
-def test_a_short_demo_writes_all_documented_files(demo, tmp_path):
-    output, errors = (process := demo("--seconds", "4")).communicate(timeout=220)
+def test_a_short_demo_halves_the_error_and_writes_all_documented_files(demo, tmp_path):
+    output, errors = (process := demo("--seconds", "8")).communicate(timeout=220)
     assert process.returncode == 0, errors
     folder = tmp_path / "demo"
     report = report_of(folder)
@@ -310,9 +320,12 @@ def test_a_short_demo_writes_all_documented_files(demo, tmp_path):
     for run in ("open_loop", "closed_loop"):
         assert set(report[run]) == FIGURES
         assert 0.0 < report[run]["mean_error_mm"] <= report[run]["max_error_mm"] < 100.0
-        assert report[run]["seconds"] == pytest.approx(4.0, abs=0.5)
+        assert report[run]["seconds"] == pytest.approx(8.0, abs=0.5)
     assert report["closed_to_open_ratio"] == pytest.approx(
         report["closed_loop"]["mean_error_mm"] / report["open_loop"]["mean_error_mm"])
+    # This run is short and half of it are ramps. The gain of the closed loop is tested in simulated
+    # time in test/control/test_closed_loop.py, where the error falls to a fifth.
+    assert report["closed_to_open_ratio"] < 0.5
     compute = report["compute_time_ms"]
     assert 0.0 < compute["median"] <= compute["p99"] <= compute["max"]
     assert report["ticks"] > 10 and report["missed_ticks"] >= 0 and report["period_ms"] > 0.0
@@ -365,16 +378,6 @@ def test_a_node_that_dies_ends_the_demo_with_its_last_output(demo, tmp_path):
 
 
 @pytest.mark.slow
-def test_closing_the_loop_more_than_halves_the_error(demo, tmp_path):
-    # This run is short and half of it are ramps. The gain of the closed loop is tested in simulated
-    # time in test/control/test_closed_loop.py, where the error falls to a fifth.
-    process = demo("--seconds", "8")
-    _, errors = process.communicate(timeout=220)
-    assert process.returncode == 0, errors
-    assert report_of(tmp_path / "demo")["closed_to_open_ratio"] < 0.5
-
-
-@pytest.mark.slow
 def test_the_hand_of_the_flexo_moves_while_its_tip_is_led(demo, tmp_path):
     # Only that both are commanded: on a busy machine the twin's ticks may be late.
     process = demo("--robot", "flexo", "--seconds", "6")
@@ -393,13 +396,15 @@ def test_the_hand_of_the_flexo_moves_while_its_tip_is_led(demo, tmp_path):
 
 # --- the robots of the paper -----------------------------------------------------------------
 
-ROBOTS = ("diamond", "trunk", "grasper", "octoleg", "fetch", "flexo")
-"""The robots of Table 1 of Coevoet 2017; each has a demo, a scene and a parameter file."""
+TRAVEL = None
+ROBOTS = dict.fromkeys(("diamond", "trunk", "grasper", "octoleg", "fetch", "flexo"), TRAVEL)
+"""The robots of Table 1 of Coevoet 2017, each with what its error is a share of: the travel of its
+effector, or a length [m] where the effector is held in place."""
 SECONDS = 5.0
 LATEST = 0.5
-"""A busy machine makes a robot late [s]: it must be where it should have been at most so long ago."""
+"""A busy machine makes a robot late: it must be where it should have been within this time [s]."""
 LARGEST_ERROR = 0.2
-"""Mean distance of a device from where it should be, as a share of its travel. Devices are up to
+"""Mean distance of a device from where it should be, as that share. Devices are up to
 15 % softer than their twins, and their cables run up to 1 mm beside levers of 10 mm and more: the
 root of both squares is 18 %."""
 LEAST_TRAVEL = 5e-3
@@ -407,15 +412,14 @@ MOST_NOT_CONVERGED = 0.1
 """Share of steps that may end with a residual above what is allowed."""
 FAILURES = {"inverted", "refused", "unsolved", "diverged"}
 BUSY = 0.5
-"""With fewer than this share of the ticks, errors say something of the machine, not of the robot."""
+"""With a smaller share of the ticks, errors say something of the machine, not of the robot."""
 
 
 def distances_to_recent(reference_times, reference, times, points):
     """Least distance of each point from the reference during the time before it [m]."""
     found = []
     for time, point in zip(times, points, strict=True):
-        # The reference is taken a sample early, because messages are ordered by their stamps.
-        recent = (reference_times >= time - LATEST) & (reference_times <= time + 0.02)
+        recent = (reference_times >= time - LATEST) & (reference_times <= time)
         if recent.any():
             found.append(np.linalg.norm(reference[recent] - point, axis=1).min())
     return np.array(found)
@@ -456,11 +460,11 @@ def test_the_demo_leads_the_robot(demo, tmp_path, robot):
     assert not FAILURES & steps.keys() and count > 10, steps
     assert steps.get("not_converged", 0) <= MOST_NOT_CONVERGED * count, steps
     done = report["ticks"] / (report["ticks"] + report["skipped_ticks"])
-    busy = (f"the machine was busy: {100 * done:.0f} % of the ticks took place, others used "
+    load = (f"{100 * done:.0f} % of the ticks took place, other programs used "
             f"{100 * (report['processor_share_of_others'] or 0):.0f} % of the processor")
     with np.load(folder / "samples.npz") as samples:
         runs = [run for run in (*RUNS, "direct") if f"{run}.device.times" in samples]
-        assert runs in (list(RUNS), ["direct"])
+        assert runs == list(plan_demo(robot, tmp_path, SECONDS, view=False).runs)
         for run in runs:
             twin, device = (samples[f"{run}.{one}.values"] for one in ("twin", "device"))
             lead = "twin" if run == "direct" else "target"
@@ -469,10 +473,10 @@ def test_the_demo_leads_the_robot(demo, tmp_path, robot):
                 samples[f"{run}.device.times"], device)
             travel = np.linalg.norm(twin - twin[0], axis=1).max()
             print(f"{robot}, {run}: mean {1e3 * apart.mean():.2f} mm of {1e3 * travel:.0f} mm; "
-                  f"{steps}; {busy}")
+                  f"{steps}; {load}")
             if done < BUSY:
                 continue
-            assert travel > LEAST_TRAVEL, busy
-            assert apart.mean() < LARGEST_ERROR * travel, busy
+            assert ROBOTS[robot] is not TRAVEL or travel > LEAST_TRAVEL, load
+            assert apart.mean() < LARGEST_ERROR * (ROBOTS[robot] or travel), load
     if done < BUSY:
-        pytest.skip(busy + ": the errors are not judged")
+        pytest.skip(f"the machine was too busy to judge the errors: {load}")

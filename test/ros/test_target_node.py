@@ -127,7 +127,8 @@ GRASPER = CONFIG / "scenes" / "grasper.yaml"
 
 def table_of(folder, *rows):
     file = folder / "commands.csv"
-    file.write_text("\n".join(["time_s,grip_shortening_m,palm_x_m,palm_y_m,palm_z_m", *rows]) + "\n")
+    header = "time_s,grip_shortening_m,palm_x_m,palm_y_m,palm_z_m"
+    file.write_text("\n".join([header, *rows]) + "\n")
     return {"scene_file": str(GRASPER), "target_commands": str(file), "target_effector": "cube"}
 
 

@@ -46,6 +46,8 @@ def test_the_statuses_have_the_documented_keys(world, make_twin, diagnostics):
     assert {"status", "worst_status", "residual_n", "iterations", "nodes", "dof"} <= (
         solver.values.keys()
     )
+    counts = dict(word.split(":") for word in solver.values["statuses"].split())
+    assert solver.values["status"] in counts and all(int(count) > 0 for count in counts.values())
     assert any(key.startswith("time_") for key in solver.values)
     assert float(solver.values["time_factor_ms"]) > 0.0
     loop = diagnostics("loop").values

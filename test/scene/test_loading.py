@@ -80,20 +80,6 @@ def test_an_unsupported_effect_is_refused_by_name(effect, word):
     assert word in error.reason and "not available" in error.reason
 
 
-@pytest.mark.parametrize(
-    "section, key, value, word",
-    [
-        ("material", "law", "neo_hookean", "Neo-Hookean"),
-    ],
-)
-def test_an_unsupported_choice_is_refused_by_name(section, key, value, word):
-    error = refused(
-        lambda m: (m["body"][section] if section else m).__setitem__(key, value)
-    )
-    assert error.value == value
-    assert word in error.reason and "not available" in error.reason
-
-
 def test_an_element_is_linear_by_default():
     assert scene_from_mapping(copy.deepcopy(GOOD)).body.element == "linear"
     error = refused(lambda m: m["body"].__setitem__("element", "cubic"))

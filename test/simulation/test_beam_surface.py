@@ -89,6 +89,18 @@ def test_points_between_nodes_follow_an_arc_with_the_fourth_power_of_its_angle()
     assert errors[0] / errors[1] > 7.0
 
 
+def test_a_point_at_a_node_is_carried_by_its_frame_alone():
+    body = simulation(beam(elements=4)).model.beams[0]
+    node, middle = body.places[2], 0.5 * (body.places[2] + body.places[3])
+    across = 0.003 * body.axes[2][:, 1]
+    at_node, beside = body.carried([node]), body.carried([node + across])
+    assert at_node.nodes.tolist() == [[body.carriers.frame_nodes[2]]]
+    assert set(beside.nodes[0]) <= set(body.carriers.frame_nodes[2] + np.arange(4))
+    x = simulation(beam(elements=4)).model.nodes.rest_positions
+    for points in ([node], [node + across], [middle], [node, middle + across]):
+        np.testing.assert_allclose(body.carried(points).positions(x), points, atol=1e-15)
+
+
 def test_a_beam_of_millimetres_and_one_of_water_are_doubted():
     notes = " ".join(simulation(beam(points=[[0, 0, 0], [200.0, 0, 0]]), gravity=[0, 0, 0]).notes)
     assert "beams[0] length = 200 m" in notes

@@ -5,7 +5,11 @@ import pytest
 
 from softrobot_twin.simulation.cable_actuator import CableActuator
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets
-from softrobot_twin.simulation.input_tables import SINGLE_ROW_TIME_STEP, TableFileError, read_targets
+from softrobot_twin.simulation.input_tables import (
+    SINGLE_ROW_TIME_STEP,
+    TableFileError,
+    read_targets,
+)
 
 EFFECTORS = ("tip", "side")
 ACTUATORS = dict.fromkeys(("north", "south"), CableActuator())

@@ -63,6 +63,19 @@ def test_figures_are_in_millimetres():
     assert figures["samples"] == 199
 
 
+def test_without_targets_the_device_is_compared_with_the_twin(tmp_path):
+    runs = {"direct": replace(record((0.0, 0.0, -0.002)), target=None)}
+    report = tracking_report("octoleg", runs, LOOP, MESH)
+    assert report["direct"]["mean_error_mm"] == pytest.approx(2.1)
+    assert report["direct"]["seconds"] == pytest.approx(3.98)
+    assert report["open_loop"] is None and report["closed_to_open_ratio"] is None
+    save_records(tmp_path / "samples.npz", runs)
+    with np.load(tmp_path / "samples.npz") as samples:
+        assert "direct.twin.values" in samples and "direct.target.values" not in samples
+    draw_tracking("octoleg", runs, tmp_path / "tracking.png")
+    assert (tmp_path / "tracking.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_run_without_device_measurements_is_refused_by_name():
     blind = record((0.0, 0.0, 0.0))
     blind = replace(blind, device=TimedValues(np.empty(0), np.empty((0, 3))))

@@ -90,5 +90,6 @@ def differential(law, spin_stiffness, A):
 
 
 register_law(
-    "corotational", Corotational, energy_density, stress, differential, linearize, turns=True
+    "corotational", Corotational, energy_density, stress, differential, linearize,
+    projects=True, turns=True,
 )

@@ -1,13 +1,8 @@
 """The Neo-Hookean law: rubber whose shear modulus does not depend on the strain.
 
-With J = det F, I₁ = F : F, the cofactors C = J F⁻ᵀ and m = J^(-2/3)
+    Ψ = µ/2 (Ī₁ - 3) + κ U(J),    U = (J² - 1 - 2 ln J)/4
 
-    Ψ  = µ/2 (m I₁ - 3) + κ U(J),    U = (J² - 1 - 2 ln J)/4
-    P  = µ m F + p C,                p = µ/2 m' I₁ + κ U'
-    dP = µ m dF + µ m' J̇ F + (µ m' F : dF + (µ/2 m'' I₁ + κ U'') J̇) C + p dC,    J̇ = C : dF
-
-`volume_change.py` continues m and U below a small J, so that all of it is finite for flat and
-inverted points.
+`invariants.py` gives stress and differential. It fits most silicones up to about 50 % strain.
 """
 
 from __future__ import annotations
@@ -16,18 +11,16 @@ from typing import NamedTuple
 
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import (
-    add_scaled_matrix,
-    cofactor,
-    cofactor_change,
-    determinant,
-    inner,
-    scaled_matrix,
-)
 from softrobot_twin.geometry.vector3 import INLINED
+from softrobot_twin.mechanics.invariants import (
+    differential_of_first,
+    first_invariant,
+    linearize_first,
+    stress_of_first,
+)
 from softrobot_twin.mechanics.material import bulk_modulus, shear_modulus
 from softrobot_twin.mechanics.point_law import register_law
-from softrobot_twin.mechanics.volume_change import volume_power, volumetric
+from softrobot_twin.mechanics.volume_change import volumetric
 
 
 class NeoHookean(NamedTuple):
@@ -45,31 +38,28 @@ class NeoHookean(NamedTuple):
 @njit(**INLINED)
 def energy_density(law, F):
     """Ψ [J/m³]."""
-    J = determinant(F)
-    shape = volume_power(J, -2.0 / 3.0)[0] * inner(F, F) - 3.0
-    return 0.5 * law.shear_modulus * shape + law.bulk_modulus * volumetric(J)[0]
+    at = first_invariant(F)
+    shape = 0.5 * law.shear_modulus * (at.power * at.square - 3.0)
+    return shape + law.bulk_modulus * volumetric(at.volume)[0]
 
 
 @njit(**INLINED)
 def stress(law, F):
     """P [Pa]."""
-    J, mu = determinant(F), law.shear_modulus
-    m, slope, _ = volume_power(J, -2.0 / 3.0)
-    pressure = 0.5 * mu * slope * inner(F, F) + law.bulk_modulus * volumetric(J)[1]
-    return add_scaled_matrix(scaled_matrix(F, mu * m), cofactor(F), pressure)
+    return stress_of_first(F, first_invariant(F), 0.5 * law.shear_modulus, law.bulk_modulus)
 
 
 @njit(**INLINED)
-def differential(law, F, dF):
+def linearize(law, F, upright, projected):
+    """F, its cofactors and five factors."""
+    at = first_invariant(F)
+    return linearize_first(F, at, 0.5 * law.shear_modulus, 0.0, law.bulk_modulus)
+
+
+@njit(**INLINED)
+def differential(law, linearized, dF):
     """dP [Pa]."""
-    J, mu, kappa, C = determinant(F), law.shear_modulus, law.bulk_modulus, cofactor(F)
-    m, slope, curvature = volume_power(J, -2.0 / 3.0)
-    _, U_slope, U_curvature = volumetric(J)
-    half_square, rate = 0.5 * mu * inner(F, F), inner(C, dF)
-    of_C = mu * slope * inner(F, dF) + (half_square * curvature + kappa * U_curvature) * rate
-    dP = add_scaled_matrix(scaled_matrix(dF, mu * m), F, mu * slope * rate)
-    dP = add_scaled_matrix(dP, C, of_C)
-    return add_scaled_matrix(dP, cofactor_change(F, dF), half_square * slope + kappa * U_slope)
+    return differential_of_first(linearized, dF)
 
 
 def of_moduli(young_modulus: float, poisson_ratio: float) -> NeoHookean:
@@ -85,5 +75,6 @@ def of_moduli(young_modulus: float, poisson_ratio: float) -> NeoHookean:
 
 
 register_law(
-    "neo_hookean", NeoHookean, energy_density, stress, differential, of_moduli=of_moduli
-)
+    "neo_hookean", NeoHookean, energy_density, stress, differential, linearize,
+    of_moduli=of_moduli,
+)  # fmt: skip

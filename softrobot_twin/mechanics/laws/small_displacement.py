@@ -68,5 +68,6 @@ def differential(law, linearized, dF):
 
 
 register_law(
-    "linear", SmallDisplacement, energy_density, stress, differential, linearize, is_linear=True
+    "linear", SmallDisplacement, energy_density, stress, differential, linearize,
+    projects=True, is_linear=True,
 )

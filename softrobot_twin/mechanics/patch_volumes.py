@@ -1,0 +1,341 @@
+"""The energy of volume changes, over patches of elements: elements that do not lock.
+
+Rubber hardly changes its volume. Where every element has to keep its own, a mesh has nearly no
+shapes left (it locks). Here the volumes of patches are kept, and the elements resist changes of
+shape. With the volume v_P and that at rest V_P,
+
+    v = Σ_e Σ_q w_q det F_q,    E = Σ_P V κ U(v/V),    p = κ U'(v/V)
+
+    f_a  = -p g_a,    g_a = ∂v/∂x_a = Σ w c_a,    c_a = cof(F) ∇N_a
+    K_ab = κ U''/V g_a g_bᵀ + p ∂g_a/∂x_b,        ∂c_a/∂x_b = -[F (∇N_a × ∇N_b)]×
+
+with U of `volume_change.py`. Projected, the last part is left out: it has both signs. This is the
+F-bar method of patches (de Souza Neto et al., Int. J. Numer. Meth. Engng 62, 2005) as an energy, or a
+pressure that is constant in a patch and eliminated.
+
+Elements keep a small share of the bulk modulus, `ELEMENT_BULK`, which holds apart what a patch does
+not see: one of its elements that swells while another one shrinks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.cell_mesh import points_of
+from softrobot_twin.geometry.cell_patches import grow_patches
+from softrobot_twin.geometry.matrix3 import (
+    add_outer,
+    cofactor,
+    cross_matrix,
+    determinant,
+    plus_identity,
+    scaled_matrix,
+    transform,
+)
+from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
+from softrobot_twin.mechanics.element_batches import KERNEL
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.volume_change import volumetric
+
+PATCH_SIZE = 8
+"""Linear tetrahedra of a patch. Other elements are patches by themselves."""
+ELEMENT_BULK = 0.5
+"""Largest bulk modulus that elements keep, by their shear modulus."""
+
+
+class Divided(NamedTuple):
+    """A law, divided between elements and patches.
+
+    Attributes:
+        law: Parameters of the elements' law.
+        bulk_modulus: κ of the patches [Pa]; zero where elements keep all of it.
+    """
+
+    law: tuple
+    bulk_modulus: float
+
+
+def divided(law: tuple, shear_modulus: float, element_bulk: float = ELEMENT_BULK) -> Divided:
+    """Leave elements a small bulk modulus, and patches the rest.
+
+    Args:
+        law: Parameters of a law that `has_bulk_modulus`.
+        shear_modulus: µ at rest [Pa].
+        element_bulk: Bulk modulus that elements keep at most, by µ.
+    """
+    kept = min(law.bulk_modulus, element_bulk * shear_modulus)
+    return Divided(law._replace(bulk_modulus=kept), law.bulk_modulus - kept)
+
+
+def patches_of(mesh, patch_size: int = PATCH_SIZE) -> np.ndarray:
+    """Patches of elements: several linear tetrahedra, or a single element of another kind.
+
+    Args:
+        mesh: The elements, as far as `Elements` needs them.
+        patch_size: Linear tetrahedra of a patch.
+
+    Returns:
+        Number of each element's patch, from 0, shape (element_count,).
+    """
+    if mesh.shape_functions.node_count > 4:
+        return np.arange(len(mesh.cells))
+    return grow_patches(mesh.cells, patch_size)
+
+
+@njit(**KERNEL)
+def deformation(moves, cell, gradients):
+    """F = 1 + Σ u_a ∇N_aᵀ of one element at one point."""
+    F = plus_identity(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    for a in range(len(cell)):
+        F = add_outer(F, row(moves, cell[a]), row(gradients, a))
+    return F
+
+
+@njit(**KERNEL)
+def write_volumes(moves, cells, first, gradients, weights, volumes):
+    """v of all patches.
+
+    Args:
+        moves: Moves of the nodes from where gradients were taken [m], shape (node_count, 3).
+        cells: Nodes of the elements, patch after patch, shape (element_count, nodes).
+        first: First element of each patch, and the number of all, shape (patch_count + 1,).
+        gradients: ∇N_a at each point [1/m], shape (element_count, point_count, nodes, 3).
+        weights: Volume of each point at rest [m³], shape (element_count, point_count).
+        volumes: v [m³]; written, shape (patch_count,).
+    """
+    for k in range(len(volumes)):
+        volumes[k] = 0.0
+        for e in range(first[k], first[k + 1]):
+            for q in range(weights.shape[1]):
+                F = deformation(moves, cells[e], gradients[e, q])
+                volumes[k] += weights[e, q] * determinant(F)
+
+
+@njit(**KERNEL)
+def add_curvature(F, G, places, w, curvature):
+    """Add w F (∇N_a × ∇N_b) of one point; see `write_gradients`."""
+    for a in range(len(G)):
+        for b in range(a):
+            turn = transform(F, cross(row(G, a), row(G, b)))
+            at, beside, sign = places[a], places[b], w
+            if at < beside:
+                at, beside, sign = beside, at, -w
+            sums = curvature[at, beside]
+            for i in range(3):
+                sums[i] += sign * turn[i]
+
+
+@njit(**KERNEL)
+def write_gradients(k, moves, cells, places, first, gradients, weights, g, curvature):
+    """v of one patch and its derivatives.
+
+    Args:
+        k: The patch.
+        moves, cells, first, gradients, weights: See `write_volumes`.
+        places: Each element's nodes among those of its patch, shape (element_count, nodes).
+        g: ∂v/∂x_a [m²]; written, shape (width, 3).
+        curvature: Σ w F (∇N_a × ∇N_b) of each pair a > b [m]; written, shape (width, width, 3).
+            Without entries where it is not needed.
+
+    Returns:
+        v [m³].
+    """
+    g[:] = 0.0
+    curvature[:] = 0.0
+    volume = 0.0
+    for e in range(first[k], first[k + 1]):
+        for q in range(weights.shape[1]):
+            w, G = weights[e, q], gradients[e, q]
+            F = deformation(moves, cells[e], G)
+            C = cofactor(F)
+            volume += w * determinant(F)
+            for a in range(len(G)):
+                at = places[e, a]
+                set_row(g, at, add_scaled(row(g, at), transform(C, row(G, a)), w))
+            if len(curvature) > 0:
+                add_curvature(F, G, places[e], w, curvature)
+    return volume
+
+
+@njit(**KERNEL)
+def add_patch_forces(bulk_modulus, rest_volumes, moves, cells, places, first, gradients, weights,
+                     free, forces):  # fmt: skip
+    """Subtract p g of all patches from the forces on the unknowns.
+
+    Args:
+        bulk_modulus: κ [Pa].
+        rest_volumes: V [m³], shape (patch_count,).
+        moves, cells, places, first, gradients, weights: See `write_gradients`.
+        free: Unknowns of each patch's nodes, -1 where there are none, shape (patch_count, width).
+        forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
+    """
+    g, none = np.empty((free.shape[1], 3)), np.empty((0, 0, 3))
+    for k in range(len(free)):
+        volume = write_gradients(k, moves, cells, places, first, gradients, weights, g, none)
+        pressure = bulk_modulus * volumetric(volume / rest_volumes[k])[1]
+        for a in range(len(g)):
+            n = free[k, a]
+            if n >= 0:
+                set_row(forces, n, add_scaled(row(forces, n), row(g, a), -pressure))
+
+
+@njit(**KERNEL)
+def add_patch_stiffness(bulk_modulus, projected, rest_volumes, moves, cells, places, first,
+                        gradients, weights, free, offsets, strides, forces, storage):  # fmt: skip
+    """Subtract p g of all patches from the forces, and add their stiffness.
+
+    Args:
+        bulk_modulus, rest_volumes, moves, cells, places, first, gradients, weights, free, forces:
+            See `add_patch_forces`; the nodes of a patch in elimination order.
+        projected: True for a positive semidefinite stiffness.
+        offsets: Place of each block, see `bind_stencils`, shape (patch_count, pair_count).
+        strides: Distance of its columns, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
+    width = free.shape[1]
+    g = np.empty((width, 3))
+    side = 0 if projected else width
+    curvature = np.empty((side, side, 3))
+    for k in range(len(free)):
+        volume = write_gradients(k, moves, cells, places, first, gradients, weights, g, curvature)
+        _, slope, second = volumetric(volume / rest_volumes[k])
+        pressure, stiffness = bulk_modulus * slope, bulk_modulus * second / rest_volumes[k]
+        pair = 0
+        for b in range(width):
+            if free[k, b] < 0:
+                pair += width - b
+                continue
+            n, of_b = free[k, b], row(g, b)
+            set_row(forces, n, add_scaled(row(forces, n), of_b, -pressure))
+            for a in range(b, width):
+                K = add_outer(
+                    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+                    scaled(row(g, a), stiffness), of_b,
+                )
+                if a > b and not projected:
+                    turning = scaled_matrix(cross_matrix(row(curvature[a], b)), -pressure)
+                    K = add_outer(K, (1.0, 0.0, 0.0), turning[0])
+                    K = add_outer(K, (0.0, 1.0, 0.0), turning[1])
+                    K = add_outer(K, (0.0, 0.0, 1.0), turning[2])
+                add_block(K, offsets[k, pair], strides[k, pair], storage)
+                pair += 1
+
+
+@njit(**KERNEL)
+def add_block(K, offset, stride, storage):
+    """Add one block to the storage."""
+    if offset < 0:
+        return
+    for j in range(3):
+        storage[offset] += K[0][j]
+        storage[offset + 1] += K[1][j]
+        storage[offset + 2] += K[2][j]
+        offset += stride
+
+
+class PatchVolumes(ForceTerm):
+    """Force term of the volumes of all patches of a material.
+
+    Attributes:
+        bulk_modulus: κ [Pa].
+        patch_count: Number of patches.
+    """
+
+    name = "patch volumes"
+
+    def __init__(self, mesh, free_index: np.ndarray, bulk_modulus: float, patches: np.ndarray):
+        """Prepare the patches.
+
+        Args:
+            mesh: The elements at rest, as `Elements` takes them.
+            free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
+            bulk_modulus: κ [Pa].
+            patches: Number of each element's patch, from 0, shape (element_count,).
+        """
+        self.bulk_modulus = float(bulk_modulus)
+        self.patch_count = int(patches.max()) + 1
+        order = np.argsort(patches, kind="stable")
+        points, numbers = points_of(mesh), patches[order]
+        self._cells = np.ascontiguousarray(mesh.cells[order], np.int64)
+        self._gradients = np.ascontiguousarray(points.gradients[order])
+        self._weights = np.ascontiguousarray(points.weights[order])
+        self._first = np.searchsorted(numbers, np.arange(self.patch_count + 1))
+        self._rest_volumes = np.add.reduceat(self._weights.sum(axis=1), self._first[:-1])
+        self._reference = mesh.node_positions
+        self._number_nodes(numbers)
+        nodes = self._nodes
+        self._free = np.where(nodes >= 0, free_index[nodes], -1)
+        self._offsets = self._strides = None
+
+    def _number_nodes(self, numbers: np.ndarray) -> None:
+        """List each patch's nodes once, and find each element's nodes in its list."""
+        node_count = len(self._reference)
+        keys, inverse = np.unique(numbers[:, None] * node_count + self._cells, return_inverse=True)
+        patch, node = np.divmod(keys, node_count)
+        begin = np.searchsorted(patch, np.arange(self.patch_count))
+        column = np.arange(len(keys)) - begin[patch]
+        self._nodes = np.full((self.patch_count, int(column.max()) + 1), -1, np.int64)
+        self._nodes[patch, column] = node
+        self._places = np.ascontiguousarray(column[inverse.reshape(self._cells.shape)])
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that each patch couples, -1 where none, shape (patch_count, width)."""
+        return self._free
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """See `ForceTerm.bind`; sorts the nodes of each patch in elimination order."""
+        bound = bind_stencils(self._free, elimination_rank, slots)
+        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
+        self._free = np.take_along_axis(self._free, bound.order, axis=1)
+        moved = np.argsort(bound.order, axis=1, kind="stable")
+        patch = np.repeat(np.arange(self.patch_count), np.diff(self._first))
+        self._places = np.ascontiguousarray(moved[patch[:, None], self._places])
+        self._offsets, self._strides = bound.offsets, bound.strides
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add -∂E/∂q [N]; see `ForceTerm.add_forces`. Elements count what is flat."""
+        add_patch_forces(
+            self.bulk_modulus, self._rest_volumes, positions - self._reference, self._cells,
+            self._places, self._first, self._gradients, self._weights, self._free, forces,
+        )  # fmt: skip
+        return 0
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """Add forces and stiffness; see `ForceTerm.add`."""
+        add_patch_stiffness(
+            self.bulk_modulus, projected, self._rest_volumes, positions - self._reference,
+            self._cells, self._places, self._first, self._gradients, self._weights, self._free,
+            self._offsets, self._strides, forces, storage,
+        )  # fmt: skip
+
+    def volume_ratios(self, positions: np.ndarray) -> np.ndarray:
+        """v/V of each patch, shape (patch_count,).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        volumes = np.empty(self.patch_count)
+        write_volumes(
+            positions - self._reference, self._cells, self._first, self._gradients, self._weights,
+            volumes,
+        )  # fmt: skip
+        return volumes / self._rest_volumes
+
+    def pressures(self, positions: np.ndarray) -> np.ndarray:
+        """-p of each patch: what it presses with, positive where it is compressed [Pa].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        ratios = self.volume_ratios(positions)
+        return -self.bulk_modulus * np.array([volumetric(J)[1] for J in ratios])
+
+    def energy(self, positions: np.ndarray) -> float:
+        """E [J]; see `ForceTerm.energy`."""
+        ratios = self.volume_ratios(positions)
+        densities = np.array([volumetric(J)[0] for J in ratios])
+        return self.bulk_modulus * float(self._rest_volumes @ densities)

@@ -1,0 +1,374 @@
+"""Test pieces of rubber without a scene: a mesh of one hyperelastic law, held, loaded and solved.
+
+Published problems prescribe what scenes have no entry for: tractions, symmetry planes, the pressure on
+a face. Here force terms are summed and factorized as a step does it, by plain Newton iterations with
+exact tangents, and each residual is kept, so that the order of convergence can be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, block_mesh, enhance
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.patch_volumes import (
+    ELEMENT_BULK,
+    PATCH_SIZE,
+    PatchVolumes,
+    divided,
+    patches_of,
+)
+from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
+from softrobot_twin.solvers.multifrontal import Multifrontal
+
+# Stiffness of a roller, by the largest stiffness of a node.
+ROLLER = 1.0e6
+# Shortest share of a move that is tried, and moves of one load at most.
+LEAST_SHARE, MOST_MOVES = 1.0e-3, 60
+# A residual below this share of the largest force of an element is converged; so is one that stays
+# below a multiple of it.
+CONVERGED = 1.0e-11
+
+
+class NotSolved(SoftRobotTwinError):
+    """A test piece has no equilibrium near its last one, or none was found."""
+
+
+class Rollers(ForceTerm):
+    """Holds coordinates of nodes at their places at rest, by springs that are very stiff."""
+
+    name = "rollers"
+
+    def __init__(self, rest: np.ndarray, free_index: np.ndarray, held: np.ndarray, stiffness: float):
+        """Take the nodes.
+
+        Args:
+            rest: Node positions at rest [m], shape (node_count, 3).
+            free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
+            held: Which coordinates are held, shape (node_count, 3) of bool.
+            stiffness: Of each spring [N/m].
+        """
+        self._nodes = np.flatnonzero(held.any(axis=1) & (free_index >= 0))
+        self._free = free_index[self._nodes]
+        self._stiffness = stiffness * held[self._nodes]
+        self._rest = rest[self._nodes]
+
+    def stencils(self) -> np.ndarray:
+        """One node each."""
+        return self._free[:, None]
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """See `ForceTerm.bind`."""
+        bound = bind_stencils(self.stencils(), elimination_rank, slots)
+        self._places = bound.offsets + np.arange(3) * (bound.strides + 1)
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """See `ForceTerm.add_forces`."""
+        forces[self._free] -= self._stiffness * (positions[self._nodes] - self._rest)
+        return 0
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """See `ForceTerm.add`."""
+        self.add_forces(positions, forces)
+        storage[self._places] += self._stiffness
+
+
+class FacePressure(CavityLoad):
+    """A pressure on some triangles, which follows them.
+
+    Attributes:
+        pressure: [Pa]; set between solutions.
+    """
+
+    name = "pressure"
+
+    def __init__(self, centre: int, triangles: np.ndarray, free_index, rest_positions):
+        """Take the triangles.
+
+        Args:
+            centre: A fixed node on all symmetry planes: the volume is that between it and the
+                triangles.
+            triangles: Nodes, outwards seen from the gas, shape (triangle_count, 3).
+            free_index, rest_positions: See `CavityLoad`.
+        """
+        used, inverse = np.unique(triangles, return_inverse=True)
+        nodes = np.concatenate([[centre], used])[:, None]
+        vertices = BarycentricMapping(nodes, np.ones((len(nodes), 1)))
+        surface = CavitySurface("gas", vertices, 1 + inverse.reshape(triangles.shape))
+        super().__init__((surface,), free_index, rest_positions)
+        self.pressure = 0.0
+        self._blocks = np.empty((len(self.walls.entry_nodes), 3))
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """p ∂V/∂q; see `ForceTerm.add_forces`."""
+        self.walls.write_gradients(positions, self._blocks)
+        np.add.at(forces, self.walls.entry_nodes, self.pressure * self._blocks)
+        return 0
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """See `ForceTerm.add`."""
+        self.add_forces(positions, forces)
+        if not projected:
+            self.walls.add_stiffness(positions, np.array([self.pressure]), storage)
+
+
+class Times(NamedTuple):
+    """Wall clock of one Newton iteration [s].
+
+    Attributes:
+        assembly: Forces and stiffness of all terms.
+        factor: Factorization and solution.
+    """
+
+    assembly: float
+    factor: float
+
+
+class Specimen:
+    """A body of one law, and what holds and loads it.
+
+    Attributes:
+        mesh: Its mesh.
+        terms: Force terms, elements first.
+        volumes: The term of its patches; None without patches.
+        positions: Node positions [m], shape (node_count, 3).
+        residuals: Largest residual before each iteration of the last solution [N].
+        unknowns: Number of scalar unknowns.
+    """
+
+    def __init__(self, mesh, law, fixed, held=None, patch_size: int | None = PATCH_SIZE,
+                 element_bulk: float = ELEMENT_BULK, pressed=None):  # fmt: skip
+        """Build and bind the terms.
+
+        Args:
+            mesh: A mesh of cells of one kind.
+            law: Parameters with a `shear_modulus` and a `bulk_modulus`.
+            fixed: Nodes that are fixed, of bool, shape (node_count,).
+            held: Coordinates that rollers hold, of bool, shape (node_count, 3); None for none.
+            patch_size: Linear tetrahedra of a patch, other elements by themselves; None for volumes
+                element by element and point by point.
+            element_bulk: Bulk modulus that elements keep, by the shear modulus.
+            pressed: Triangles under pressure, outwards seen from the gas; None for none.
+        """
+        self.mesh, rest = mesh, mesh.node_positions
+        free = np.flatnonzero(~np.asarray(fixed))
+        free_index = np.full(len(rest), -1)
+        free_index[free] = np.arange(len(free))
+        self._free, self._rest = free, rest
+        block = mesh.blocks()[0].mesh
+        self.volumes = None
+        of_elements = law
+        if patch_size is not None:
+            of_elements, rest_bulk = divided(law, law.shear_modulus, element_bulk)
+            patches = patches_of(block, patch_size)
+            self.volumes = PatchVolumes(block, free_index, rest_bulk, patches)
+        self.elements = Elements(block, free_index, of_elements)
+        self.terms: list[ForceTerm] = [self.elements]
+        if self.volumes is not None:
+            self.terms.append(self.volumes)
+        self.pressure = None
+        if pressed is not None:
+            centre = int(np.flatnonzero(np.asarray(fixed))[0])
+            self.pressure = FacePressure(centre, pressed, free_index, rest)
+            self.terms.append(self.pressure)
+        scale = law.shear_modulus * np.cbrt(mesh.volumes.mean())
+        # What rollers bear, and the round-off of these large springs, is no residual.
+        self._counts = np.ones((len(free), 3), bool) if held is None else ~held[free]
+        if held is not None:
+            self.terms.append(Rollers(rest, free_index, held, ROLLER * scale))
+        pairs = [stencil_pairs(term.stencils()) for term in self.terms]
+        rows, columns = (np.concatenate(side) for side in zip(*pairs, strict=True))
+        self.matrix = Multifrontal(rows, columns, len(free), rest[free])
+        for term in self.terms:
+            term.bind(self.matrix.elimination_rank, self.matrix.slots)
+        self.positions, self.residuals = rest.copy(), []
+        self.unknowns = 3 * len(free)
+
+    def forces(self, positions: np.ndarray) -> np.ndarray:
+        """Forces of all terms on the unknowns [N], shape (free_node_count, 3)."""
+        forces = np.zeros((len(self._free), 3))
+        for term in self.terms:
+            term.add_forces(positions, forces)
+        return forces
+
+    def reactions(self) -> np.ndarray:
+        """Forces that the terms of the material exert on all nodes [N], shape (node_count, 3)."""
+        everywhere = np.arange(len(self._rest))
+        forces = np.zeros((len(self._rest), 3))
+        for term in self.terms[: 1 if self.volumes is None else 2]:
+            if term is self.elements:
+                own = Elements(self.mesh.blocks()[0].mesh, everywhere, term.law)
+            else:
+                patches = patches_of(self.mesh.blocks()[0].mesh)
+                own = PatchVolumes(
+                    self.mesh.blocks()[0].mesh, everywhere, term.bulk_modulus, patches
+                )
+            rows, columns = stencil_pairs(own.stencils())
+            matrix = Multifrontal(rows, columns, len(everywhere))
+            own.bind(matrix.elimination_rank, matrix.slots)
+            own.add_forces(self.positions, forces)
+        return forces
+
+    def iterate(self, loads: np.ndarray) -> tuple[np.ndarray, float, Times]:
+        """One linearization.
+
+        Args:
+            loads: Dead loads on all nodes [N], shape (node_count, 3).
+
+        Returns:
+            The correction of the unknowns, the largest residual before it, and times.
+
+        Raises:
+            NotSolved: The stiffness is not positive definite, not even projected.
+        """
+        begin = perf_counter()
+        for projected in (False, True):
+            forces = loads[self._free].copy()
+            self.matrix.clear()
+            for term in self.terms:
+                term.add(self.positions, forces, self.matrix.storage, projected)
+            middle = perf_counter()
+            if self.matrix.factor():
+                break
+        else:
+            raise NotSolved("the stiffness is not positive definite")
+        move = self.matrix.solve(forces)
+        residual = float(np.abs(forces[self._counts]).max())
+        return move, residual, Times(middle - begin, perf_counter() - middle)
+
+    def solve(self, loads: np.ndarray | None = None, scale: float | None = None) -> Times:
+        """Equilibrium under dead loads, from the present positions.
+
+        Args:
+            loads: [N], shape (node_count, 3); None for none.
+            scale: Force that residuals are compared with [N]; by default the largest load.
+
+        Returns:
+            Median times of its iterations.
+
+        Raises:
+            NotSolved: It does not converge; positions stay as they were.
+        """
+        loads = np.zeros_like(self._rest) if loads is None else loads
+        scale = scale or float(np.abs(loads).max())
+        begin, self.residuals, times = self.positions.copy(), [], []
+        for _ in range(MOST_MOVES):
+            try:
+                move, residual, spent = self.iterate(loads)
+            except NotSolved:
+                self.positions = begin
+                raise
+            self.residuals.append(residual)
+            times.append(spent)
+            stalled = len(self.residuals) > 3 and residual > 0.1 * self.residuals[-2]
+            if residual < CONVERGED * scale or (residual < 1.0e4 * CONVERGED * scale and stalled):
+                return Times(*np.median(times, axis=0))
+            self._advance(move, residual, loads)
+        self.positions = begin
+        raise NotSolved(f"{MOST_MOVES} iterations leave a residual of {residual:.3g} N")
+
+    def _advance(self, move: np.ndarray, residual: float, loads: np.ndarray) -> None:
+        """Make the share of a move that folds nothing and along which forces do not turn round."""
+        whole = self.positions.copy()
+        whole[self._free] += move
+        share = min(term.largest_share(self.positions, whole) for term in self.terms)
+        share = 1.0 if share == 1.0 else 0.9 * share
+        slope = float(np.sum((self.forces(self.positions) + loads[self._free]) * move))
+        before = self.positions
+        while True:
+            self.positions = before.copy()
+            self.positions[self._free] += share * move
+            after = self.forces(self.positions) + loads[self._free]
+            if np.sum(after * move) > -0.5 * abs(slope) or share < LEAST_SHARE:
+                return
+            share *= 0.5
+
+
+def orders_of_convergence(residuals: list[float]) -> list[float]:
+    """Order of convergence of each three residuals in a row: two where Newton's method is exact."""
+    logs = np.log(residuals)
+    falls = np.diff(logs)
+    return list(falls[1:] / falls[:-1])
+
+
+# --- meshes --------------------------------------------------------------------------------------
+
+
+def mapped_mesh(kind: str, counts: tuple[int, int, int], place) -> object:
+    """A block of cells, mapped.
+
+    Args:
+        kind: ``linear``, ``quadratic`` or ``hexahedral``.
+        counts: Cells along each edge.
+        place: Where points of the unit cube are, an array (count, 3) to an array (count, 3) [m].
+
+    Returns:
+        The mesh; nodes at the middle of edges are placed too, so that edges may be curved.
+    """
+    return mesh_of(kind, [block_mesh((1.0, 1.0, 1.0), counts)], place)
+
+
+def mesh_of(kind: str, grids: list[HexahedralMesh], place) -> object:
+    """Blocks of cells, mapped and joined where their nodes meet; see `mapped_mesh`.
+
+    Args:
+        kind: See `mapped_mesh`.
+        grids: The blocks.
+        place: See `mapped_mesh`.
+    """
+    points = np.concatenate([grid.node_positions for grid in grids])
+    starts = np.cumsum([0, *[len(grid.node_positions) for grid in grids]])
+    cells = np.concatenate([grid.hexahedra + k for grid, k in zip(grids, starts[:-1], strict=True)])
+    keys = np.round(place(points), 9)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    nodes, cells = points[np.sort(first)], rank[inverse.reshape(-1)][cells]
+    placed = place(nodes)
+    middle = placed[cells].mean(axis=1)
+    a, b, c, d = (placed[cells[:, k]] - placed[cells[:, 0]] for k in (1, 3, 4, 6))
+    mirrored = np.einsum("ki,ki->k", np.cross(a, b), c) < 0.0
+    assert np.isfinite(middle).all() and len(d) == len(cells)
+    if kind == "hexahedral":
+        cells[mirrored] = cells[mirrored][:, [3, 2, 1, 0, 7, 6, 5, 4]]
+        return enhance(HexahedralMesh(placed, np.empty((0, 4), np.int64), cells))
+    tets = cells[:, INTO_TETS]
+    tets[mirrored] = tets[mirrored][:, :, [1, 0, 2, 3]]
+    linear = TetMesh(placed, tets.reshape(-1, 4))
+    if kind == "linear":
+        return linear
+    mesh = add_mid_edge_nodes(linear)
+    between = nodes[mesh.mid_edge_ends].mean(axis=1)
+    return replace(mesh, node_positions=np.concatenate([placed, place(between)]))
+
+
+def traction_loads(mesh, on_face, traction) -> np.ndarray:
+    """A uniform dead traction on a face: forces on all nodes [N], shape (node_count, 3).
+
+    Args:
+        mesh: The mesh, flat on that face.
+        on_face: Which nodes lie on it, of bool, shape (node_count,).
+        traction: [Pa], shape (3,).
+    """
+    triangles = mesh.surface_triangles
+    triangles = triangles[on_face[triangles].all(axis=1)]
+    a, b, c = mesh.node_positions[triangles].transpose(1, 0, 2)
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if mesh.shape_functions.node_count == 10:
+        # A six-node face carries its load at the middle of its edges, a third each; the last of
+        # its four triangles is the one between them.
+        triangles, areas = triangles.reshape(-1, 4, 3)[:, 3], 4.0 * areas[::4]
+    forces = np.zeros((len(mesh.node_positions), 3))
+    np.add.at(forces, triangles, (areas[:, None, None] / 3.0) * np.asarray(traction, float))
+    return forces
