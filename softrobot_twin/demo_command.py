@@ -42,6 +42,8 @@ RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd
 _FEWEST_SAMPLES = 10
 """A run with fewer samples is left out of the report."""
 _STOPPED = 130
+_SETTLING = 2.0
+"""Presses count from so many transitions onto a path on."""
 
 
 def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
@@ -115,7 +117,9 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
 def _touches(plan: DemoPlan, outcome: DemoOutcome) -> dict | None:
     """Stiffness that the device's fingertip felt in the first run, drawn too; None without presses.
     """
-    recorder, span = outcome.recorder, outcome.span(plan.runs[0])
+    recorder, (start, end) = outcome.recorder, outcome.span(plan.runs[0])
+    # Presses of before the robot was where it is sent first are left out.
+    span = min(start + _SETTLING * plan.ramp_time, end), end
     device, twin = (TimedValues(*samples.between(*span))
                     for samples in (recorder.device_touch, recorder.twin_touch))
     wanted = TimedValues(*recorder.stiffness.between(-np.inf, span[1]))

@@ -398,8 +398,9 @@ def test_the_hand_of_the_flexo_moves_while_its_tip_is_led(demo, tmp_path):
 
 TRAVEL = None
 ROBOTS = dict.fromkeys(("diamond", "trunk", "grasper", "octoleg", "fetch", "flexo"), TRAVEL)
+ROBOTS["stifface"] = 0.004
 """The robots of Table 1 of Coevoet 2017, each with what its error is a share of: the travel of its
-effector, or a length [m] where the effector is held in place."""
+effector, or a length [m] where the effector is held in place: the thickness of the pad."""
 SECONDS = 5.0
 LATEST = 0.5
 """A busy machine makes a robot late: it must be where it should have been within this time [s]."""

@@ -45,8 +45,8 @@ def test_the_parameter_file_of_the_diamond_has_every_parameter_with_its_type():
     loop_settings(given)
 
 
-@pytest.mark.parametrize("robot", ["springy", "segment"])
-def test_the_parameter_files_of_pneumatic_robots_have_known_parameters_with_their_types(robot):
+@pytest.mark.parametrize("robot", ["springy", "segment", "stifface"])
+def test_the_parameter_files_of_robots_with_targets_have_known_parameters(robot):
     given = yaml.safe_load(CONFIG.with_name(f"{robot}.yaml").read_text())["/**"]["ros__parameters"]
     for name, value in given.items():
         assert type(value) is type(KNOWN[name].default), name
