@@ -1,9 +1,9 @@
 """``python -m softrobot_twin workspace``: where a robot gets by its actuators, and how stiff it is.
 
-Sample 0 is the robot at rest. The others lie in the box of the actuators' bounds, on Sobol's sequence
-shifted by a random vector of the seed (Cranley and Patterson 1976). Each is reached from rest on a
-straight line of setpoints, so that it does not depend on any other sample, on the number of workers,
-or on whether the run was interrupted.
+Sample 0 is the robot at rest. The others lie in the box of the actuators' bounds, on Sobol's
+sequence shifted by a random vector of the seed (Cranley and Patterson 1976). Each is reached from
+rest on a straight line of setpoints, so that it does not depend on any other sample, on the number
+of workers, or on whether the run was interrupted.
 
 The file contains, in this order: what is sampled, the row of a sample, the file of rows that a run
 leaves behind when it is stopped, the picture, the command.
@@ -191,7 +191,7 @@ FINER = 4
 
 
 def workspace_header(simulation: Simulation) -> list[str]:
-    """Columns of the file: those of `simulate --commands`, and stiffness [N/m], compliance [m/N]."""
+    """Columns of the file: those of `simulate --commands`, stiffness [N/m], compliance [m/N]."""
     names = simulation.effector_names
     return [
         "sample",
