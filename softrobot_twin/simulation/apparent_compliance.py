@@ -6,7 +6,8 @@ three coordinates e of the effector and the rows h that hold their displacement,
     ∂x/∂f   = W_ee - W_eh (W_hh + C)⁻¹ W_he
     J_a     = W_eh (W_hh + C)⁻¹ (a)                  (column of the actuator; Coevoet 2017, eq. 16)
 
-where C is the compliance of the actuators themselves, such as that of cables that stretch. Rows of h:
+where C is the compliance of the actuators themselves, such as that of cables that stretch. The
+rows h are those of:
 
 - Actuators whose displacement is set, as long as their effort is between its bounds. A slack cable
   holds nothing, nor does a motor that stalls or a cable at its greatest tension. What is driven by
@@ -369,8 +370,8 @@ class _Holding(NamedTuple):
     Attributes:
         held: Actuators that hold their displacement, shape (actuator_row_count,).
         touching: Cables without tension that are not slack either, same shape.
-        is_by_effort: Actuators that are driven by their effort; of these, those that are not held keep
-            it; same shape.
+        is_by_effort: Actuators that are driven by their effort, and keep it where they are not
+            held; same shape.
         contacts: Contact rows that hold, among all rows, shape (contact_row_count,).
         contact_count: Contacts that press.
         own: Compliance C of the actuators, shape (actuator_row_count, same).

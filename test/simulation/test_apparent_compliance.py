@@ -1,4 +1,4 @@
-"""What effectors yield to forces while actuators hold, against small pushes and pulls in statics."""
+"""What effectors yield to forces while actuators hold, against small pushes in statics."""
 
 from pathlib import Path
 

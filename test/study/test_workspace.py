@@ -252,7 +252,8 @@ def squares(tmp_path_factory):
 
 def test_a_lost_process_costs_only_its_own_sample(squares, tmp_path):
     samples = [(index, index) for index in range(8)]
-    found = {one.index: one for one in LocalWorkers(2).run(Job(squares.Fragile, tmp_path, ""), samples)}
+    job = Job(squares.Fragile, tmp_path, "")
+    found = {one.index: one for one in LocalWorkers(2).run(job, samples)}
     assert sorted(found) == list(range(8))
     assert found[3].row is None and "code 9" in found[3].cause
     assert all(found[index].row == [index**2] for index in found if index != 3)
@@ -320,7 +321,8 @@ def test_the_views_show_the_widest_planes():
 def test_clouds_tell_failed_samples_apart():
     header = ["sample", "tip_x_m", "tip_y_m", "tip_z_m", "tip_stiffness_1_N_per_m", "status"]
     rows = [["0", "1", "2", "3", "10.0", "ok"], ["1", "nan", "nan", "nan", "nan", "lost"],
-            ["2", "4", "5", "6", "20.0", "not_converged"], ["3", "4", "5", "7", "30.0", "saturated"]]
+            ["2", "4", "5", "6", "20.0", "not_converged"],
+            ["3", "4", "5", "7", "30.0", "saturated"]]
     (cloud,) = clouds(["tip"], header, rows)
     assert isinstance(cloud, Cloud) and cloud.is_good.tolist() == [True, False, True]
     np.testing.assert_array_equal(cloud.rest, [1.0, 2.0, 3.0])
@@ -347,8 +349,8 @@ def test_a_cluster_computes_the_same_and_a_failure_costs_only_its_sample(
     assert done.code == 0, done.errors
     assert (tmp_path / "w.csv").read_bytes() == sampled.read_bytes()
     samples = [(index, index) for index in range(6)]
-    found = {one.index: one
-             for one in DaskWorkers(address).run(Job(squares.Failing, tmp_path, ""), samples)}  # fmt: skip
+    job = Job(squares.Failing, tmp_path, "")
+    found = {one.index: one for one in DaskWorkers(address).run(job, samples)}
     assert sorted(found) == list(range(6))
     assert found[4].row is None and "four is refused" in found[4].cause
     assert all(found[index].row == [index**2] for index in found if index != 4)
