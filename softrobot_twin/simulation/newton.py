@@ -58,6 +58,8 @@ OVERSHOOT_OF_SLIP, MOST_SLIP_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
+# Halvings of a move that still folds an element.
+MOST_UNFOLDINGS = 40
 
 
 class Newton:
@@ -522,6 +524,17 @@ class Newton:
             settled = self._merit.search(positions, settled)
         else:
             self._move.make(positions, settled)
+            self._gather_forces(positions)
+        # Between the points that are followed an element may still fold.
+        for _ in range(MOST_UNFOLDINGS):
+            if not self.inverts:
+                break
+            settled *= 0.5
+            self._move.make(positions, settled)
+            self._gather_forces(positions)
+        else:
+            self._move.make(positions, 0.0)
+            self._gather_forces(positions)
         self._last_move *= settled / share
         return settled
 
@@ -558,6 +571,18 @@ class Newton:
             else:
                 high, at_high = share, left
         return share
+
+    def folds(self, start: np.ndarray, positions: np.ndarray) -> bool:
+        """Whether elements fold on the way between two states, or are folded at its end.
+
+        Args:
+            start: Node positions where it begins [m], shape (node_count, 3).
+            positions: Those where it ends [m], same shape.
+        """
+        if self.upright_share(start, positions) < 1.0:
+            return True
+        self._gather_forces(positions)
+        return self.inverted_count > 0
 
     @property
     def last_move(self) -> float:

@@ -361,7 +361,7 @@ class Simulation(Readouts):
         guides, newton = self.model.guides, self._newton
         if guides is None or not guides.moved or newton.inverted_count:
             return True
-        if newton.upright_share(self.state.positions, positions) == 1.0:
+        if not newton.folds(self.state.positions, positions):
             return True
         hold = Hold(time_step)
         still = self._reading.read(hold, self.state)
@@ -371,10 +371,11 @@ class Simulation(Readouts):
             for _ in range(MOST_HALVINGS):
                 tried[:] = positions
                 guides.place(tried, gone + part)
-                if newton.upright_share(positions, tried) == 1.0:
+                if not newton.folds(positions, tried):
                     break
                 part *= 0.5
             else:
+                newton.inverted_count = 0
                 return False
             positions[:], gone = tried, gone + part
             if gone >= 1.0:

@@ -43,6 +43,17 @@ def test_the_robot_with_symmetry_in_the_readme_is_valid(shown):
     assert [marker.id for marker in scene.markers] == [0, 1, 2]
 
 
+def test_the_laws_in_the_readme_fit_the_robot_and_all_laws_of_the_package_are_in_its_table(shown):
+    (part,) = (part for part in shown if list(part) == ["materials"])
+    body = {**shown[0]["body"], **part}
+    laws = [entry.law for entry in scene_from_mapping({**shown[0], "body": body}).body.materials]
+    assert laws == ["mooney_rivlin", "yeoh", "ogden"]
+    table = README.read_text().split("### Laws of materials")[1].split("```")[0]
+    files = (README.parent / "softrobot_twin" / "mechanics" / "laws").glob("[a-z]*.py")
+    for name in {file.stem for file in files}:
+        assert f"| `{'linear' if name == 'small_displacement' else name}`" in table
+
+
 def test_the_orientation_in_the_readme_fits_the_robot(shown):
     parts = (part for part in shown if list(part) == ["effectors"])
     (part,) = (part for part in parts if "orientation" in part["effectors"][0])
