@@ -19,7 +19,8 @@ state. So small-strain laws become corotational ones.
   vector, that `differential` gets in place of F: any number of them, so that what depends on F
   alone is computed once. A law that `projects` is responsible for the projection: where
   `projected` is true its differential must be positive semidefinite, dF : dP ≥ 0. The 9×9 matrix
-  of derivatives of another law is tested, and projected by eigenvalues where it is negative.
+  of derivatives of another law is tested, and projected only where it has a negative eigenvalue:
+  in the axes of the stretches where the law is isotropic, else by eigenvalues of this matrix.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ class PointLaw(NamedTuple):
         linearize: Kernel, or None.
         projects: Whether this kernel projects the differential.
         turns: Whether the kernels see the material from the frame that turns with it.
+        is_isotropic: Whether the response is the same in all directions at rest.
         is_linear: Whether the differential is the same in every state.
         at_point: Kernel, or None for a law that is the same at every point.
         is_law_of_scenes: Whether scenes may name it.
@@ -97,6 +99,7 @@ class PointLaw(NamedTuple):
     linearize: Callable | None
     projects: bool
     turns: bool
+    is_isotropic: bool
     is_linear: bool
     at_point: Callable | None = None
     is_law_of_scenes: bool = True
@@ -114,6 +117,7 @@ def register_law(
     linearize: Callable | None = None,
     projects: bool = False,
     turns: bool = False,
+    is_isotropic: bool = False,
     is_linear: bool = False,
     of_moduli: Callable[[float, float], tuple] | None = None,
     own: OwnConstants | None = None,
@@ -131,6 +135,8 @@ def register_law(
         linearize: The kernel; without it F itself is given to `differential`.
         projects: Whether this kernel projects the differential.
         turns: Whether the kernels see the material from the frame that turns with it.
+        is_isotropic: Whether the response is the same in all directions at rest: the projection
+            is then made in the axes of the stretches, which is faster.
         is_linear: Whether the differential is the same in every state: the stiffness is then
             summed only once.
         of_moduli: Makes the parameters from E [Pa] and ν; when None they are Lamé's constants.
@@ -153,7 +159,7 @@ def register_law(
 
     _LAWS[parameters] = PointLaw(
         name, parameters, of_moduli, own, energy_density, stress, differential, linearize,
-        projects, turns, is_linear, at_point, is_law_of_scenes,
+        projects, turns, is_isotropic, is_linear, at_point, is_law_of_scenes,
     )  # fmt: skip
 
 
@@ -233,6 +239,11 @@ def law_projects(law):
     raise NotImplementedError("only inside compiled kernels")
 
 
+def law_is_isotropic(law):
+    """Whether the law is the same in all directions, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
 @overload(law_at, jit_options=_INLINED)
 def _law_at(law, k, q, e):
     kernel = _law_of_type(law.instance_class).at_point
@@ -277,3 +288,9 @@ def _law_turns(law):
 def _law_projects(law):
     projects = _law_of_type(law.instance_class).projects
     return lambda law: projects
+
+
+@overload(law_is_isotropic, jit_options=_INLINED)
+def _law_is_isotropic(law):
+    is_isotropic = _law_of_type(law.instance_class).is_isotropic
+    return lambda law: is_isotropic

@@ -488,7 +488,7 @@ class Newton:
         if self._judged is not None and not self.inverts:
             settled = self._slipping_share(positions, share)
         elif self.inverts:
-            settled *= self._upright_share(positions)
+            settled *= self.upright_share(self._move.start, positions)
         elif not is_judging or self._merit.trusts(self._forces):
             return share
         if is_judging:
@@ -532,9 +532,19 @@ class Newton:
                 high, at_high = share, left
         return share
 
-    def _upright_share(self, positions: np.ndarray) -> float:
-        """How much of the way to these positions keeps the elements upright."""
-        return min(term.largest_share(self._move.start, positions) for term in self._model.forces)
+    @property
+    def last_move(self) -> float:
+        """Longest displacement of a node in the last move that was made [m]."""
+        return self._last_move
+
+    def upright_share(self, start: np.ndarray, positions: np.ndarray) -> float:
+        """How much of the way between two states keeps the elements upright.
+
+        Args:
+            start: Node positions where it begins [m], shape (node_count, 3).
+            positions: Those where it ends [m], same shape.
+        """
+        return min(term.largest_share(start, positions) for term in self._model.forces)
 
     def _forces_at(self, positions: np.ndarray) -> np.ndarray:
         self._gather_forces(positions)

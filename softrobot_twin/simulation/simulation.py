@@ -20,6 +20,7 @@ from softrobot_twin.simulation.command import (
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
+    Hold,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.generalized_alpha import GeneralizedAlpha
@@ -42,6 +43,9 @@ from softrobot_twin.simulation.warm_up import run_every_path
 SHARES = (1.0, 0.5, 0.25, 0.125)
 # Linearizations of a step in time of which a move was too long for one of them, at most.
 MOST_SHARES = 10
+# A move of guided bodies that alone would fold elements is made in at most as many parts; halvings
+# of one of them, moves of the bodies after each, and their length, by the body's size, that is near.
+MOST_PARTS, MOST_HALVINGS, MOST_MOVES_OF_PART, NEAR_AFTER_PART = 100, 20, 12, 0.01
 
 
 class Correction(NamedTuple):
@@ -210,6 +214,7 @@ class Simulation(Readouts):
         if self._inverse is not None:
             self._inverse.begin_step(self._is_balanced)
         pressed = time_budget.must_hurry(budget)
+        led = self._lead(positions, efforts, command.time_step, clock)
         hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
         inverted = newton.inverted_count
@@ -230,7 +235,7 @@ class Simulation(Readouts):
             if not hurry:
                 time_budget.learn(clock.total - begin)
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
-        reached = self._balance(done, budget)
+        reached = self._balance(done, budget) if led else Balance.MISSED
         self._is_balanced = reached is not Balance.MISSED
         outcome = Outcome(
             positions, done.actuation, done.held, done.linear, reached,
@@ -276,6 +281,55 @@ class Simulation(Readouts):
                 positions, actuation, clock, is_judged
             )
         return Correction(linear, actuation, held, share, residual, error)
+
+    def _lead(
+        self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
+    ) -> bool:
+        """Bring the bodies after what is guided where its move alone would fold their elements.
+
+        What is guided goes by parts of its move, none of which takes most of an element's volume,
+        and the bodies come near balance after each but the last.
+
+        Args:
+            positions: Node positions with all that is guided at its end [m], shape (node_count, 3);
+                moved.
+            efforts: Efforts of the actuators [N], shape (actuator_count,); meanwhile they stay.
+            time_step: h [s].
+            clock: Books the stages.
+
+        Returns:
+            Whether it arrived; it goes on in the next step.
+        """
+        guides, newton = self.model.guides, self._newton
+        if guides is None or not guides.moved or newton.inverted_count:
+            return True
+        if newton.upright_share(self.state.positions, positions) == 1.0:
+            return True
+        hold = Hold(time_step)
+        still = self._reading.read(hold, self.state)
+        positions[:], gone, tried = self.state.positions, 0.0, positions.copy()
+        for _ in range(MOST_PARTS):
+            part = 1.0 - gone
+            for _ in range(MOST_HALVINGS):
+                tried[:] = positions
+                guides.place(tried, gone + part)
+                if newton.upright_share(positions, tried) == 1.0:
+                    break
+                part *= 0.5
+            else:
+                return False
+            positions[:], gone = tried, gone + part
+            if gone >= 1.0:
+                return True
+            for _ in range(MOST_MOVES_OF_PART):
+                done = self._iterate(positions, efforts, hold, still, clock, False)
+                if done is None or done.share == 0.0:
+                    positions[:] = tried
+                    return False
+                efforts = done.actuation.efforts
+                if done.share == 1.0 and newton.last_move <= NEAR_AFTER_PART * self.model.nodes.size:
+                    break
+        return False
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
         """Displacements that the actuators are held at, or that a step towards targets starts from.
@@ -402,7 +456,7 @@ class Simulation(Readouts):
     ) -> tuple[float, float, Actuation]:
         """Correct the positions by as much of an actuation as keeps the body near balance."""
         if self.model.is_dynamic:
-            return self._move(positions, actuation, clock)
+            return self._move_and_settle(positions, actuation, clock, False)
         newton, inverts = self._newton, False
         for part in SHARES:
             tried = actuation if part == 1.0 else actuation.blended(held, part)
