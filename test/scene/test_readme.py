@@ -89,6 +89,7 @@ def test_the_rubber_in_the_readme_is_valid_and_its_table_is_that_of_the_presets(
         assert law == preset.law and float(density) == preset.density
         assert error == f"{100 * preset.rms_error:.1f} % ({100 * preset.largest_error:.1f} %)"
         assert strain == f"−{-low:.0f} to {high:.0f} %"
-        given = {key: 1e3 * float(value) for key, value in re.findall(r"(c\d+) ([\d.]+)", constants)}
+        pairs = re.findall(r"(c\d+) ([\d.]+)", constants)
+        given = {key: 1e3 * float(value) for key, value in pairs}
         assert given == pytest.approx(preset.constants)
     assert all(f"`{name}`" in text for name in UNFITTED)
