@@ -72,7 +72,7 @@ def fitted(preset: MaterialPreset) -> PresetFit:
     strains, measured = np.array(preset.curve).T
     parts = responses(preset.law, 1.0 + strains)
     matrix = np.column_stack(list(parts.values())) / (1e6 * measured)[:, None]
-    # Without negative constants the stress rises at every stretch: nothing runs away beyond the curve.
+    # Without negative constants the stress rises at every stretch: nothing runs away.
     found = nnls(matrix, np.ones(len(measured)))[0]
     constants = {name: float(f"{value:.{DIGITS}g}")
                  for name, value in zip(parts, found, strict=True)}  # fmt: skip

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from softrobot_twin.control.twin_loop import TickOutcome
-from softrobot_twin.mechanics.strain_watch import StrainOutside
 from softrobot_twin.simulation import Status, StepResult
+from softrobot_twin.simulation.result import StrainOutside
 
 _BY_SEVERITY = (
     Status.OK,

@@ -235,7 +235,9 @@ def fill_column(law, k, q, L, j, dF, C):
 
 @njit(**UNCACHED)
 def fill_derivatives(law, k, q, L, C):
-    """C = ∂P/∂F of all elements at point q of batch k: entry 9 i + j is ∂P_i/∂F_j, both row by row."""
+    """C = ∂P/∂F of all elements at point q of batch k: entry 9 i + j is ∂P_i/∂F_j, both row by
+    row.
+    """
     fill_column(law, k, q, L, 0, UNIT_CHANGES[0], C)
     fill_column(law, k, q, L, 1, UNIT_CHANGES[1], C)
     fill_column(law, k, q, L, 2, UNIT_CHANGES[2], C)
@@ -337,7 +339,8 @@ def in_axes(U, V, dP):
 
 @njit(**UNCACHED)
 def project_all(law, k, q, weights, negative, F, R, L, C):
-    """Projects the derivatives of the elements that are marked as negative, at point q of batch k.
+    """Projects the derivatives of the elements that are marked as negative, at point q of
+    batch k.
 
     Returns:
         Whether there is one.

@@ -84,9 +84,8 @@ def advance_overstresses(
             deform(V, gradients[k, q], G)
             for e in range(BATCH):
                 law = law_at(shape, k, q, e)
-                change = add_scaled_matrix(
-                    second_piola(law, matrix_at(G, 0, e)), second_piola(law, matrix_at(F, 0, e)), -1.0
-                )
+                begun = second_piola(law, matrix_at(F, 0, e))
+                change = add_scaled_matrix(second_piola(law, matrix_at(G, 0, e)), begun, -1.0)
                 for i in range(len(kept)):
                     Q = scaled_matrix(matrix_at(overstresses[i, k, q], 0, e), kept[i])
                     put_matrix(advanced[i, k, q], 0, e, add_scaled_matrix(Q, change, gained[i]))

@@ -13,7 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import determinant, inner, plus_identity, trace, transposed_product
+from softrobot_twin.geometry.matrix3 import (
+    determinant,
+    inner,
+    plus_identity,
+    trace,
+    transposed_product,
+)
 from softrobot_twin.mechanics.element_assembly import deform, gather
 from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, matrix_at, scratch
 

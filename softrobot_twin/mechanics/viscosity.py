@@ -6,7 +6,8 @@ Beside the law, which is what remains after a long time, act overstresses Q_i th
 
 with second Piola-Kirchhoff stresses. S_shape is the law's stress of the change of shape: the volume
 does not relax. The g_i are shares of the modulus at once, as in published series:
-E(t) = E_0 (1 - Σ g_i (1 - exp(-t/τ_i))); the law has the modulus after a long time, E_0 (1 - Σ g_i).
+E(t) = E_0 (1 - Σ g_i (1 - exp(-t/τ_i))); the law has the modulus after a long time,
+E_0 (1 - Σ g_i).
 
 Where S_shape changes evenly within a step of duration h, from S₀ to S, the equation has the
 solution

@@ -147,9 +147,6 @@ def _constant(name: str, value: Any) -> float | tuple[float, ...]:
 class ElasticEntry(Entry):
     """The constants of a law, which a body's material and those of its parts share."""
 
-    preset: str | None = None
-    """Name of a material in `material_presets`: it gives law, constants, Poisson's ratio, density
-    and strain range; Poisson's ratio, density and strain range may be given beside it."""
     law: Annotated[str | None, registered("law", law_names)] = None
     """Name of a registered law: one of `mechanics/laws`, or one from outside the package."""
     young_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
@@ -160,6 +157,9 @@ class ElasticEntry(Entry):
     """κ at rest, in place of Poisson's ratio."""
     constants: Annotated[Any, BeforeValidator(_numbers_by_name)] = None
     """Constants of laws that have their own, in place of Young's modulus."""
+    preset: str | None = None
+    """Name of a material in `material_presets`: it gives law, constants, Poisson's ratio, density
+    and strain range; Poisson's ratio, density and strain range may be given beside it."""
     strain_range: Annotated[tuple[float, float] | None, unit("")] = None
     """Least and greatest principal strain that the law is trusted in; others are reported."""
 
@@ -170,7 +170,10 @@ class ElasticEntry(Entry):
 
     @model_validator(mode="after")
     def _strains_in_order(self):
-        if self.strain_range is not None and not -1.0 < self.strain_range[0] < 0.0 < self.strain_range[1]:
+        if self.strain_range is None:
+            return self
+        least, greatest = self.strain_range
+        if not -1.0 < least < 0.0 < greatest:
             raise refusal(
                 "strain_range", list(self.strain_range),
                 "must be two strains: the least between -1 and 0, the greatest above 0",

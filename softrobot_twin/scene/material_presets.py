@@ -3,7 +3,7 @@
 `tools/fit_presets.py` makes the constants and errors of this table from its curves and prints them.
 A law is fitted to engineering stresses by least squares of the relative error, over the strains of
 the table. A tensile test says nothing of compression beyond the lateral contraction at its end, nor
-of equal stretches in two directions; nor of how a batch, its cure or its age differ: the silicones of
+of equal stretches in two directions; nor of how a batch, its cure or its age differ: silicones of
 one name differ by more than the errors below.
 """
 

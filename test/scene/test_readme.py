@@ -8,6 +8,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, UNFITTED
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 
@@ -89,3 +90,24 @@ def test_the_touch_in_the_readme_fits_the_robot(shown):
     (part,) = (part for part in shown if list(part) == ["touches"])
     touch = scene_from_mapping({**shown[0], **part}).touches[0]
     assert len(touch.points) == 2 and touch.while_touched == "hold_actuators"
+
+
+def test_the_rubber_in_the_readme_is_valid_and_its_table_is_that_of_the_presets(shown):
+    (part,) = [part for part in shown if list(part) == ["material"]]
+    robot = copy.deepcopy(shown[0])
+    robot["body"]["material"] = part["material"]
+    robot["body"].pop("materials", None)
+    material = scene_from_mapping(robot).body.material
+    assert len(material.viscosity) == 2 and material.softening.m == 5.0e3
+    text = README.read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*\d+) \|$", text, re.M))
+    for name, preset in MATERIAL_PRESETS.items():
+        law, constants, error, strain, density = rows[name].split(" | ")
+        low, high = (100.0 * bound for bound in preset.strain_range)
+        assert law == preset.law and float(density) == preset.density
+        assert error == f"{100 * preset.rms_error:.1f} % ({100 * preset.largest_error:.1f} %)"
+        assert strain == f"−{-low:.0f} to {high:.0f} %"
+        pairs = re.findall(r"(c\d+) ([\d.]+)", constants)
+        given = {key: 1e3 * float(value) for key, value in pairs}
+        assert given == pytest.approx(preset.constants)
+    assert all(f"`{name}`" in text for name in UNFITTED)

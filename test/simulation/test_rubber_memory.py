@@ -150,8 +150,9 @@ def test_what_is_not_built_is_refused_by_name(tmp_path, material, scene, key, re
 
 def test_vertebrae_of_a_viscous_body_are_refused(tmp_path):
     box = {"minimum": [0, 0, 0], "maximum": [1, 1, 1]}
-    body = {"mesh": "none.vtk", "material": RUBBER | {"viscosity": VISCOSITY},
-            "vertebrae": {"rigid": [{"name": "a", "box": box}, {"name": "b", "box": box}]}}  # fmt: skip
+    rigid = [{"name": "a", "box": box}, {"name": "b", "box": box}]
+    material = RUBBER | {"viscosity": VISCOSITY}
+    body = {"mesh": "none.vtk", "material": material, "vertebrae": {"rigid": rigid}}
     with pytest.raises(SceneError, match="vertebrae"):
         scene_from_mapping({"name": "scene", "body": body}, tmp_path / "scene.yaml")
 
