@@ -43,9 +43,13 @@ def test_the_robot_with_symmetry_in_the_readme_is_valid(shown):
     assert [marker.id for marker in scene.markers] == [0, 1, 2]
 
 
-def test_the_orientation_in_the_readme_fits_the_robot(shown):
-    (part,) = (part for part in shown if list(part) == ["effectors"])
-    orientation = scene_from_mapping({**shown[0], **part}).effectors[0].orientation
+def test_the_orientation_and_the_stiffness_in_the_readme_fit_the_robot(shown):
+    orientation, stiffness = (
+        scene_from_mapping({**shown[0], **part}).effectors[0]
+        for part in shown if list(part) == ["effectors"]
+    )  # fmt: skip
+    assert stiffness.stiffness.target == (None, None, 300.0)
+    orientation = orientation.orientation
     assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4
 
 
