@@ -188,7 +188,7 @@ def describe_stiffness(stiffness) -> str:
     length = stiffness.length
     all_of_it = "a tenth of the robot's size" if length is None else f"{number(1e3 * length)} mm"
     asked = f"stiffness {' '.join(axes) if axes else 'by messages'}"
-    return f"{asked}, weight {number(stiffness.weight)}, {all_of_it} for all of it"
+    return f"{asked}, weight {number(stiffness.weight)}, {all_of_it} for 100 %"
 
 
 def describe_orientation(orientation) -> str:

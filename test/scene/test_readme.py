@@ -55,10 +55,13 @@ def test_the_laws_in_the_readme_fit_the_robot_and_all_laws_of_the_package_are_in
         assert f"| `{'linear' if name == 'small_displacement' else name}`" in table
 
 
-def test_the_orientation_in_the_readme_fits_the_robot(shown):
-    parts = (part for part in shown if list(part) == ["effectors"])
-    (part,) = (part for part in parts if "orientation" in part["effectors"][0])
-    orientation = scene_from_mapping({**shown[0], **part}).effectors[0].orientation
+def test_the_orientation_and_the_stiffness_in_the_readme_fit_the_robot(shown):
+    orientation, stiffness = (
+        scene_from_mapping({**shown[0], **part}).effectors[0]
+        for part in shown if list(part) == ["effectors"]
+    )  # fmt: skip
+    assert stiffness.stiffness.target == (None, None, 300.0)
+    orientation = orientation.orientation
     assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4
 
 
