@@ -48,6 +48,8 @@ setup(
     ],
     extras_require={
         "study": ["matplotlib>=3.8"],
+        # Only for `workspace --scheduler`.
+        "cluster": ["dask>=2024.2.1", "distributed>=2024.2.1"],
         # Only for comparisons by tools/compare_solvers.py; pypardiso installs the proprietary MKL.
         "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
         # gmsh has no wheel for aarch64; only making meshes needs it.

@@ -17,6 +17,46 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["RERUN_STRICT"] = "1"
 
 
+# Facts of the method, of the loop and of processes: no version of numpy, scipy, numba or another
+# library changes them, and what these files use of the libraries other files use too. They are
+# marked `method`; the oldest versions run without them.
+METHOD = {
+    "simulation": (
+        "arch", "augmented_tangent", "beam_contact", "buckling", "cable_friction", "capstan",
+        "collapse", "compressed", "cone", "contact_balance", "contact_forces", "contact_rest",
+        "contact_surface", "curling", "drag", "edge_of_reach", "energy", "equality_actuators",
+        "floating", "force_limit", "free_fall", "generalized_alpha", "hertz", "hostile_cavities",
+        "incline", "inflation", "inverse_contact", "inverse_limits", "inverse_obstacles",
+        "inverse_trunk", "long_run", "many_contacts", "mesh_error", "momentum", "obstacles",
+        "overlap", "overload", "pendulum", "redundancy", "resting", "rolling", "sag", "scales",
+        "snap_through", "stacks", "target_trust", "time_step", "tunnelling", "vibration",
+        "viscous_motion", "wedge",
+    ),
+    "control": (
+        "device_returns", "grasping", "hostile_input", "long_run", "loop_safety", "loop_timing",
+        "marker_checks", "mesh_error_watch", "target_correction", "target_path", "trunk",
+    ),
+    "ros": (
+        "grasping", "graph_watch", "hostile_messages", "node_process", "pressures", "target_pose",
+        "thread_priority", "trunk", "twin_diagnostics",
+    ),
+}  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """Marks the tests of `METHOD`."""
+    files = {
+        Path(__file__).parent / room / f"test_{name}.py"
+        for room, names in METHOD.items() for name in names
+    }  # fmt: skip
+    lost = sorted(str(file) for file in files if not file.is_file())
+    if lost:
+        raise pytest.UsageError(f"conftest.METHOD names {', '.join(lost)}, which is no file")
+    for item in items:
+        if item.path in files:
+            item.add_marker(pytest.mark.method)
+
+
 def compile_each_kernel_once() -> None:
     """Lets only one of several test processes compile a kernel; the others load the result.
 

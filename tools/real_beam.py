@@ -13,7 +13,10 @@ from rich.table import Table
 from scipy.signal import find_peaks
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.mechanics.laws import law_named, law_names
+from softrobot_twin.mechanics.material import shear_modulus
 from softrobot_twin.scene import Scene, scene_from_mapping
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.study.bench_measurement import column_mesh, write_mesh
 from softrobot_twin.study.terminal import console, table
@@ -274,14 +277,18 @@ def measure(data_folder: Path, load: BeamLoad) -> BeamMeasurement:
 class BeamModel:
     """The beam on one mesh."""
 
-    def __init__(self, folder: Path, cells: tuple[int, int, int] = CELLS):
+    def __init__(
+        self, folder: Path, cells: tuple[int, int, int] = CELLS, law: str = "corotational"
+    ):
         """Mesh it.
 
         Args:
             folder: Where the mesh is written.
             cells: Boxes along height, width and length.
+            law: Name of its law: one of Young's modulus, or a preset, whose constants are scaled
+                so that it has that modulus at rest.
         """
-        self._folder, self._cells = folder, cells
+        self._folder, self._cells, self._law = folder, cells, law
         write_mesh(folder / "beam.vtk", column_mesh(SIZE, cells))
 
     def scene(self, young_modulus: float, weight: float, integration: str) -> Scene:
@@ -309,8 +316,7 @@ class BeamModel:
         body = {
             "name": "beam", "mesh": {"file": "beam.vtk"}, "element": "quadratic",
             "mass": "consistent",
-            "material": {"young_modulus": young_modulus, "poisson_ratio": POISSON_RATIO,
-                         "density": DENSITY},
+            "material": self._material(young_modulus),
             "fixed": [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}],
         }  # fmt: skip
         return scene_from_mapping({
@@ -318,6 +324,17 @@ class BeamModel:
             "body": body, "markers": [{"id": 0, "body": "beam", "point": MARKER_POINT}],
             "solver": {"newton_iterations": 10, "residual_tolerance": 1e-6}, **loaded,
         }, self._folder / "beam.yaml")  # fmt: skip
+
+    def _material(self, young_modulus: float) -> dict:
+        """Its material as scenes say it, with a modulus at rest [Pa]."""
+        others = {"poisson_ratio": POISSON_RATIO, "density": DENSITY}
+        preset = MATERIAL_PRESETS.get(self._law)
+        if preset is None:
+            return {"law": self._law, "young_modulus": young_modulus, **others}
+        own = law_named(preset.law).own.shear_modulus(preset.constants)
+        factor = shear_modulus(young_modulus, POISSON_RATIO) / own
+        constants = {name: factor * value for name, value in preset.constants.items()}
+        return {"law": preset.law, "constants": constants, **others}
 
     def sag(self, young_modulus: float, weight: float) -> float:
         """How far the marker sinks from where the beam is straight [m]."""
@@ -360,6 +377,62 @@ class BeamModel:
             # It sags in inverse proportion to its modulus, nearly.
             young_modulus *= self.sag(young_modulus, 0.0) / sag
         return young_modulus
+
+
+class SagFit(NamedTuple):
+    """One Young's modulus fitted to the sags of all loads.
+
+    Attributes:
+        law: Name of the law.
+        young_modulus: [Pa].
+        sags: Sag of the marker for each load [m].
+        errors: Relative error of each, against the mean of the runs.
+    """
+
+    law: str
+    young_modulus: float
+    sags: tuple[float, ...]
+    errors: tuple[float, ...]
+
+
+def fit_sags(
+    data_folder: Path, law: str, cells: tuple[int, int, int] = CELLS, guess: float = 2.4e5
+) -> SagFit:
+    """Fit Young's modulus so that the largest relative error of the three sags is least.
+
+    Args:
+        data_folder: Folder of the recordings.
+        law: Name of the law.
+        cells: Boxes of the mesh along height, width and length.
+        guess: Where to begin [Pa].
+    """
+    measured = np.array([np.mean(measure(data_folder, load).sags) for load in LOADS])
+    young_modulus = guess
+    with TemporaryDirectory() as folder:
+        beam = BeamModel(Path(folder), cells, law)
+        for _ in range(3):
+            used = young_modulus
+            sags = np.array([beam.sag(used, load.weight) for load in LOADS])
+            ratios = sags / measured
+            # Sags go in inverse proportion to the modulus, nearly.
+            young_modulus *= 0.5 * (ratios.max() + ratios.min())
+    return SagFit(law, used, tuple(sags), tuple(ratios - 1.0))
+
+
+def sag_table(data_folder: Path, fits: list[SagFit]) -> Table:
+    """Sags by one modulus for all loads, with the error of each."""
+    made = table(
+        "Young's modulus fitted to the three settled sags at once", "law", "modulus [kPa]",
+        *(f"{load.weight:.3f} N: sag [mm], error" for load in LOADS),
+    )  # fmt: skip
+    made.add_row(
+        "measured", "", *(_listed(measure(data_folder, load).sags, 1e3) for load in LOADS)
+    )
+    for fit in fits:
+        cells = [f"{1e3 * sag:.2f}, {100.0 * error:+.1f} %"
+                 for sag, error in zip(fit.sags, fit.errors, strict=True)]  # fmt: skip
+        made.add_row(fit.law, f"{1e-3 * fit.young_modulus:.1f}", *cells)
+    return made
 
 
 def _height(simulation: Simulation) -> float:
@@ -415,8 +488,18 @@ def main() -> int:
     """Reads the command line, predicts, and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", metavar="FOLDER", type=Path, help="folder with the recordings")
+    parser.add_argument(
+        "--sags", metavar="LAW", nargs="+",
+        choices=[*law_names(), *MATERIAL_PRESETS],
+        help="only fit one modulus of these laws or presets to the three sags",
+    )  # fmt: skip
+    given = parser.parse_args()
     try:
-        console().print(prediction_table(predict_beam(parser.parse_args().data)))
+        if given.sags:
+            fits = [fit_sags(given.data, law) for law in given.sags]
+            console().print(sag_table(given.data, fits))
+        else:
+            console().print(prediction_table(predict_beam(given.data)))
     except SoftRobotTwinError as error:
         print(f"real_beam: {error}", file=sys.stderr)
         return 2

@@ -8,6 +8,7 @@ import numpy as np
 
 from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.simulation import Status, StepResult
+from softrobot_twin.simulation.result import StrainOutside
 
 _BY_SEVERITY = (
     Status.OK,
@@ -41,6 +42,7 @@ class DiagnosticsWindow:
         qp_solvers: Names of the solvers that solved the inverse problem.
         stage_maxima: Longest duration of each stage [s].
         limits: Names of the limits that were active.
+        strains: The last strain of each material beyond the range of its law, by its key.
         blocked: Number of commands that the gate rejected.
         violated: Limits that these commands violated.
         causes: Number of ticks that held or published nothing, by cause.
@@ -73,6 +75,7 @@ class DiagnosticsWindow:
         self.residual_max = 0.0
         self.stage_maxima: dict[str, float] = {}
         self.limits: set[str] = set()
+        self.strains: dict[str, StrainOutside] = {}
         self.violated: set[str] = set()
         self.causes: dict[str, int] = {}
         self.tracking_error_max = float("nan")
@@ -104,6 +107,7 @@ class DiagnosticsWindow:
             self.qp_solvers.add(report.qp_solver)
         self._add_stages(report.stage_times)
         self.limits.update(report.active_limits)
+        self.strains.update({outside.key: outside for outside in report.strains})
         self.violated.update(outcome.violated)
         self.blocked += bool(outcome.violated)
         if result.contacts is not None:

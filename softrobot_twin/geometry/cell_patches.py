@@ -2,7 +2,7 @@
 
 Patches grow one after another over shared faces. A new one begins beside those that are there, at a
 cell with few neighbours left, so that few cells remain alone; it takes the cell that brings the
-fewest new nodes, which keeps it round. What remains smaller than half a patch joins a neighbour. The
+fewest new nodes, which keeps it round. What remains of half a patch or less joins a neighbour. The
 result depends on the order of the cells only where all else is equal, and never on chance.
 """
 
@@ -39,8 +39,8 @@ def grow_patches(tets: np.ndarray, size: int) -> np.ndarray:
 
     Args:
         tets: Corners, shape (tet_count, 4).
-        size: Tetrahedra of a patch; those where a mesh ends have from half as many to about one and
-            a half times as many.
+        size: Tetrahedra of a patch. Where patches meet some have less, but more than half as many if
+            they have a neighbour at all, and some more.
 
     Returns:
         Number of each tetrahedron's patch, counted from 0, shape (tet_count,).
@@ -88,12 +88,12 @@ def _grow(seed, size, number, tets, behind, patch, free, beside) -> None:
 
 
 def _join_small(behind, patch, count, size) -> np.ndarray:
-    """Join each patch of less than half the size to the neighbour with most faces in common."""
+    """Join each patch of half the size or less to the neighbour with most faces in common."""
     sizes = np.bincount(patch, minlength=count)
     members = [list(cells) for cells in np.split(
         np.argsort(patch, kind="stable"), np.cumsum(sizes)[:-1])] if count else []  # fmt: skip
     for number in range(count):
-        if 2 * len(members[number]) >= size or not members[number]:
+        if 2 * len(members[number]) > size or not members[number]:
             continue
         shared: dict[int, int] = {}
         for cell in members[number]:

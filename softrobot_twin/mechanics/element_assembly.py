@@ -28,6 +28,8 @@ from numba import njit
 
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
+    ZERO,
+    add_outer,
     product,
     product_transposed,
     scaled_matrix,
@@ -37,6 +39,7 @@ from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
+    INLINED,
     KERNEL,
     at,
     matrix_at,
@@ -52,12 +55,19 @@ from softrobot_twin.mechanics.element_inversion import count_inverted, find_fold
 from softrobot_twin.mechanics.point_law import (
     differential,
     energy_density,
+    law_at,
+    law_is_isotropic,
     law_projects,
     law_turns,
     linearize,
     stress,
 )
 from softrobot_twin.mechanics.polar import find_rotations, find_upright
+from softrobot_twin.mechanics.principal_axes import (
+    principal_axes,
+    principal_differential,
+    principal_rows,
+)
 from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_forces,
     barrier_acts,
@@ -66,6 +76,11 @@ from softrobot_twin.mechanics.volume_barrier import (
 )
 
 UNCACHED = {**KERNEL, "cache": False}
+# An eigenvalue of ∂P/∂F that is negative by less than this share of its trace is none.
+ROUNDING = 1.0e-13
+UNIT_CHANGES = tuple(
+    tuple(tuple(float(3 * i + j == entry) for j in range(3)) for i in range(3)) for entry in range(9)
+)
 
 
 @njit(**KERNEL)
@@ -171,95 +186,191 @@ def seen_by_law(law, F, R, e):
 
 
 @njit(**UNCACHED)
-def weighted_stresses(law, weights, F, R, S):
-    """S = w P at one point; where the law turns, P is its answer P Rᵀ times R."""
+def weighted_stresses(law, k, q, weights, F, R, S):
+    """S = w P at point q of batch k; where the law turns, P is its answer P Rᵀ times R."""
     for e in range(BATCH):
-        answer = scaled_matrix(stress(law, seen_by_law(law, F, R, e)), weights[e])
+        answer = stress(law_at(law, k, q, e), seen_by_law(law, F, R, e))
+        answer = scaled_matrix(answer, weights[e])
         if law_turns(law):
             answer = product(answer, matrix_at(R, 0, e))
         put_matrix(S, 0, e, answer)
 
 
 @njit(**UNCACHED)
-def linearize_all(law, F, R, upright, projected, L):
-    """What the differential needs of the deformation at one point."""
+def linearize_all(law, k, q, F, R, upright, projected, L):
+    """What the differential needs of the deformation at point q of batch k."""
     for e in range(BATCH):
         V, is_upright = seen_by_law(law, F, R, e), upright[e] > 0.0
-        put_rows(L, 0, linearize(law, V, is_upright, projected), e)
+        put_rows(L, 0, linearize(law_at(law, k, q, e), V, is_upright, projected), e)
 
 
 @njit(**UNCACHED, forceinline=True)
 def linearized_rows(law):
     """As many rows as `linearize` returns."""
-    return linearize(law, IDENTITY, True, False)
+    return linearize(law_at(law, 0, 0, 0), IDENTITY, True, False)
 
 
 @njit(**UNCACHED)
-def differentiate_node(law, b, weights, g, L, T):
-    """w ∂P : e_i g_bᵀ at one point for i = 0, 1, 2."""
+def differentiate_node(law, k, q, b, weights, g, L, T):
+    """w ∂P : e_i g_bᵀ at point q of batch k for i = 0, 1, 2."""
     gradients, zero, like = of_node(g, b), (0.0, 0.0, 0.0), linearized_rows(law)
     for e in range(BATCH):
-        at_point = rows_at(L, 0, like, e)
+        here, at_point = law_at(law, k, q, e), rows_at(L, 0, like, e)
         row = scaled(vector_at(gradients, 0, e), weights[e])
-        put_matrix(T, 0, e, differential(law, at_point, (row, zero, zero)))
-        put_matrix(T, 1, e, differential(law, at_point, (zero, row, zero)))
-        put_matrix(T, 2, e, differential(law, at_point, (zero, zero, row)))
+        put_matrix(T, 0, e, differential(here, at_point, (row, zero, zero)))
+        put_matrix(T, 1, e, differential(here, at_point, (zero, row, zero)))
+        put_matrix(T, 2, e, differential(here, at_point, (zero, zero, row)))
+
+
+@njit(**UNCACHED, forceinline=True)
+def fill_column(law, k, q, L, j, dF, C):
+    """Column j of C for all elements at point q of batch k."""
+    like = linearized_rows(law)
+    for e in range(BATCH):
+        dP = differential(law_at(law, k, q, e), rows_at(L, 0, like, e), dF)
+        C[at(j, e)], C[at(9 + j, e)], C[at(18 + j, e)] = dP[0]
+        C[at(27 + j, e)], C[at(36 + j, e)], C[at(45 + j, e)] = dP[1]
+        C[at(54 + j, e)], C[at(63 + j, e)], C[at(72 + j, e)] = dP[2]
 
 
 @njit(**UNCACHED)
-def fill_derivative(law, linearized, C):
-    """C = ∂P/∂F as a matrix of nine rows, of one element at one point."""
-    dF = np.empty(9)
-    for j in range(9):
-        dF[:] = 0.0
-        dF[j] = 1.0
-        rows = ((dF[0], dF[1], dF[2]), (dF[3], dF[4], dF[5]), (dF[6], dF[7], dF[8]))
-        dP = differential(law, linearized, rows)
-        C[0, j], C[1, j], C[2, j] = dP[0]
-        C[3, j], C[4, j], C[5, j] = dP[1]
-        C[6, j], C[7, j], C[8, j] = dP[2]
+def fill_derivatives(law, k, q, L, C):
+    """C = ∂P/∂F of all elements at point q of batch k: entry 9 i + j is ∂P_i/∂F_j, both row by
+    row.
+    """
+    fill_column(law, k, q, L, 0, UNIT_CHANGES[0], C)
+    fill_column(law, k, q, L, 1, UNIT_CHANGES[1], C)
+    fill_column(law, k, q, L, 2, UNIT_CHANGES[2], C)
+    fill_column(law, k, q, L, 3, UNIT_CHANGES[3], C)
+    fill_column(law, k, q, L, 4, UNIT_CHANGES[4], C)
+    fill_column(law, k, q, L, 5, UNIT_CHANGES[5], C)
+    fill_column(law, k, q, L, 6, UNIT_CHANGES[6], C)
+    fill_column(law, k, q, L, 7, UNIT_CHANGES[7], C)
+    fill_column(law, k, q, L, 8, UNIT_CHANGES[8], C)
 
 
 @njit(**KERNEL)
-def project(C):
-    """The positive semidefinite matrix nearest to a symmetric one; in place."""
+def find_negative(C, factor, negative):
+    """Marks the elements of a batch whose derivative C has a negative eigenvalue by 1.0.
+
+    By Cholesky's method, without a branch. An eigenvalue that is negative by rounding is none: a
+    material at rest bears no load while it turns.
+
+    Args:
+        C: Of `fill_derivatives`.
+        factor: Memory for as much.
+        negative: Written, shape (BATCH,).
+    """
+    negative[:] = 0.0
+    for e in range(BATCH):
+        size = 0.0
+        for i in range(9):
+            size += abs(C[at(10 * i, e)])
+        for i in range(9):
+            for j in range(i + 1):
+                factor[at(9 * i + j, e)] = C[at(9 * i + j, e)]
+            factor[at(10 * i, e)] += ROUNDING * size
+    for j in range(9):
+        for k in range(j):
+            for i in range(j, 9):
+                for e in range(BATCH):
+                    factor[at(9 * i + j, e)] -= factor[at(9 * i + k, e)] * factor[at(9 * j + k, e)]
+        for e in range(BATCH):
+            pivot = factor[at(10 * j, e)]
+            negative[e] = negative[e] if pivot > 0.0 else 1.0
+            factor[at(10 * j, e)] = np.sqrt(pivot) if pivot > 0.0 else 1.0
+        for i in range(j + 1, 9):
+            for e in range(BATCH):
+                factor[at(9 * i + j, e)] /= factor[at(10 * j, e)]
+
+
+@njit(**KERNEL)
+def project_one(C, e):
+    """Replaces C of one element by the nearest positive semidefinite matrix, by its eigenvalues."""
+    whole = np.empty((9, 9))
     for i in range(9):
         for j in range(9):
-            if not np.isfinite(C[i, j]):
+            whole[i, j] = 0.5 * (C[at(9 * i + j, e)] + C[at(9 * j + i, e)])
+            if not np.isfinite(whole[i, j]):
                 return
-    values, vectors = np.linalg.eigh(0.5 * (C + C.T))
-    if values[0] >= 0.0:
-        return
-    C[:] = 0.0
-    for k in range(9):
-        if values[k] > 0.0:
-            for i in range(9):
-                for j in range(9):
-                    C[i, j] += values[k] * vectors[i, k] * vectors[j, k]
+    values, vectors = np.linalg.eigh(whole)
+    for i in range(9):
+        for j in range(9):
+            entry = 0.0
+            for k in range(9):
+                entry += max(values[k], 0.0) * vectors[i, k] * vectors[j, k]
+            C[at(9 * i + j, e)] = entry
 
 
 @njit(**UNCACHED)
-def project_all(law, L, C):
-    """The projected derivatives of all elements at one point."""
+def project_isotropic(law, V, at_point, C, e):
+    """What `project_one` does, for an isotropic law, in the axes of the stretches of V."""
+    rows = positive_rows(law, V, at_point)
+    for j in range(9):
+        dP = principal_differential(rows, UNIT_CHANGES[j])
+        for i in range(9):
+            C[at(9 * i + j, e)] = dP[i // 3][i % 3]
+
+
+@njit(**UNCACHED)
+def positive_rows(law, F, at_point):
+    """The rows of `principal_differential` of an isotropic law, projected.
+
+    What the differential does to each pair of axes is all that an isotropic law does.
+    """
+    U, _, V = principal_axes(F)
+    x = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[0], V[0])))
+    y = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[1], V[1])))
+    z = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[2], V[2])))
+    yz = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[1], V[2])))
+    zx = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[2], V[0])))
+    xy = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[0], V[1])))
+    diagonal = (x[0][0], y[1][1], z[2][2], z[1][1], x[2][2], y[0][0])
+    even = (yz[1][2] + yz[2][1], zx[2][0] + zx[0][2], xy[0][1] + xy[1][0])
+    odd = (yz[1][2] - yz[2][1], zx[2][0] - zx[0][2], xy[0][1] - xy[1][0])
+    return principal_rows(U, V, diagonal, even, odd, True)
+
+
+@njit(**INLINED)
+def in_axes(U, V, dP):
+    """Uᵀ dP V, where the rows of U and V are axes."""
+    return product(U, product_transposed(dP, V))
+
+
+@njit(**UNCACHED)
+def project_all(law, k, q, weights, negative, F, R, L, C):
+    """Projects the derivatives of the elements that are marked as negative, at point q of
+    batch k.
+
+    Returns:
+        Whether there is one.
+    """
+    is_any = False
     for e in range(BATCH):
-        fill_derivative(law, rows_at(L, 0, linearized_rows(law), e), C[e])
-        project(C[e])
+        if negative[e] > 0.0 and weights[e] > 0.0:
+            is_any = True
+            if law_is_isotropic(law):
+                V, at_point = seen_by_law(law, F, R, e), rows_at(L, 0, linearized_rows(law), e)
+                project_isotropic(law_at(law, k, q, e), V, at_point, C, e)
+            else:
+                project_one(C, e)
+    return is_any
 
 
 @njit(**KERNEL)
 def apply_derivatives(b, weights, g, C, T):
     """What `differentiate_node` does, by matrices C of nine rows."""
     gradients = of_node(g, b)
-    for e in range(BATCH):
-        row = scaled(vector_at(gradients, 0, e), weights[e])
-        for i in range(3):
-            for entry in range(9):
-                derivative = C[e, entry]
-                T[at(9 * i + entry, e)] = (
-                    derivative[3 * i] * row[0]
-                    + derivative[3 * i + 1] * row[1]
-                    + derivative[3 * i + 2] * row[2]
+    for i in range(3):
+        for entry in range(9):
+            first = 9 * entry + 3 * i
+            for e in range(BATCH):
+                change = (
+                    C[at(first, e)] * gradients[at(0, e)]
+                    + C[at(first + 1, e)] * gradients[at(1, e)]
+                    + C[at(first + 2, e)] * gradients[at(2, e)]
                 )
+                T[at(9 * i + entry, e)] = weights[e] * change
 
 
 @njit(**UNCACHED)
@@ -292,7 +403,7 @@ def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
             for e in range(BATCH):
                 if weights[k, q, e] > 0.0:
                     V = seen_by_law(law, F, rotations[k, q], e)
-                    total += weights[k, q, e] * energy_density(law, V)
+                    total += weights[k, q, e] * energy_density(law_at(law, k, q, e), V)
     return total
 
 
@@ -339,7 +450,7 @@ def add_forces(
             find_state(law, F, rotations[k, q], uprights[k, q], change)
             take_lowest(uprights[k, q], lowest)
             take_least_volumes(F, uprights[k, q], least_volumes)
-            weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+            weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
             add_stress_to_nodes(S, gradients[k, q], P)
         subtract_forces(free[k], P, forces)
         if len(to_corners) > 0:
@@ -379,25 +490,31 @@ def add_stiffness(
     # What each point keeps until the blocks are summed.
     g = np.empty((point_count, width))
     L = np.empty((point_count, 3 * len(linearized_rows(law)) * BATCH))
-    by_matrix = projected and not law_projects(law)
-    C = np.empty((point_count, BATCH if by_matrix else 0, 9, 9))
+    is_tested = projected and not law_projects(law)
+    C = np.empty((point_count, (81 if is_tested else 0) * BATCH))
+    factor, negative = scratch(81 if is_tested else 0), scratch(1)
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
     for k in range(len(cells)):
         if not are_known:
             gather(moves, cells[k], U)
             P[:] = 0.0
+        by_matrix = False
         for q in range(point_count):
             F = deformations[k, q]
             if not are_known:
                 deform(U, gradients[k, q], F)
                 find_state(law, F, rotations[k, q], uprights[k, q], change)
                 take_least_volumes(F, uprights[k, q], least_volumes)
-                weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+                weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
                 add_stress_to_nodes(S, gradients[k, q], P)
             see_gradients(law, gradients[k, q], rotations[k, q], g[q])
-            linearize_all(law, F, rotations[k, q], uprights[k, q], projected, L[q])
-            if by_matrix:
-                project_all(law, L[q], C[q])
+            linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
+            if is_tested:
+                fill_derivatives(law, k, q, L[q], C[q])
+                find_negative(C[q], factor, negative)
+                by_matrix |= project_all(
+                    law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
+                )
         if not are_known:
             subtract_forces(free[k], P, forces)
         pair = 0
@@ -406,7 +523,7 @@ def add_stiffness(
                 if by_matrix:
                     apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
                 else:
-                    differentiate_node(law, b, weights[k, q], g[q], L[q], T[q])
+                    differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
             for a in range(b, node_count):
                 for q in range(point_count):
                     contract(a, g[q], T[q], K, q == 0)
@@ -445,12 +562,12 @@ def deform_along(D, F, step, shifted):
 
 
 @njit(**UNCACHED)
-def differentials_along(law, F, D, R, upright, weights, S):
-    """S = w ∂P/∂F : D at one point; where the law turns, its answer times R."""
+def differentials_along(law, k, q, F, D, R, upright, weights, S):
+    """S = w ∂P/∂F : D at point q of batch k; where the law turns, its answer times R."""
     for e in range(BATCH):
-        V, A = seen_by_law(law, F, R, e), seen_by_law(law, D, R, e)
-        at_point = linearize(law, V, upright[e] > 0.0, False)
-        answer = scaled_matrix(differential(law, at_point, A), weights[e])
+        here, V, A = law_at(law, k, q, e), seen_by_law(law, F, R, e), seen_by_law(law, D, R, e)
+        at_point = linearize(here, V, upright[e] > 0.0, False)
+        answer = scaled_matrix(differential(here, at_point, A), weights[e])
         if law_turns(law):
             answer = product(answer, matrix_at(R, 0, e))
         put_matrix(S, 0, e, answer)
@@ -487,10 +604,10 @@ def add_force_curvature(
                 D[at(8, e)] -= 1.0
             inverse = deform_along(D, F, step, shifted)
             find_state(law, shifted, R, upright, change)
-            differentials_along(law, shifted, D, R, upright, weights[k, q], S)
+            differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], S)
             deform_along(D, F, -step, shifted)
             find_state(law, shifted, R, upright, change)
-            differentials_along(law, shifted, D, R, upright, weights[k, q], other)
+            differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], other)
             for entry in range(9):
                 for e in range(BATCH):
                     i = at(entry, e)
@@ -528,7 +645,16 @@ def assembly_of(parameters: type) -> Assembly:
     Args:
         parameters: The type of the law's parameters.
     """
-    return _KEPT if parameters.__module__.startswith(_PACKAGE) else _assembly(UNCACHED)
+    return _KEPT if is_of_package(parameters) else _assembly(UNCACHED)
+
+
+def is_of_package(parameters: type) -> bool:
+    """Whether a law is defined inside this package; see `assembly_of`.
+
+    Args:
+        parameters: The type of the law's parameters.
+    """
+    return parameters.__module__.startswith(_PACKAGE)
 
 
 def _assembly(options: dict) -> Assembly:

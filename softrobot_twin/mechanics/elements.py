@@ -19,9 +19,13 @@ from softrobot_twin.mechanics.element_inversion import (
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import law_of
 from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.strain_watch import StrainWatch, extreme_squares
 from softrobot_twin.mechanics.volume_barrier import (
+    BARRIER_VOLUME,
     add_barrier_energies,
+    add_barrier_forces,
     add_barrier_stiffness,
+    find_corners,
     largest_share_of_points,
 )
 
@@ -53,7 +57,10 @@ class Elements(ForceTerm):
 
     Attributes:
         law: Parameters of the law.
+        strain_watch: Watches their strain, where their law has a range of strains; else None.
     """
+
+    strain_watch: StrainWatch | None = None
 
     def __init__(self, mesh, free_index: np.ndarray, law: tuple):
         """Prepare the elements.
@@ -115,12 +122,45 @@ class Elements(ForceTerm):
         self._forget()
         self._constant_stiffness = None
         self._barrier_stiffness = self._stretch_stiffness()
+        self._bind_corners()
         if law_of(self.law).is_linear:
             self._constant_stiffness = self._sum_stiffness_once(bound)
+
+    def _bind_corners(self) -> None:
+        """The corners and mid-edges that the barrier watches, beside the points; none where there
+        is no need.
+        """
+        watched = self._to_corners
+        if law_of(self.law).turns or not self._barrier_stiffness:
+            watched = watched[:0]
+        first, second = np.triu_indices(len(watched), 1)
+        self._to_watched = np.concatenate([watched, 0.5 * (watched[first] + watched[second])])
+        count = len(self._to_watched)
+        self._has_corners = count > 0
+        self._corner_gradients = np.einsum("cq,kqi->kci", self._to_watched, self._gradients)
+        volumes = self._weights.sum(axis=1, keepdims=True) / max(count, 1)
+        self._corner_weights = np.repeat(volumes, count, axis=1)
+        self._corner_deformations = np.zeros((len(volumes), count, 9 * BATCH))
+        self._nearly_flat_corners = 0
+
+    def _add_corner_forces(self) -> None:
+        """Add the forces of the barrier at corners to those of the state that is known."""
+        self._nearly_flat_corners = 0
+        if not (self._has_corners and self._uprights.all()):
+            return
+        least = find_corners(
+            self._to_watched, self._deformations, self._corner_weights, self._corner_deformations
+        )
+        if -np.inf < least < BARRIER_VOLUME:
+            self._nearly_flat_corners = add_barrier_forces(
+                self._barrier_stiffness, self._free, self._corner_gradients, self._corner_weights,
+                self._corner_deformations, self._forces,
+            )  # fmt: skip
 
     def _forget(self) -> None:
         """Discard the stored state."""
         self._is_known, self.nearly_flat_count = False, 0
+        self._nearly_flat_points = self._nearly_flat_corners = 0
 
     def _stretch_stiffness(self) -> float:
         """The stiffness of the law at rest against a uniaxial stretch [Pa].
@@ -150,11 +190,13 @@ class Elements(ForceTerm):
             Number of elements that are flat or inside out.
         """
         self._begin_state(positions, forces)
-        inverted_count, self.nearly_flat_count = self._assembly.add_forces(
+        inverted_count, self._nearly_flat_points = self._assembly.add_forces(
             self.law, positions - self._reference, self._cells, self._free,
             self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
             self._deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
+        self._add_corner_forces()
+        self.nearly_flat_count = self._nearly_flat_points + self._nearly_flat_corners
         forces += self._forces
         if len(self._corners.edges):
             return count_folded(
@@ -191,11 +233,18 @@ class Elements(ForceTerm):
             self._begin_state(positions, forces)
         nearly_flat_count = self._add_stiffness(positions, storage, projected, is_known)
         if not is_known:
-            self.nearly_flat_count = nearly_flat_count
-        if self.nearly_flat_count:
+            self._nearly_flat_points = nearly_flat_count
+            self._add_corner_forces()
+            self.nearly_flat_count = self._nearly_flat_points + self._nearly_flat_corners
+        if self._nearly_flat_points:
             add_barrier_stiffness(
                 self._barrier_stiffness, self._gradients, self._weights, self._deformations,
                 projected, self._offsets, self._strides, storage,
+            )  # fmt: skip
+        if self._nearly_flat_corners:
+            add_barrier_stiffness(
+                self._barrier_stiffness, self._corner_gradients, self._corner_weights,
+                self._corner_deformations, projected, self._offsets, self._strides, storage,
             )  # fmt: skip
         forces += self._forces
 
@@ -227,7 +276,8 @@ class Elements(ForceTerm):
             corners = np.zeros((len(deformations), len(self._corners.edges), 9 * BATCH))
             write_corners(writable(positions), self._mesh.cells, *self._corners, corners)
         else:
-            corners = np.einsum("cq,kqi->kci", self._to_corners, deformations)
+            watched = self._to_watched if self._has_corners else self._to_corners
+            corners = np.einsum("cq,kqi->kci", watched, deformations)
         return np.concatenate([deformations, corners], axis=1)
 
     def add_force_curvature(
@@ -245,6 +295,20 @@ class Elements(ForceTerm):
             self._gradients, self._weights, CURVATURE_STEP, curvature,
         )  # fmt: skip
 
+    def extreme_squares(
+        self, positions: np.ndarray, least: float, greatest: float
+    ) -> tuple[float, float]:
+        """Squares of the least and greatest principal stretch beyond given ones.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            least: Only lower squares count.
+            greatest: Only greater ones count.
+        """
+        return extreme_squares(
+            positions - self._reference, self._cells, self._gradients, self._weights, least, greatest
+        )
+
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J].
 
@@ -256,7 +320,17 @@ class Elements(ForceTerm):
             deformations = np.empty_like(self._deformations)
             deform_all(positions - self._reference, self._cells, self._gradients, deformations)
             energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
+            if self._has_corners:
+                energy += self._corner_energy(deformations)
         return energy
+
+    def _corner_energy(self, deformations: np.ndarray) -> float:
+        """Energy of the barrier at corners of upright elements [J]."""
+        corners = np.empty_like(self._corner_deformations)
+        least = find_corners(self._to_watched, deformations, self._corner_weights, corners)
+        if not -np.inf < least < BARRIER_VOLUME:
+            return 0.0
+        return add_barrier_energies(self._barrier_stiffness, self._corner_weights, corners)
 
     def _law_energy(self, positions: np.ndarray) -> tuple[float, bool]:
         """Energy by the law alone [J], and whether all points are upright."""

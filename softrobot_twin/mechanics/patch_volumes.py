@@ -13,8 +13,9 @@ with U of `volume_change.py`. Projected, the last part is left out: it has both 
 F-bar method of patches (de Souza Neto et al., Int. J. Numer. Meth. Engng 62, 2005) as an energy, or a
 pressure that is constant in a patch and eliminated.
 
-Elements keep a small share of the bulk modulus, `ELEMENT_BULK`, which holds apart what a patch does
-not see: one of its elements that swells while another one shrinks.
+Elements keep a small share of the bulk modulus, `element_bulk`, which resists what a patch does not
+see: one part of it that swells while another one shrinks, as the two sides of a wall in bending do.
+The sizes of patches and this share were chosen by measurement (docs/architecture.md, "Rubber").
 """
 
 from __future__ import annotations
@@ -41,10 +42,9 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils
 from softrobot_twin.mechanics.volume_change import volumetric
 
-PATCH_SIZE = 8
-"""Linear tetrahedra of a patch. Other elements are patches by themselves."""
-ELEMENT_BULK = 0.5
-"""Largest bulk modulus that elements keep, by their shear modulus."""
+PATCH_SIZES = {4: 12, 10: 2}
+"""Tetrahedra of a patch, by the nodes of one. Hexahedra are patches by themselves."""
+_LINEAR_BULK, _OTHER_BULK = 0.5, 5.0
 
 
 class Divided(NamedTuple):
@@ -59,31 +59,43 @@ class Divided(NamedTuple):
     bulk_modulus: float
 
 
-def divided(law: tuple, shear_modulus: float, element_bulk: float = ELEMENT_BULK) -> Divided:
+def element_bulk(mesh) -> float:
+    """Largest bulk modulus that elements keep, by their shear modulus.
+
+    Linear tetrahedra are too stiff in bending anyway; the others are as stiff as a beam with it.
+
+    Args:
+        mesh: The elements, as far as `Elements` needs them.
+    """
+    return _LINEAR_BULK if mesh.shape_functions.node_count == 4 else _OTHER_BULK
+
+
+def divided(law: tuple, shear_modulus: float, share: float) -> Divided:
     """Leave elements a small bulk modulus, and patches the rest.
 
     Args:
         law: Parameters of a law that `has_bulk_modulus`.
         shear_modulus: µ at rest [Pa].
-        element_bulk: Bulk modulus that elements keep at most, by µ.
+        share: Bulk modulus that elements keep at most, by µ; see `element_bulk`.
     """
-    kept = min(law.bulk_modulus, element_bulk * shear_modulus)
+    kept = min(law.bulk_modulus, share * shear_modulus)
     return Divided(law._replace(bulk_modulus=kept), law.bulk_modulus - kept)
 
 
-def patches_of(mesh, patch_size: int = PATCH_SIZE) -> np.ndarray:
-    """Patches of elements: several linear tetrahedra, or a single element of another kind.
+def patches_of(mesh, patch_size: int | None = None) -> np.ndarray:
+    """Patches of elements: a few tetrahedra, or a single element of another kind.
 
     Args:
         mesh: The elements, as far as `Elements` needs them.
-        patch_size: Linear tetrahedra of a patch.
+        patch_size: Tetrahedra of a patch; by default that of `PATCH_SIZES`.
 
     Returns:
         Number of each element's patch, from 0, shape (element_count,).
     """
-    if mesh.shape_functions.node_count > 4:
+    size = patch_size or PATCH_SIZES.get(mesh.shape_functions.node_count, 1)
+    if size == 1:
         return np.arange(len(mesh.cells))
-    return grow_patches(mesh.cells, patch_size)
+    return grow_patches(mesh.cells[:, :4], size)
 
 
 @njit(**KERNEL)

@@ -19,7 +19,8 @@ state. So small-strain laws become corotational ones.
   vector, that `differential` gets in place of F: any number of them, so that what depends on F
   alone is computed once. A law that `projects` is responsible for the projection: where
   `projected` is true its differential must be positive semidefinite, dF : dP ≥ 0. The 9×9 matrix
-  of derivatives of another law is tested, and projected by eigenvalues where it is negative.
+  of derivatives of another law is tested, and projected only where it has a negative eigenvalue:
+  in the axes of the stretches where the law is isotropic, else by eigenvalues of this matrix.
 """
 
 from __future__ import annotations
@@ -29,10 +30,13 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
+from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.material import lame_parameters
 
 # Without it the kernels would be called, not inlined, at twice the time.
 _INLINED = {"forceinline": True}
+GENERIC = {**INLINED, "cache": False}
+"""Options of a kernel that takes any law: it is kept on disk with the assembly it is inlined in."""
 
 
 class LawConstant(NamedTuple):
@@ -79,7 +83,10 @@ class PointLaw(NamedTuple):
         linearize: Kernel, or None.
         projects: Whether this kernel projects the differential.
         turns: Whether the kernels see the material from the frame that turns with it.
+        is_isotropic: Whether the response is the same in all directions at rest.
         is_linear: Whether the differential is the same in every state.
+        at_point: Kernel, or None for a law that is the same at every point.
+        is_law_of_scenes: Whether scenes may name it.
     """
 
     name: str
@@ -92,7 +99,10 @@ class PointLaw(NamedTuple):
     linearize: Callable | None
     projects: bool
     turns: bool
+    is_isotropic: bool
     is_linear: bool
+    at_point: Callable | None = None
+    is_law_of_scenes: bool = True
 
 
 _LAWS: dict[type, PointLaw] = {}
@@ -107,9 +117,12 @@ def register_law(
     linearize: Callable | None = None,
     projects: bool = False,
     turns: bool = False,
+    is_isotropic: bool = False,
     is_linear: bool = False,
     of_moduli: Callable[[float, float], tuple] | None = None,
     own: OwnConstants | None = None,
+    at_point: Callable | None = None,
+    is_law_of_scenes: bool = True,
 ) -> None:
     """Register a law for elements and scenes.
 
@@ -122,10 +135,16 @@ def register_law(
         linearize: The kernel; without it F itself is given to `differential`.
         projects: Whether this kernel projects the differential.
         turns: Whether the kernels see the material from the frame that turns with it.
+        is_isotropic: Whether the response is the same in all directions at rest: the projection
+            is then made in the axes of the stretches, which is faster.
         is_linear: Whether the differential is the same in every state: the stiffness is then
             summed only once.
         of_moduli: Makes the parameters from E [Pa] and ν; when None they are Lamé's constants.
         own: Constants of its own, in place of E and ν.
+        at_point: The kernel that gives the law at a point, ``at_point(law, k, q, e)``, where the
+            parameters hold arrays of what points remember: it is of a type that is registered too.
+            Batches k are those of `element_batches.py`.
+        is_law_of_scenes: False for a law that only others are wrapped in.
 
     Raises:
         ValueError: Another law has this name, or these parameters.
@@ -140,13 +159,13 @@ def register_law(
 
     _LAWS[parameters] = PointLaw(
         name, parameters, of_moduli, own, energy_density, stress, differential, linearize,
-        projects, turns, is_linear,
+        projects, turns, is_isotropic, is_linear, at_point, is_law_of_scenes,
     )  # fmt: skip
 
 
 def law_names() -> tuple[str, ...]:
-    """Names of all laws."""
-    return tuple(law.name for law in _LAWS.values())
+    """Names of all laws of scenes."""
+    return tuple(law.name for law in _LAWS.values() if law.is_law_of_scenes)
 
 
 def law_named(name: str) -> PointLaw:
@@ -156,7 +175,7 @@ def law_named(name: str) -> PointLaw:
         KeyError: There is none.
     """
     for law in _LAWS.values():
-        if law.name == name:
+        if law.name == name and law.is_law_of_scenes:
             return law
     raise KeyError(f"no law is named {name!r}; there are {', '.join(law_names())}")
 
@@ -183,6 +202,20 @@ def _law_of_type(parameters: type) -> PointLaw:
     if parameters not in _LAWS:
         raise KeyError(f"{parameters.__name__} are the parameters of no registered law")
     return _LAWS[parameters]
+
+
+def can_remember(parameters: type) -> bool:
+    """Whether a law can be viscous or soften: its energy is of shape and volume apart.
+
+    Args:
+        parameters: The type of its parameters.
+    """
+    return "bulk_modulus" in getattr(parameters, "_fields", ())
+
+
+def law_at(law, k, q, e):
+    """The law at point q of element e of batch k, inside kernels: see `register_law`."""
+    raise NotImplementedError("only inside compiled kernels")
 
 
 def energy_density(law, F):
@@ -213,6 +246,19 @@ def law_turns(law):
 def law_projects(law):
     """Whether the law projects its differential itself, inside kernels."""
     raise NotImplementedError("only inside compiled kernels")
+
+
+def law_is_isotropic(law):
+    """Whether the law is the same in all directions, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+@overload(law_at, jit_options=_INLINED)
+def _law_at(law, k, q, e):
+    kernel = _law_of_type(law.instance_class).at_point
+    if kernel is None:
+        return lambda law, k, q, e: law
+    return lambda law, k, q, e: kernel(law, k, q, e)
 
 
 @overload(energy_density, jit_options=_INLINED)
@@ -251,3 +297,9 @@ def _law_turns(law):
 def _law_projects(law):
     projects = _law_of_type(law.instance_class).projects
     return lambda law: projects
+
+
+@overload(law_is_isotropic, jit_options=_INLINED)
+def _law_is_isotropic(law):
+    is_isotropic = _law_of_type(law.instance_class).is_isotropic
+    return lambda law: is_isotropic

@@ -16,6 +16,10 @@ stretch. Elsewhere nothing is added, to the bit. With c_a = cof(F) ∇N_a, the d
 A body of which a point is flat or inside out has no barrier: to unfold, other elements may have to
 pass through flat shapes too.
 
+Quadratic tetrahedra have no quadrature point at their corners and on their edges, where they fold
+first. Those of hyperelastic laws, which are made for large strains, have the same barrier at the
+corners and at the middles of the edges, each with a tenth of the volume.
+
 Along a move, J of a point is a cubic polynomial. `largest_share` follows it, so that a step can stop
 before an element folds.
 """
@@ -123,6 +127,36 @@ def add_barrier_energies(stiffness, weights, deformations):
                     if weights[k, q, e] > 0.0 and volumes[e] < BARRIER_VOLUME:
                         total += stiffness * weights[k, q, e] * barrier(volumes[e])[0]
     return total
+
+
+@njit(**KERNEL)
+def find_corners(to_corners, deformations, weights, corners):
+    """F at the corners and mid-edges of all elements, and the least J there.
+
+    Args:
+        to_corners: What gives it from F at the points, see `point_to_corner_weights`, shape
+            (corner_count, point_count).
+        deformations: F at the points, shape (batch_count, point_count, 9 × BATCH).
+        weights: Of the corners, shape (batch_count, corner_count, BATCH).
+        corners: F at the corners; written, shape (batch_count, corner_count, 9 × BATCH).
+
+    Returns:
+        The least J; -∞ where a corner is not upright.
+    """
+    upright, least = np.empty(BATCH), no_volumes_yet()
+    for k in range(len(deformations)):
+        for c in range(len(to_corners)):
+            F = corners[k, c]
+            F[:] = 0.0
+            for q in range(deformations.shape[1]):
+                share, point = to_corners[c, q], deformations[k, q]
+                for i in range(9 * BATCH):
+                    F[i] += share * point[i]
+            for e in range(BATCH):
+                known = is_upright(matrix_at(F, 0, e)) or weights[k, c, e] == 0.0
+                upright[e] = 1.0 if known else 0.0
+            take_least_volumes(F, upright, least)
+    return least.min()
 
 
 @njit(**KERNEL)

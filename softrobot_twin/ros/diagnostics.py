@@ -224,6 +224,9 @@ class TwinDiagnostics:
                        f"{name}_reduction_error_mm": state.error * _MILLI,
                        f"{name}_measured_error_percent": 100.0 * state.measured_median,
                        f"{name}_measured_error_worst_percent": 100.0 * state.measured_worst}
+        for key, outside in window.strains.items():
+            values |= {f"{key}_least_strain_percent": 100.0 * outside.least,
+                       f"{key}_greatest_strain_percent": 100.0 * outside.greatest}
         for stage, time in window.stage_maxima.items():
             values[f"time_{stage}_ms"] = time * _MILLI
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
@@ -233,6 +236,9 @@ class TwinDiagnostics:
         if outside and level == OK:
             names = ", ".join(outside)
             return WARN, f"{names}: outside of the range that superelements were sampled in", values
+        if window.strains and level == OK:
+            words = "; ".join(outside.in_words() for outside in window.strains.values())
+            return WARN, words, values
         message = window.worst.value
         if window.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
             message += f": residual {window.residual_max:.2g} N"

@@ -686,6 +686,8 @@ class TwinNode(TickingNode):
                 f"disabled: {self.loop.why_given_up}; call ~/enable to try again",
                 throttle_duration_sec=_WARN_EVERY,
             )
+        for outside in outcome.result.report.strains:
+            logger.warning(outside.in_words(), throttle_duration_sec=_WARN_EVERY)
         if outcome.violated:
             broken = ", ".join(outcome.violated)
             logger.error(f"command kept back: {broken}", throttle_duration_sec=_WARN_EVERY)

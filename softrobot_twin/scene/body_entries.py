@@ -17,7 +17,11 @@ from softrobot_twin.mechanics.material import (
     moduli_of_shear_and_bulk,
     poisson_ratio_of_bulk,
 )
-from softrobot_twin.mechanics.point_law import OwnConstants, has_bulk_modulus
+from softrobot_twin.mechanics.point_law import (
+    OwnConstants,
+    can_remember,
+    has_bulk_modulus,
+)
 from softrobot_twin.scene.entry import (
     LARGEST,
     Angles,
@@ -28,6 +32,7 @@ from softrobot_twin.scene.entry import (
     registered,
     unit,
 )
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO, UNFITTED
 
 # --- deformable bodies ---------------------------------------------------------------------------
 
@@ -47,6 +52,27 @@ class Mesh(Entry):
     mesh into several parts; 0 merges none."""
 
 
+class ViscosityTerm(Entry):
+    """A term of a Prony series: a share of the stiffness that relaxes."""
+
+    share: Annotated[float, unit("", gt=0.0, lt=1.0)]
+    """g: share of the modulus at once; it is not part of young_modulus, the modulus after a long
+    time."""
+    time: Annotated[float, unit("s", gt=0.0)]
+    """τ: in this time its stress falls to 1/e."""
+
+
+class Softening(Entry):
+    """Softening by the first stretch, the Mullins effect (Ogden and Roxburgh 1999)."""
+
+    r: Annotated[float, unit("", gt=1.0)]
+    """The stress falls by 1/r of itself at most."""
+    m: Annotated[float, unit("J/m³", gt=0.0)]
+    """Energy density; a small one softens after small stretches."""
+    beta: Annotated[float, unit("", ge=0.0)] = 0.0
+    """β: greater ones soften less after great stretches."""
+
+
 class AtRest(NamedTuple):
     """A law with its constants.
 
@@ -59,6 +85,40 @@ class AtRest(NamedTuple):
     parameters: tuple
     young_modulus: float
     poisson_ratio: float
+
+
+def with_preset(entry: Mapping) -> Mapping:
+    """An entry with what its preset gives.
+
+    Args:
+        entry: An entry of a material as it is written.
+
+    Raises:
+        PydanticCustomError: The preset is not known, is refused, or something beside it says
+            otherwise.
+    """
+    name = entry.get("preset")
+    if name is None:
+        return entry
+    if name in UNFITTED:
+        raise refusal("preset", name, f"is refused: {UNFITTED[name]}; give law and constants")
+    if not isinstance(name, str) or name not in MATERIAL_PRESETS:
+        known = ", ".join(MATERIAL_PRESETS)
+        raise refusal("preset", name, f"is none of the presets: {known}")
+    preset = MATERIAL_PRESETS[name]
+    own = {"law": preset.law, "constants": preset.constants, "young_modulus": None}
+    for key, value in own.items():
+        given = entry.get(key)
+        if given is not None and given != value:
+            raise refusal(key, given, f"is what the preset {name} gives: leave out one of them")
+    filled = {**entry, "law": preset.law, "constants": dict(preset.constants)}
+    if entry.get("poisson_ratio") is None and entry.get("bulk_modulus") is None:
+        filled["poisson_ratio"] = POISSON_RATIO
+    if entry.get("density") is None and entry.get("total_mass") is None:
+        filled["density"] = preset.density
+    if entry.get("strain_range") is None:
+        filled["strain_range"] = preset.strain_range
+    return filled
 
 
 def _numbers_by_name(given: Any) -> Any:
@@ -97,6 +157,28 @@ class ElasticEntry(Entry):
     """κ at rest, in place of Poisson's ratio."""
     constants: Annotated[Any, BeforeValidator(_numbers_by_name)] = None
     """Constants of laws that have their own, in place of Young's modulus."""
+    preset: str | None = None
+    """Name of a material in `material_presets`: it gives law, constants, Poisson's ratio, density
+    and strain range; Poisson's ratio, density and strain range may be given beside it."""
+    strain_range: Annotated[tuple[float, float] | None, unit("")] = None
+    """Least and greatest principal strain that the law is trusted in; others are reported."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, entry: Any) -> Any:
+        return with_preset(entry) if isinstance(entry, Mapping) else entry
+
+    @model_validator(mode="after")
+    def _strains_in_order(self):
+        if self.strain_range is None:
+            return self
+        least, greatest = self.strain_range
+        if not -1.0 < least < 0.0 < greatest:
+            raise refusal(
+                "strain_range", list(self.strain_range),
+                "must be two strains: the least between -1 and 0, the greatest above 0",
+            )  # fmt: skip
+        return self
 
     @model_validator(mode="after")
     def _one_volume_constant(self):
@@ -211,6 +293,9 @@ class Material(ElasticEntry):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """The mass of the whole body, in place of a density."""
+    viscosity: tuple[ViscosityTerm, ...] = ()
+    """Prony series of a hyperelastic law: creep, relaxation, hysteresis."""
+    softening: Softening | None = None
 
     @model_validator(mode="after")
     def _one_mass(self):
@@ -261,6 +346,9 @@ class RegionMaterial(ElasticEntry):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Law, Poisson's ratio (or bulk modulus) and density are by default those of the body's
     material."""
+    viscosity: tuple[ViscosityTerm, ...] | None = None
+    """By default, as the softening, that of the body's material; [] for none."""
+    softening: Softening | None = None
 
     @model_validator(mode="after")
     def _one_place(self):
@@ -403,6 +491,38 @@ class Body(Entry):
                 "a body with materials needs material.density: a total_mass does not say how the "
                 "mass is distributed"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _remembers(self):
+        """Refuse viscosity and softening where they are not built."""
+        base = self.material
+        for key, entry in (("material", base), *(
+            (f"materials[{index}]", entry) for index, entry in enumerate(self.materials))
+        ):  # fmt: skip
+            law = base.law if entry.law is None else entry.law
+            viscosity = base.viscosity if entry.viscosity is None else entry.viscosity
+            softening = base.softening if entry.softening is None else entry.softening
+            shares = [term.share for term in viscosity]
+            if shares and not sum(shares) < 1.0:
+                raise refusal(
+                    f"{key}.viscosity", f"shares {shares}",
+                    f"sum to {sum(shares):g}: they are shares of the modulus at once, and must "
+                    "leave some of it: less than 1",
+                )  # fmt: skip
+            for name, asked in (("viscosity", shares), ("softening", softening)):
+                if not asked:
+                    continue
+                if not can_remember(law_named(law).parameters):
+                    names = [name for name in law_names()
+                             if can_remember(law_named(name).parameters)]  # fmt: skip
+                    raise refusal(
+                        f"{key}.{name}", law,
+                        f"is not a law that {name} is built for: {', '.join(names)}",
+                    )
+                if self.vertebrae is not None:
+                    raise refusal(f"{key}.{name}", self.name,
+                                  "is not built for bodies that are reduced to vertebrae")  # fmt: skip
         return self
 
     @model_validator(mode="after")

@@ -28,7 +28,15 @@ from softrobot_twin.scene.body_entries import (
     Spring,
     Tube,
 )
-from softrobot_twin.scene.entry import Acceleration, Entry, Name, OpenNumber, Vector, unit
+from softrobot_twin.scene.entry import (
+    Acceleration,
+    Entry,
+    Name,
+    OpenNumber,
+    Vector,
+    refusal,
+    unit,
+)
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.solvers import FACTORIZATIONS
@@ -255,6 +263,13 @@ class Scene(Entry):
             )
         if self.spectral_radius is not None and self.time_scheme != "generalized_alpha":
             raise ValueError("spectral_radius needs time_scheme generalized_alpha")
+        if self.time_scheme != "generalized_alpha":
+            return
+        for index, body in enumerate(self.deformables):
+            if body.material.viscosity or any(part.viscosity for part in body.materials):
+                key = "body" if self.body is not None else f"bodies[{index}]"
+                raise refusal("time_scheme", self.time_scheme,
+                              f"is not built for viscous materials, which {key} has")  # fmt: skip
 
     @property
     def source(self) -> Source:

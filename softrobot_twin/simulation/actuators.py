@@ -135,7 +135,7 @@ class Actuators:
         return dict(zip(self.names, self.kinds, strict=True))
 
     def driven_quantities(self, is_by_effort: np.ndarray) -> tuple[Quantity, ...]:
-        """What drives each actuator: its displacement or its effort, such as shortening or pressure.
+        """What drives each actuator: its displacement or its effort, such as a pressure.
 
         Args:
             is_by_effort: Whether each is driven by its effort, shape (count,).

@@ -6,7 +6,8 @@ three coordinates e of the effector and the rows h that hold their displacement,
     ∂x/∂f   = W_ee - W_eh (W_hh + C)⁻¹ W_he
     J_a     = W_eh (W_hh + C)⁻¹ (a)                  (column of the actuator; Coevoet 2017, eq. 16)
 
-where C is the compliance of the actuators themselves, such as that of cables that stretch. Rows of h:
+where C is the compliance of the actuators themselves, such as that of cables that stretch. The
+rows h are those of:
 
 - Actuators whose displacement is set, as long as their effort is between its bounds. A slack cable
   holds nothing, nor does a motor that stalls or a cable at its greatest tension. What is driven by
@@ -16,8 +17,8 @@ where C is the compliance of the actuators themselves, such as that of cables th
   slide, the friction stays as it is.
 
 A is the stiffness of statics, also in scenes that move: without inertia and damping, it is what a
-slow touch feels. Where the tangent alone is singular or indefinite, a robot may be stable because
-its actuators hold it. So the equations of unknowns and multipliers are solved together,
+slow touch feels. Where it is singular or indefinite, a robot may be stable because its actuators
+hold it. Then the equations of unknowns and multipliers are solved together,
 
     A dq - Hᵀ dλ = f,     D dq + C dλ = dδ,
 
@@ -35,8 +36,9 @@ from scipy.sparse.linalg import splu
 from softrobot_twin.constraints.effector import Effectors
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.simulation.limits import DISPLACEMENT_MARGIN
-from softrobot_twin.solvers.factorization import Factorization, NodeRows
-from softrobot_twin.solvers.superlu import laid_out_like
+from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+from softrobot_twin.solvers.factorization import Factorization, NodeRows, laid_out_like
+from softrobot_twin.solvers.superlu import SuperLU
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.simulation import Simulation
@@ -131,7 +133,13 @@ class EffectorCompliance:
         self._simulation, self._model = simulation, simulation.model
         model, effectors = self._model, simulation.model.effectors
         self._count = 0 if effectors is None else len(effectors.effectors)
-        self._points = self._own_rows = self._lu = None
+        self._points = self._own_rows = self._storage = self._own = self._lu = None
+        # A free body, or a beam that only a motor holds, has a singular stiffness, of which a
+        # factorization may take no notice.
+        self._may_be_definite = not (
+            any(part.is_free for part in model.rigid) or model.has_motors_of_hinges
+            or isinstance(model.factorization, DenseStiffness)
+        )  # fmt: skip
         if self._count:
             whole = tuple(one._replace(directions=(0, 1, 2)) for one in effectors.effectors)
             nodes = model.nodes
@@ -141,7 +149,7 @@ class EffectorCompliance:
     def at_state(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
         """The compliance at the state where the simulation stands, exactly.
 
-        Assembles the stiffness of statics there, and factorizes it once.
+        Assembles the stiffness of statics there, and factorizes it.
 
         Args:
             by_effort: Actuators that were commanded by efforts although they are driven by
@@ -295,15 +303,24 @@ class EffectorCompliance:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Motion of the effectors by loads, by the stiffness of statics at a state."""
         model = self._model
-        if self._lu is None:
-            self._lu, self._places = laid_out_like(model.factorization)
+        if self._storage is None:
             self._storage = np.zeros_like(model.factorization.storage)
         self._assemble(positions)
-        self._lu.storage[:] = self._storage[self._places]
-        A, dense = self._lu.matrix(), [
-            term.dense_rows for term in model.forces if term.dense_rows is not None
-        ]  # fmt: skip
-        return _Saddle(A, dense, self._displacement_rows(rows)).solve(rows, holding)
+        if self._may_be_definite:
+            if self._own is None:
+                self._own = laid_out_like(model.factorization, type(model.factorization))
+            factorization, places = self._own
+            factorization.storage[:] = self._storage[places]
+            if factorization.factor():
+                condensed = _Condensed(factorization, model.nodes.free_node_count)
+                return condensed.solve(positions, rows, holding)
+        if self._lu is None:
+            self._lu = laid_out_like(model.factorization, SuperLU)
+        lu, places = self._lu
+        lu.storage[:] = self._storage[places]
+        dense = [term.dense_rows for term in model.forces if term.dense_rows is not None]
+        saddle = _Saddle(lu.matrix(), dense, self._displacement_rows(rows))
+        return saddle.solve(rows, holding)
 
     def _assemble(self, positions: np.ndarray) -> None:
         """Sum the exact stiffness of statics, in the layout of the model's factorization."""
@@ -353,8 +370,8 @@ class _Holding(NamedTuple):
     Attributes:
         held: Actuators that hold their displacement, shape (actuator_row_count,).
         touching: Cables without tension that are not slack either, same shape.
-        is_by_effort: Actuators that are driven by their effort; of these, those that are not held keep
-            it; same shape.
+        is_by_effort: Actuators that are driven by their effort, and keep it where they are not
+            held; same shape.
         contacts: Contact rows that hold, among all rows, shape (contact_row_count,).
         contact_count: Contacts that press.
         own: Compliance C of the actuators, shape (actuator_row_count, same).

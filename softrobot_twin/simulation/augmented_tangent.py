@@ -54,8 +54,13 @@ import numpy as np
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
-from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
-from softrobot_twin.solvers.superlu import SuperLU, laid_out_like
+from softrobot_twin.solvers.factorization import (
+    Condensed,
+    Factorization,
+    NodeRows,
+    laid_out_like,
+)
+from softrobot_twin.solvers.superlu import SuperLU
 
 # ρ as a multiple of the stiffness that the body at rest has along an actuator.
 AUGMENTATION = 10.0
@@ -351,7 +356,7 @@ class AugmentedLU:
         """Factorize A; False only where it is singular."""
         if self._lu is None:
             # The place of each of its entries in the other storage.
-            self._lu, self._places = laid_out_like(self._factorization)
+            self._lu, self._places = laid_out_like(self._factorization, SuperLU)
         self._lu.storage[:] = self._factorization.storage[self._places]
         self._lu.factor()
         return self._lu.negative_count is not None

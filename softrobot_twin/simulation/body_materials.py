@@ -20,9 +20,11 @@ from softrobot_twin.mechanics.material import (
     shear_modulus,
 )
 from softrobot_twin.mechanics.point_law import has_bulk_modulus
+from softrobot_twin.mechanics.softening import SofteningConstants
+from softrobot_twin.mechanics.viscosity import ViscousTerm
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
-from softrobot_twin.scene.body_entries import RegionMaterial
+from softrobot_twin.scene.body_entries import Material, RegionMaterial, Softening, ViscosityTerm
 
 # A cell with corners on both sides of a face of a box, farther from it than this share of the
 # body's size, is reported: it belongs to the side of its centre.
@@ -42,6 +44,9 @@ class MaterialPart:
         density: [kg/m³].
         cells: Its cells, int64, shape (cell_count,); None for a body of one material.
         volume: Their volume [m³].
+        viscosity: Its Prony series; empty for none.
+        softening: Its softening; None for none.
+        strain_range: Least and greatest principal strain that the law is trusted in; None for any.
     """
 
     key: str
@@ -52,6 +57,9 @@ class MaterialPart:
     density: float
     cells: np.ndarray | None
     volume: float
+    viscosity: tuple[ViscousTerm, ...] = ()
+    softening: SofteningConstants | None = None
+    strain_range: tuple[float, float] | None = None
 
     @property
     def turns(self) -> bool:
@@ -129,10 +137,12 @@ def _parts_of_cells(
 ) -> tuple[MaterialPart, ...]:
     """See `material_parts`."""
     base = entry.material
+    memory = (*_memory(base.viscosity, base.softening), base.strain_range)
     if not entry.materials:
         volume = float(mesh.volume)
         density = base.total_mass / volume if base.density is None else base.density
-        return (MaterialPart(f"{key}.material", base.law, *base.at_rest, density, None, volume),)
+        return (MaterialPart(f"{key}.material", base.law, *base.at_rest, density, None, volume,
+                             *memory),)  # fmt: skip
     owner = np.full(mesh.cell_count, -1)
     made = []
     for index, other in enumerate(entry.materials):
@@ -143,13 +153,15 @@ def _parts_of_cells(
         made.append(MaterialPart(
             place, _or(other.law, base.law), *entry.part_at_rest(index),
             _or(other.density, base.density), cells, float(mesh.volumes[cells].sum()),
+            *_memory(_or(other.viscosity, base.viscosity), _or(other.softening, base.softening)),
+            _strain_range(other, base),
         ))  # fmt: skip
     rest = np.flatnonzero(owner < 0)
     if not len(rest):
         notes.append(f"{key}.material is not used: {key}.materials claims every cell")
         return tuple(made)
     own = MaterialPart(f"{key}.material", base.law, *base.at_rest, base.density, rest,
-                       float(mesh.volumes[rest].sum()))  # fmt: skip
+                       float(mesh.volumes[rest].sum()), *memory)  # fmt: skip
     return (own, *made)
 
 
@@ -172,6 +184,22 @@ def cell_values(parts: tuple[MaterialPart, ...], name: str, cell_count: int):
     for part in parts:
         values[part.cells] = getattr(part, name)
     return values
+
+
+def _memory(
+    viscosity: tuple[ViscosityTerm, ...], softening: Softening | None
+) -> tuple[tuple[ViscousTerm, ...], SofteningConstants | None]:
+    """What entries of viscosity and softening say, for `RememberingElements`."""
+    terms = tuple(ViscousTerm(term.share, term.time) for term in viscosity)
+    if softening is None:
+        return terms, None
+    return terms, SofteningConstants(softening.r, softening.m, softening.beta)
+
+
+def _strain_range(part: RegionMaterial, base: Material) -> tuple[float, float] | None:
+    """Range of a part: its own, or that of the body where it has the body's law and constants."""
+    is_other = part.law not in (None, base.law) or part.constants not in (None, base.constants)
+    return part.strain_range if part.strain_range or is_other else base.strain_range
 
 
 def _or(value, otherwise):

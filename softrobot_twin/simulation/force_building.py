@@ -30,11 +30,18 @@ from softrobot_twin.mechanics.inertia import (
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.liquid_filling import LiquidFilling
-from softrobot_twin.mechanics.patch_volumes import PatchVolumes, divided, patches_of
+from softrobot_twin.mechanics.patch_volumes import (
+    PatchVolumes,
+    divided,
+    element_bulk,
+    patches_of,
+)
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.beam_bodies import all_elements
@@ -185,11 +192,18 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     """A term for each material of a body and each kind of its cells, and one for its patches."""
     free_index = layout.nodes.free_index
     for part in body.materials:
-        law, bulk_modulus = part.law_parameters, 0.0
-        if body.entry.volume == "patches":
-            law, bulk_modulus = divided(law, part.shear_modulus)
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
-            yield Elements(block.mesh, free_index, law)
+            law, memory = part.law_parameters, (part.viscosity, part.softening)
+            bulk_modulus = 0.0
+            if body.entry.volume == "patches":
+                law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
+            if any(memory):
+                term = RememberingElements(block.mesh, free_index, law, *memory)
+            else:
+                term = Elements(block.mesh, free_index, law)
+            if part.strain_range is not None:
+                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+            yield term
             if bulk_modulus > 0.0:
                 yield PatchVolumes(block.mesh, free_index, bulk_modulus, patches_of(block.mesh))
 
@@ -201,11 +215,12 @@ def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamp
     """
     beta = body.entry.damping.stiffness
     for part in body.materials:
-        lame = part.lame_parameters
-        if body.entry.volume == "patches":
-            kept = divided(part.law_parameters, lame.shear_modulus).law.bulk_modulus
-            lame = lame._replace(lame_lambda=kept - 2.0 * lame.shear_modulus / 3.0)
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
+            lame = part.lame_parameters
+            if body.entry.volume == "patches":
+                mu = part.shear_modulus
+                kept = divided(part.law_parameters, mu, element_bulk(block.mesh)).law.bulk_modulus
+                lame = lame._replace(lame_lambda=kept - 2.0 * mu / 3.0)
             yield StrainRateDamping(
                 block.mesh, layout.nodes.free_index, lame, beta
             )

@@ -48,6 +48,7 @@ class Guides:
                     continue
                 rest = layout.nodes.rest_positions[nodes + body.first_node]
                 self._attached.append((nodes + body.first_node, self._parts[name].carried(rest)))
+        self._ways = []  # Of the bodies that the last step moves: index, pose before, pose after.
         # Compiled here, not at the first move.
         rotation_from_vector(np.zeros(3))
         self.reset()
@@ -97,23 +98,39 @@ class Guides:
             velocities: Not used.
             time_step: The step's duration [s].
         """
+        self._ways = []
         if time_step == 0.0:
             return
+        for name, part in self._parts.items():
+            here = self._frames.pose(positions, part.index)
+            there = self._reached(name, here, self._targets[name], time_step)
+            if there is not None:
+                self._ways.append((part.index, here, there))
+        self.place(positions, 1.0)
+
+    @property
+    def moved(self) -> bool:
+        """Whether the last step began with a move."""
+        return bool(self._ways)
+
+    def place(self, positions: np.ndarray, share: float) -> None:
+        """Make a share of the last step's move.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); those of guided bodies and the
+                nodes attached to them are moved.
+            share: The share, of the whole way and of the whole turn of each body.
+        """
         relative = None if self._hinged is None else self._hinged.relative(positions)
-        moved = [self._move_on(part, *self._targets[name], positions, time_step)
-                 for name, part in self._parts.items()]  # fmt: skip
-        if relative is not None and any(moved):
+        for index, (origin, rotation), there in self._ways:
+            if share < 1.0:
+                turn = rotation_from_vector(share * vector_from_rotation(there[1] @ rotation.T))
+                there = (origin + share * (there[0] - origin), turn @ rotation)
+            self._frames.place(positions, index, *there)
+        if relative is not None and self._ways:
             self._hinged.follow(positions, relative)
         for nodes, mapping in self._attached:
             positions[nodes] = mapping.positions(positions)
-
-    def _move_on(self, part, target, target_rotation, positions, time_step: float) -> bool:
-        """Move a body towards its target; gives whether it moved."""
-        here = self._frames.pose(positions, part.index)
-        there = self._reached(part.name, here, (target, target_rotation), time_step)
-        if there is not None:
-            self._frames.place(positions, part.index, *there)
-        return there is not None
 
     def _reached(self, name: str, here, there, time_step: float):
         """Origin and rotation that a body can reach in a step; None where it does not move."""

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softrobot_twin.constraints.cable_friction import FrictionCables
+from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
+from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.actuators import Actuators
@@ -77,6 +80,23 @@ class Model:
     def cable_friction(self) -> FrictionCables | None:
         """Constraint term of the cables where some have friction along their paths; else None."""
         return next((term for term in self.rows.terms if isinstance(term, FrictionCables)), None)
+
+    @property
+    def has_motors_of_hinges(self) -> bool:
+        """True when a motor turns a hinge, which perhaps nothing else holds."""
+        return any(isinstance(term, HingeAngles) for term in self.rows.terms)
+
+    @property
+    def remembering(self) -> tuple[RememberingElements, ...]:
+        """Force terms of the materials that remember; empty without any."""
+        terms = (term.on_points for term in self.forces)
+        return tuple(term for term in terms if isinstance(term, RememberingElements))
+
+    @property
+    def strain_watches(self) -> tuple[StrainWatch, ...]:
+        """Watches of the materials that have a range of strains; empty without any."""
+        watches = (getattr(term.on_points, "strain_watch", None) for term in self.forces)
+        return tuple(watch for watch in watches if watch is not None)
 
     @property
     def is_dynamic(self) -> bool:

@@ -58,6 +58,8 @@ OVERSHOOT_OF_SLIP, MOST_SLIP_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
+# Halvings of a move that still folds an element.
+MOST_UNFOLDINGS = 40
 
 
 class Newton:
@@ -120,7 +122,7 @@ class Newton:
         None with friction along cables: at held lengths equilibria are not minima of an energy.
         """
         rows, actuators = self._rows, self._model.actuators
-        if any(isinstance(term, HingeAngles) for term in rows.terms):
+        if self._model.has_motors_of_hinges:
             return self._augmented_hinges()
         if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
             if self._dense is not None:
@@ -515,13 +517,24 @@ class Newton:
         if self._judged is not None and not self.inverts:
             settled = self._slipping_share(positions, share)
         elif self.inverts:
-            settled *= self._upright_share(positions)
+            settled *= self.upright_share(self._move.start, positions)
         elif not is_judging or self._merit.trusts(self._forces):
             return share
         if is_judging:
             settled = self._merit.search(positions, settled)
         else:
             self._move.make(positions, settled)
+            self._gather_forces(positions)
+        # Between the points that are followed an element may still fold.
+        for _ in range(MOST_UNFOLDINGS):
+            if not self.inverts:
+                break
+            settled *= 0.5
+            self._move.make(positions, settled)
+            self._gather_forces(positions)
+        else:
+            self._move.make(positions, 0.0)
+            self._gather_forces(positions)
         self._last_move *= settled / share
         return settled
 
@@ -559,9 +572,31 @@ class Newton:
                 high, at_high = share, left
         return share
 
-    def _upright_share(self, positions: np.ndarray) -> float:
-        """How much of the way to these positions keeps the elements upright."""
-        return min(term.largest_share(self._move.start, positions) for term in self._model.forces)
+    def folds(self, start: np.ndarray, positions: np.ndarray) -> bool:
+        """Whether elements fold on the way between two states, or are folded at its end.
+
+        Args:
+            start: Node positions where it begins [m], shape (node_count, 3).
+            positions: Those where it ends [m], same shape.
+        """
+        if self.upright_share(start, positions) < 1.0:
+            return True
+        self._gather_forces(positions)
+        return self.inverted_count > 0
+
+    @property
+    def last_move(self) -> float:
+        """Longest displacement of a node in the last move that was made [m]."""
+        return self._last_move
+
+    def upright_share(self, start: np.ndarray, positions: np.ndarray) -> float:
+        """How much of the way between two states keeps the elements upright.
+
+        Args:
+            start: Node positions where it begins [m], shape (node_count, 3).
+            positions: Those where it ends [m], same shape.
+        """
+        return min(term.largest_share(start, positions) for term in self._model.forces)
 
     def _forces_at(self, positions: np.ndarray) -> np.ndarray:
         self._gather_forces(positions)

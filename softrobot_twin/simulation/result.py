@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softrobot_twin.mechanics.strain_watch import StrainOutside
 from softrobot_twin.simulation.state import State
 
 if TYPE_CHECKING:
@@ -19,6 +20,9 @@ RATE = ".rate"
 # Ending of the name that tells that a reduced body is out of the range in which its superelements
 # were sampled, such as ``fetch.sampled_range``.
 SAMPLED = "sampled_range"
+# Ending of the name that tells that a body is strained beyond the range of its law, such as
+# ``finger.strain_range``.
+STRAINED = "strain_range"
 
 
 class Status(Enum):
@@ -87,6 +91,7 @@ class StepReport:
         contact_force_residual: The same in newtons [N].
         sampled_range: Largest share of the range in which superelements were sampled, above 1
             outside of it; 0 without bodies that are reduced to vertebrae.
+        strains: Materials that are strained beyond the range of their law.
     """
 
     stage_times: dict[str, float]
@@ -105,6 +110,7 @@ class StepReport:
     contact_residual: float = 0.0
     contact_force_residual: float = 0.0
     sampled_range: float = 0.0
+    strains: tuple[StrainOutside, ...] = ()
 
     @property
     def is_overloaded(self) -> bool:

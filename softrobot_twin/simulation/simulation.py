@@ -21,6 +21,7 @@ from softrobot_twin.simulation.command import (
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
+    Hold,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.generalized_alpha import GeneralizedAlpha
@@ -50,6 +51,9 @@ from softrobot_twin.solvers.factorization import Factorization
 SHARES = (1.0, 0.5, 0.25, 0.125)
 # Linearizations of a step in time of which a move was too long for one of them, at most.
 MOST_SHARES = 10
+# A move of guided bodies that alone would fold elements is made in at most as many parts; halvings
+# of one of them, moves of the bodies after each, and their length, by the body's size, that is near.
+MOST_PARTS, MOST_HALVINGS, MOST_MOVES_OF_PART, NEAR_AFTER_PART = 100, 20, 12, 0.01
 
 
 class Correction(NamedTuple):
@@ -109,6 +113,7 @@ class Simulation(Readouts):
         self._cable_friction = self.model.cable_friction
         touch_loads = touch_term(self.model)
         self._touches = None if touch_loads is None else Touches(self.model, touch_loads)
+        self._remembering = self.model.remembering
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self._newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
@@ -141,6 +146,7 @@ class Simulation(Readouts):
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
             velocities=self._motion.at_rest(), slips=self._slips_at_rest(),
             touches=self._untouched(),
+            history=np.zeros(sum(term.history_size for term in self._remembering)),
         )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
@@ -170,6 +176,7 @@ class Simulation(Readouts):
             or state.velocities.shape != self.state.velocities.shape
             or state.slips.shape != self.state.slips.shape
             or (state.touches is None) != (self._touches is None)
+            or state.history.shape != self.state.history.shape
             or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
@@ -226,6 +233,7 @@ class Simulation(Readouts):
         command, holds_others = self._touch(command, touched)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
+        self._recall()
         is_changed = self._begin(
             positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
@@ -238,6 +246,7 @@ class Simulation(Readouts):
         if self._inverse is not None:
             self._inverse.begin_step(self._is_balanced)
         pressed = time_budget.must_hurry(budget)
+        led = self._lead(positions, efforts, command.time_step, clock)
         hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
         inverted = newton.inverted_count
@@ -258,7 +267,7 @@ class Simulation(Readouts):
             if not hurry:
                 time_budget.learn(clock.total - begin)
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
-        reached = self._balance(done, budget)
+        reached = self._balance(done, budget) if led else Balance.MISSED
         self._is_balanced = reached is not Balance.MISSED
         outcome = Outcome(
             positions, done.actuation, done.held, done.linear, reached,
@@ -331,6 +340,56 @@ class Simulation(Readouts):
             reached = self._stiffness.reached(rows, state, positions, actuation.efforts)
         return Correction(linear, actuation, held, share, residual, error, reached)
 
+    def _lead(
+        self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
+    ) -> bool:
+        """Bring the bodies after what is guided where its move alone would fold their elements.
+
+        What is guided goes by parts of its move, none of which takes most of an element's volume,
+        and the bodies come near balance after each but the last.
+
+        Args:
+            positions: Node positions with all that is guided at its end [m], shape (node_count, 3);
+                moved.
+            efforts: Efforts of the actuators [N], shape (actuator_count,); meanwhile they stay.
+            time_step: h [s].
+            clock: Books the stages.
+
+        Returns:
+            Whether it arrived; it goes on in the next step.
+        """
+        guides, newton = self.model.guides, self._newton
+        if guides is None or not guides.moved or newton.inverted_count:
+            return True
+        if not newton.folds(self.state.positions, positions):
+            return True
+        hold = Hold(time_step)
+        still = self._reading.read(hold, self.state)
+        positions[:], gone, tried = self.state.positions, 0.0, positions.copy()
+        for _ in range(MOST_PARTS):
+            part = 1.0 - gone
+            for _ in range(MOST_HALVINGS):
+                tried[:] = positions
+                guides.place(tried, gone + part)
+                if not newton.folds(positions, tried):
+                    break
+                part *= 0.5
+            else:
+                newton.inverted_count = 0
+                return False
+            positions[:], gone = tried, gone + part
+            if gone >= 1.0:
+                return True
+            for _ in range(MOST_MOVES_OF_PART):
+                done = self._iterate(positions, efforts, hold, still, clock, False)
+                if done is None or done.share == 0.0:
+                    positions[:] = tried
+                    return False
+                efforts = done.actuation.efforts
+                if done.share == 1.0 and newton.last_move <= NEAR_AFTER_PART * self.model.nodes.size:
+                    break
+        return False
+
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
         """Displacements that the actuators are held at, or that a step towards targets starts from.
 
@@ -380,6 +439,13 @@ class Simulation(Readouts):
         return self._motion.begin_step(
             self._beginners, positions, velocities, past, time_step, follows_targets
         )
+
+    def _recall(self) -> None:
+        """Let materials that remember take what the state holds of theirs."""
+        first = 0
+        for term in self._remembering:
+            term.begin_history(self.state.history[first : first + term.history_size])
+            first += term.history_size
 
     def _actuate(
         self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None,
@@ -452,7 +518,7 @@ class Simulation(Readouts):
     ) -> tuple[float, float, Actuation]:
         """Correct the positions by as much of an actuation as keeps the body near balance."""
         if self.model.is_dynamic:
-            return self._move(positions, actuation, clock)
+            return self._move_and_settle(positions, actuation, clock, False)
         newton, inverts = self._newton, False
         for part in SHARES:
             tried = actuation if part == 1.0 else actuation.blended(held, part)
@@ -493,6 +559,7 @@ class Simulation(Readouts):
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             motion.velocities, motion.past, self._slips(outcome),
             None if self._touches is None else self._touches.end(outcome.positions),
+            self._history(outcome.positions),
         )  # fmt: skip
         return self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
@@ -503,6 +570,12 @@ class Simulation(Readouts):
         if self._cable_friction is None:
             return self.state.slips
         return self._cable_friction.shares_at(outcome.positions, outcome.actuation.efforts)
+
+    def _history(self, positions: np.ndarray) -> np.ndarray:
+        """What materials remember where a step ended; see `State`."""
+        if not self._remembering:
+            return self.state.history
+        return np.concatenate([term.history_after(positions) for term in self._remembering])
 
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()

@@ -53,6 +53,8 @@ class State:
         slips: Share of the friction that acts at each point of each cable, -1 to 1; see
             `cable_friction`, shape (segment_count,), or empty without friction along cables.
         touches: Touches of the last step; None in a scene without touches.
+        history: What the points of viscous and softening materials remember, term after term; see
+            `remembering_elements`, shape (value_count,), or empty without such materials.
     """
 
     positions: np.ndarray
@@ -64,10 +66,11 @@ class State:
     past: PastMotion | None = None
     slips: np.ndarray = field(default_factory=lambda: np.empty(0))
     touches: TouchState | None = None
+    history: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self):
         arrays = (self.positions, self.setpoints, self.efforts, self.velocities, self.slips)
-        for array in (*arrays, *(self.touches or ())):
+        for array in (*arrays, self.history, *(self.touches or ())):
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:

@@ -14,7 +14,14 @@ from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.result import RATE, SAMPLED, Status, StepReport, StepResult
+from softrobot_twin.simulation.result import (
+    RATE,
+    SAMPLED,
+    STRAINED,
+    Status,
+    StepReport,
+    StepResult,
+)
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step_status import (
     ENERGY,
@@ -70,6 +77,7 @@ class StepResults:
             inverse: Finds λ that leads to targets, or None.
         """
         self._model, self._newton = model, newton
+        self._strain_watches = model.strain_watches
         self._inverse = inverse
 
     def of_step(
@@ -116,13 +124,17 @@ class StepResults:
         )
         ranges = {name: s.ranges.max() for name, s in model.superelements.items()}
         active = (*active, *(f"{name}.{SAMPLED}" for name, share in ranges.items() if share > 1.0))
+        watched = [watch.outside(outcome.positions) for watch in self._strain_watches]
+        strains = tuple(outside for outside in watched if outside is not None)
+        active = (*active, *dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in strains))
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
             linearization_error=outcome.error, factor_age=newton.factor_age,
             is_late=outcome.pressed and newton.factor_age == 0,
             qp_solver=actuation.qp_solver,
-            sampled_range=max(ranges.values(), default=0.0), **self._of_contacts(actuation.contact),
+            sampled_range=max(ranges.values(), default=0.0), strains=strains,
+            **self._of_contacts(actuation.contact),
         )  # fmt: skip
         touching = None
         if model.contacts is not None:

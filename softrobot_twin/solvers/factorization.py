@@ -121,3 +121,32 @@ class Factorization(Protocol):
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """A⁻¹ b, shape (node_count, 3)."""
+
+
+def laid_out_like(
+    factorization: Factorization, made_by: type[Factorization]
+) -> tuple[Factorization, np.ndarray]:
+    """A factorization of the same pattern as another one.
+
+    Args:
+        factorization: The other one.
+        made_by: Class of the new one.
+
+    Returns:
+        The new one, and the place of each entry of its storage in that of the other,
+        shape (len(storage),).
+    """
+    rows, columns = factorization.blocks()
+    made = made_by(rows, columns, len(factorization.elimination_rank))
+    source, source_stride = factorization.slots(rows, columns)
+    rank = made.elimination_rank
+    is_swapped = rank[rows] < rank[columns]
+    target, target_stride = made.slots(
+        np.where(is_swapped, columns, rows), np.where(is_swapped, rows, columns)
+    )
+    j, i = np.divmod(np.arange(9), 3)
+    places = np.empty(len(made.storage), np.int64)
+    places[target[:, None] + target_stride[:, None] * j + i] = source[:, None] + np.where(
+        is_swapped[:, None], source_stride[:, None] * i + j, source_stride[:, None] * j + i
+    )
+    return made, places

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
+from softrobot_twin.solvers.factorization import Condensed, NodeRows
 
 OPTIONS = {
     "permc_spec": "MMD_AT_PLUS_A",
@@ -134,26 +134,3 @@ class SuperLU:
     def solve(self, b: np.ndarray) -> np.ndarray:
         """See `Factorization.solve`."""
         return self._lu.solve(np.ascontiguousarray(b).reshape(-1)).reshape(-1, 3)
-
-
-def laid_out_like(factorization: Factorization) -> tuple[SuperLU, np.ndarray]:
-    """An LU of the pattern of another factorization.
-
-    Args:
-        factorization: The other one.
-
-    Returns:
-        The LU, and the place of each entry of its storage in that of the other,
-        shape (len(storage),).
-    """
-    rows, columns = factorization.blocks()
-    lu = SuperLU(rows, columns, len(factorization.elimination_rank))
-    source, _ = factorization.slots(rows, columns)
-    target, _ = lu.slots(np.maximum(rows, columns), np.minimum(rows, columns))
-    j, i = np.divmod(np.arange(9), 3)
-    transposed = (rows < columns)[:, None]
-    places = np.empty(len(lu.storage), np.int64)
-    places[target[:, None] + np.arange(9)] = source[:, None] + np.where(
-        transposed, 3 * i + j, 3 * j + i
-    )
-    return lu, places

@@ -28,7 +28,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.body_entries import Mesh, Region
+from softrobot_twin.scene.body_entries import Material, Mesh, Region
 from softrobot_twin.scene.entry import expanded
 from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import (
@@ -90,6 +90,9 @@ def write_scene_copy(
         body["mesh"] = {"file": file}
         body["fixed"] = [{"nodes": list(region.nodes)} for region in chosen.body.fixed]
     body["element"] = setting.element
+    if setting.law != load_scene(original).body.material.law:
+        body["material"] |= _constants_of(load_scene(original).body.material, setting.law)
+        body["material"] = {key: value for key, value in body["material"].items() if value is not None}
     body["material"]["law"] = setting.law
     for entry, cable in zip(content.get("cables", ()), chosen.cables, strict=True):
         entry["hold_radius"] = cable.hold_radius
@@ -119,8 +122,20 @@ def with_element(scene: Scene, element: str) -> Scene:
 
 
 def with_law(scene: Scene, law: str) -> Scene:
-    """The same scene with another material law."""
-    return _with_body(scene, material=scene.body.material.model_copy(update={"law": law}))
+    """The same scene with another material law, of the same moduli at rest."""
+    material = scene.body.material
+    if law == material.law:
+        return scene
+    return _with_body(scene, material=material.model_copy(update=_constants_of(material, law)))
+
+
+def _constants_of(material: Material, law: str) -> dict:
+    """The keys of a material with another law, which has no constants of its own."""
+    if material.constants is None:
+        return {"law": law}
+    at_rest = material.at_rest
+    return {"law": law, "constants": None, "bulk_modulus": None,
+            "young_modulus": at_rest.young_modulus, "poisson_ratio": at_rest.poisson_ratio}  # fmt: skip
 
 
 def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
@@ -1184,11 +1199,12 @@ def study_meshes(
     loads, solved = _solve_reference(used, moved, report_activity)
     references = {case: _reference(name, case, used, solved) for case in CASES}
     rows = []
-    for law in ("corotational", "linear"):
+    own = levels[0].scene.body.material.law
+    for law in dict.fromkeys((own, "corotational", "linear")):
         for level in [*levels, *quadratic, *hexahedra]:
             if dof_count(level) > limits.timed_dof:
                 continue
-            known = solved.get(level.name) if law == "corotational" and level in used else None
+            known = solved.get(level.name) if law == own and level in used else None
             rows.append(_judge(level, law, loads, references, known, limits.timed_steps,
                                report_activity))
     return Study(rows, references)

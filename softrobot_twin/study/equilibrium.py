@@ -9,7 +9,7 @@ import numpy as np
 from softrobot_twin.simulation import CommandSetpoints, Simulation, StepResult
 
 # Steps of the way to the setpoints, and most steps after it.
-WAY, MOST_STEPS = 10, 60
+WAY, MOST_STEPS = 10, 200
 # In motion the way takes as long as the rates allow, and steps have this duration [s].
 TIME_STEP, MOST_STEPS_IN_MOTION = 0.05, 600
 # In statics a step takes any time: no rate limits it [s].

@@ -15,6 +15,7 @@ from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import AtRest, Fibre, RegionMaterial
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.beam_bodies import BeamBody
@@ -70,7 +71,36 @@ def describe_material(material) -> str:
     """A material entry."""
     weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
                else f"{number(material.total_mass)} kg in total")
-    return f"{_describe_law(material.law, material.at_rest, material.constants)}, {weighed}"
+    law = _describe_law(material.law, material.at_rest, material.constants)
+    return ", ".join([law, weighed, *_describe_memory(material), *_describe_range(material)])
+
+
+def _describe_memory(material) -> list[str]:
+    """Viscosity and softening of an entry."""
+    words = []
+    if material.viscosity:
+        terms = ", ".join(f"{number(term.share)} in {number(term.time)} s"
+                          for term in material.viscosity)  # fmt: skip
+        words.append(f"viscous: shares {terms}")
+    if material.softening is not None:
+        soft = material.softening
+        words.append(f"softening: r {number(soft.r)}, m {number(soft.m)} J/m³, "
+                     f"β {number(soft.beta)}")  # fmt: skip
+    return words
+
+
+def _describe_range(material) -> list[str]:
+    """Preset of an entry with its fit, and its range of strains."""
+    words = []
+    if material.preset is not None:
+        preset = MATERIAL_PRESETS[material.preset]
+        words.append(f"preset {material.preset}: fitted with an error of "
+                     f"{100.0 * preset.rms_error:.1f} % (largest "
+                     f"{100.0 * preset.largest_error:.1f} %) to {preset.source}")  # fmt: skip
+    if material.strain_range is not None:
+        low, high = (100.0 * strain for strain in material.strain_range)
+        words.append(f"strain range {low:.0f} % to {high:.0f} %")
+    return words
 
 
 def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | None) -> str:
@@ -96,8 +126,11 @@ def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
     place = f"region {entry.region}"
     if entry.box is not None:
         place = f"box from {millimetres(entry.box.minimum)} to {millimetres(entry.box.maximum)}"
-    return (f"{place}: {_describe_law(part.law, part, entry.constants)}, "
-            f"{number(part.density)} kg/m³, {number(part.volume)} m³")
+    return ", ".join([
+        f"{place}: {_describe_law(part.law, part, entry.constants)}",
+        f"{number(part.density)} kg/m³", f"{number(part.volume)} m³",
+        *_describe_memory(entry), *_describe_range(entry),
+    ])  # fmt: skip
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
@@ -427,6 +460,12 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
                       if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
+    if entry.volume == "patches":
+        own = [name for name in names if "patch volumes" in name]
+        listed.append(Effect(
+            f"{key}.volume", "changes of volume resisted by patches of elements",
+            _term(own, "patch volumes"),
+        ))  # fmt: skip
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))

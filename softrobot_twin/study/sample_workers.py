@@ -1,8 +1,8 @@
 """Computes samples in processes of this machine, or on a Dask cluster.
 
 Each sample is a job of its own, whose result does not depend on where, or after which other sample,
-it is computed. A process that is lost takes only the sample with it that it had, which is tried once
-more; so does a worker of a cluster.
+it is computed. A process that is lost takes only the sample with it that it had, which is tried
+once more; so does a worker of a cluster.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ class DaskWorkers:
         self._distributed, self.address = distributed, address
         try:
             self._client = distributed.Client(
-                address, timeout=CONNECTION_TIMEOUT, set_as_default=False
+                address, timeout=CONNECTION_TIMEOUT
             )
         except (OSError, ValueError, TypeError) as error:
             # OSError is the base of the time-outs of sockets, too.

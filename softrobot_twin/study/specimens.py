@@ -1,14 +1,14 @@
 """Test pieces of rubber without a scene: a mesh of one hyperelastic law, held, loaded and solved.
 
-Published problems prescribe what scenes have no entry for: tractions, symmetry planes, the pressure on
-a face. Here force terms are summed and factorized as a step does it, by plain Newton iterations with
-exact tangents, and each residual is kept, so that the order of convergence can be seen.
+Published problems prescribe what scenes have no entry for: tractions and symmetry planes. Here
+force terms are summed and factorized as in a step, by plain Newton iterations with exact tangents,
+and the size of each correction is kept, so that the order of convergence can be seen.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from time import perf_counter
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -17,15 +17,12 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, block_mesh, enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.patch_volumes import (
-    ELEMENT_BULK,
-    PATCH_SIZE,
     PatchVolumes,
     divided,
+    element_bulk,
     patches_of,
 )
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
@@ -49,7 +46,9 @@ class Rollers(ForceTerm):
 
     name = "rollers"
 
-    def __init__(self, rest: np.ndarray, free_index: np.ndarray, held: np.ndarray, stiffness: float):
+    def __init__(
+        self, rest: np.ndarray, free_index: np.ndarray, held: np.ndarray, stiffness: float
+    ):
         """Take the nodes.
 
         Args:
@@ -83,47 +82,8 @@ class Rollers(ForceTerm):
         storage[self._places] += self._stiffness
 
 
-class FacePressure(CavityLoad):
-    """A pressure on some triangles, which follows them.
-
-    Attributes:
-        pressure: [Pa]; set between solutions.
-    """
-
-    name = "pressure"
-
-    def __init__(self, centre: int, triangles: np.ndarray, free_index, rest_positions):
-        """Take the triangles.
-
-        Args:
-            centre: A fixed node on all symmetry planes: the volume is that between it and the
-                triangles.
-            triangles: Nodes, outwards seen from the gas, shape (triangle_count, 3).
-            free_index, rest_positions: See `CavityLoad`.
-        """
-        used, inverse = np.unique(triangles, return_inverse=True)
-        nodes = np.concatenate([[centre], used])[:, None]
-        vertices = BarycentricMapping(nodes, np.ones((len(nodes), 1)))
-        surface = CavitySurface("gas", vertices, 1 + inverse.reshape(triangles.shape))
-        super().__init__((surface,), free_index, rest_positions)
-        self.pressure = 0.0
-        self._blocks = np.empty((len(self.walls.entry_nodes), 3))
-
-    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """p ∂V/∂q; see `ForceTerm.add_forces`."""
-        self.walls.write_gradients(positions, self._blocks)
-        np.add.at(forces, self.walls.entry_nodes, self.pressure * self._blocks)
-        return 0
-
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """See `ForceTerm.add`."""
-        self.add_forces(positions, forces)
-        if not projected:
-            self.walls.add_stiffness(positions, np.array([self.pressure]), storage)
-
-
 class Times(NamedTuple):
-    """Wall clock of one Newton iteration [s].
+    """Time of one Newton iteration [s].
 
     Attributes:
         assembly: Forces and stiffness of all terms.
@@ -139,15 +99,20 @@ class Specimen:
 
     Attributes:
         mesh: Its mesh.
+        law: Parameters of its law.
         terms: Force terms, elements first.
         volumes: The term of its patches; None without patches.
         positions: Node positions [m], shape (node_count, 3).
         residuals: Largest residual before each iteration of the last solution [N].
+        decrements: √|r·dx| of each iteration, r the residual and dx the correction [J^½]: twice its
+            square is the energy that the iteration promises to gain.
         unknowns: Number of scalar unknowns.
     """
 
-    def __init__(self, mesh, law, fixed, held=None, patch_size: int | None = PATCH_SIZE,
-                 element_bulk: float = ELEMENT_BULK, pressed=None):  # fmt: skip
+    def __init__(
+        self, mesh, law, fixed, held=None, by_patches: bool = True,
+        patch_size: int | None = None, share: float | None = None,
+    ):  # fmt: skip
         """Build and bind the terms.
 
         Args:
@@ -155,32 +120,28 @@ class Specimen:
             law: Parameters with a `shear_modulus` and a `bulk_modulus`.
             fixed: Nodes that are fixed, of bool, shape (node_count,).
             held: Coordinates that rollers hold, of bool, shape (node_count, 3); None for none.
-            patch_size: Linear tetrahedra of a patch, other elements by themselves; None for volumes
-                element by element and point by point.
-            element_bulk: Bulk modulus that elements keep, by the shear modulus.
-            pressed: Triangles under pressure, outwards seen from the gas; None for none.
+            by_patches: Whether volumes are kept by patches, or by every element.
+            patch_size: Tetrahedra of a patch; by default that of `PATCH_SIZES`.
+            share: Bulk modulus that elements keep, by the shear modulus; by default `element_bulk`.
         """
         self.mesh, rest = mesh, mesh.node_positions
         free = np.flatnonzero(~np.asarray(fixed))
         free_index = np.full(len(rest), -1)
         free_index[free] = np.arange(len(free))
-        self._free, self._rest = free, rest
+        self._free, self._rest, self.law = free, rest, law
         block = mesh.blocks()[0].mesh
         self.volumes = None
         of_elements = law
-        if patch_size is not None:
-            of_elements, rest_bulk = divided(law, law.shear_modulus, element_bulk)
-            patches = patches_of(block, patch_size)
-            self.volumes = PatchVolumes(block, free_index, rest_bulk, patches)
+        if by_patches:
+            of_elements, rest_bulk = divided(
+                law, law.shear_modulus, element_bulk(block) if share is None else share
+            )
+            self._patches = patches_of(block, patch_size)
+            self.volumes = PatchVolumes(block, free_index, rest_bulk, self._patches)
         self.elements = Elements(block, free_index, of_elements)
         self.terms: list[ForceTerm] = [self.elements]
         if self.volumes is not None:
             self.terms.append(self.volumes)
-        self.pressure = None
-        if pressed is not None:
-            centre = int(np.flatnonzero(np.asarray(fixed))[0])
-            self.pressure = FacePressure(centre, pressed, free_index, rest)
-            self.terms.append(self.pressure)
         scale = law.shear_modulus * np.cbrt(mesh.volumes.mean())
         # What rollers bear, and the round-off of these large springs, is no residual.
         self._counts = np.ones((len(free), 3), bool) if held is None else ~held[free]
@@ -191,7 +152,7 @@ class Specimen:
         self.matrix = Multifrontal(rows, columns, len(free), rest[free])
         for term in self.terms:
             term.bind(self.matrix.elimination_rank, self.matrix.slots)
-        self.positions, self.residuals = rest.copy(), []
+        self.positions, self.residuals, self.decrements = rest.copy(), [], []
         self.unknowns = 3 * len(free)
 
     def forces(self, positions: np.ndarray) -> np.ndarray:
@@ -202,22 +163,20 @@ class Specimen:
         return forces
 
     def reactions(self) -> np.ndarray:
-        """Forces that the terms of the material exert on all nodes [N], shape (node_count, 3)."""
-        everywhere = np.arange(len(self._rest))
+        """What holds the nodes, minus the material's forces [N], shape (node_count, 3)."""
+        everywhere, block = np.arange(len(self._rest)), self.mesh.blocks()[0].mesh
+        terms: list[ForceTerm] = [Elements(block, everywhere, self.elements.law)]
+        if self.volumes is not None:
+            kappa = self.volumes.bulk_modulus
+            terms.append(PatchVolumes(block, everywhere, kappa, self._patches))
         forces = np.zeros((len(self._rest), 3))
-        for term in self.terms[: 1 if self.volumes is None else 2]:
-            if term is self.elements:
-                own = Elements(self.mesh.blocks()[0].mesh, everywhere, term.law)
-            else:
-                patches = patches_of(self.mesh.blocks()[0].mesh)
-                own = PatchVolumes(
-                    self.mesh.blocks()[0].mesh, everywhere, term.bulk_modulus, patches
-                )
-            rows, columns = stencil_pairs(own.stencils())
-            matrix = Multifrontal(rows, columns, len(everywhere))
-            own.bind(matrix.elimination_rank, matrix.slots)
-            own.add_forces(self.positions, forces)
-        return forces
+        # A patch couples all that its elements do.
+        rows, columns = stencil_pairs(terms[-1].stencils())
+        matrix = Multifrontal(rows, columns, len(everywhere))
+        for term in terms:
+            term.bind(matrix.elimination_rank, matrix.slots)
+            term.add_forces(self.positions, forces)
+        return -forces
 
     def iterate(self, loads: np.ndarray) -> tuple[np.ndarray, float, Times]:
         """One linearization.
@@ -231,20 +190,21 @@ class Specimen:
         Raises:
             NotSolved: The stiffness is not positive definite, not even projected.
         """
-        begin = perf_counter()
+        begin = thread_time()
         for projected in (False, True):
             forces = loads[self._free].copy()
             self.matrix.clear()
             for term in self.terms:
                 term.add(self.positions, forces, self.matrix.storage, projected)
-            middle = perf_counter()
+            middle = thread_time()
             if self.matrix.factor():
                 break
         else:
             raise NotSolved("the stiffness is not positive definite")
         move = self.matrix.solve(forces)
         residual = float(np.abs(forces[self._counts]).max())
-        return move, residual, Times(middle - begin, perf_counter() - middle)
+        self.decrements.append(float(np.sqrt(abs(np.sum(move * forces)))))
+        return move, residual, Times(middle - begin, thread_time() - middle)
 
     def solve(self, loads: np.ndarray | None = None, scale: float | None = None) -> Times:
         """Equilibrium under dead loads, from the present positions.
@@ -261,7 +221,8 @@ class Specimen:
         """
         loads = np.zeros_like(self._rest) if loads is None else loads
         scale = scale or float(np.abs(loads).max())
-        begin, self.residuals, times = self.positions.copy(), [], []
+        begin, times = self.positions.copy(), []
+        self.residuals, self.decrements = [], []
         for _ in range(MOST_MOVES):
             try:
                 move, residual, spent = self.iterate(loads)
@@ -294,11 +255,19 @@ class Specimen:
             share *= 0.5
 
 
-def orders_of_convergence(residuals: list[float]) -> list[float]:
-    """Order of convergence of each three residuals in a row: two where Newton's method is exact."""
-    logs = np.log(residuals)
-    falls = np.diff(logs)
-    return list(falls[1:] / falls[:-1])
+def quadratic_constant(decrements: list[float], floor: float = 1.0e-9) -> float:
+    """The least C with d' ≤ C d² for all corrections d and the next ones d' [J^-½].
+
+    With exact tangents it does not depend on how far the iterations go: at first order it grows by
+    each of them.
+
+    Args:
+        decrements: Size d of each correction [J^½].
+        floor: Share of the first one below which a correction may be round-off.
+    """
+    pairs = zip(decrements, decrements[1:], strict=False)
+    found = [after / size**2 for size, after in pairs if after > floor * decrements[0]]
+    return max(found, default=0.0)
 
 
 # --- meshes --------------------------------------------------------------------------------------
@@ -318,13 +287,15 @@ def mapped_mesh(kind: str, counts: tuple[int, int, int], place) -> object:
     return mesh_of(kind, [block_mesh((1.0, 1.0, 1.0), counts)], place)
 
 
-def mesh_of(kind: str, grids: list[HexahedralMesh], place) -> object:
+def mesh_of(kind: str, grids: list[HexahedralMesh], place, between=None) -> object:
     """Blocks of cells, mapped and joined where their nodes meet; see `mapped_mesh`.
 
     Args:
         kind: See `mapped_mesh`.
         grids: The blocks.
         place: See `mapped_mesh`.
+        between: Where the middle of an edge is, by the places of its ends, arrays (count, 3) [m]; by
+            default what lies between them in the unit cube, which needs a single block.
     """
     points = np.concatenate([grid.node_positions for grid in grids])
     starts = np.cumsum([0, *[len(grid.node_positions) for grid in grids]])
@@ -336,10 +307,8 @@ def mesh_of(kind: str, grids: list[HexahedralMesh], place) -> object:
     rank[order] = np.arange(len(order))
     nodes, cells = points[np.sort(first)], rank[inverse.reshape(-1)][cells]
     placed = place(nodes)
-    middle = placed[cells].mean(axis=1)
-    a, b, c, d = (placed[cells[:, k]] - placed[cells[:, 0]] for k in (1, 3, 4, 6))
+    a, b, c = (placed[cells[:, k]] - placed[cells[:, 0]] for k in (1, 3, 4))
     mirrored = np.einsum("ki,ki->k", np.cross(a, b), c) < 0.0
-    assert np.isfinite(middle).all() and len(d) == len(cells)
     if kind == "hexahedral":
         cells[mirrored] = cells[mirrored][:, [3, 2, 1, 0, 7, 6, 5, 4]]
         return enhance(HexahedralMesh(placed, np.empty((0, 4), np.int64), cells))
@@ -349,8 +318,12 @@ def mesh_of(kind: str, grids: list[HexahedralMesh], place) -> object:
     if kind == "linear":
         return linear
     mesh = add_mid_edge_nodes(linear)
-    between = nodes[mesh.mid_edge_ends].mean(axis=1)
-    return replace(mesh, node_positions=np.concatenate([placed, place(between)]))
+    ends = mesh.mid_edge_ends
+    if between is None:
+        middles = place(nodes[ends].mean(axis=1))
+    else:
+        middles = between(placed[ends[:, 0]], placed[ends[:, 1]])
+    return replace(mesh, node_positions=np.concatenate([placed, middles]))
 
 
 def traction_loads(mesh, on_face, traction) -> np.ndarray:
@@ -365,7 +338,7 @@ def traction_loads(mesh, on_face, traction) -> np.ndarray:
     triangles = triangles[on_face[triangles].all(axis=1)]
     a, b, c = mesh.node_positions[triangles].transpose(1, 0, 2)
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    if mesh.shape_functions.node_count == 10:
+    if mesh.blocks()[0].mesh.shape_functions.node_count == 10:
         # A six-node face carries its load at the middle of its edges, a third each; the last of
         # its four triangles is the one between them.
         triangles, areas = triangles.reshape(-1, 4, 3)[:, 3], 4.0 * areas[::4]

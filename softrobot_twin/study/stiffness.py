@@ -94,7 +94,7 @@ def _warn_of(simulation: Simulation, found: ApparentCompliance, is_reached: bool
 
 
 def actuation(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
-    """Displacements, or efforts of what is driven by efforts, of an actuation that is given as text.
+    """Displacements, or efforts of what is driven by efforts, of an actuation given as text.
 
     Args:
         simulation: The scene.

@@ -1,9 +1,9 @@
 """``python -m softrobot_twin workspace``: where a robot gets by its actuators, and how stiff it is.
 
-Sample 0 is the robot at rest. The others lie in the box of the actuators' bounds, on Sobol's sequence
-shifted by a random vector of the seed (Cranley and Patterson 1976). Each is reached from rest on a
-straight line of setpoints, so that it does not depend on any other sample, on the number of workers,
-or on whether the run was interrupted.
+Sample 0 is the robot at rest. The others lie in the box of the actuators' bounds, on Sobol's
+sequence shifted by a random vector of the seed (Cranley and Patterson 1976). Each is reached from
+rest on a straight line of setpoints, so that it does not depend on any other sample, on the number
+of workers, or on whether the run was interrupted.
 
 The file contains, in this order: what is sampled, the row of a sample, the file of rows that a run
 leaves behind when it is stopped, the picture, the command.
@@ -191,7 +191,7 @@ FINER = 4
 
 
 def workspace_header(simulation: Simulation) -> list[str]:
-    """Columns of the file: those of `simulate --commands`, and stiffness [N/m], compliance [m/N]."""
+    """Columns of the file: those of `simulate --commands`, stiffness [N/m], compliance [m/N]."""
     names = simulation.effector_names
     return [
         "sample",
@@ -274,6 +274,7 @@ class UnfinishedFile:
 
     Attributes:
         path: The file.
+        header: Columns.
         rows: Cells of the samples that are done, by their index, as text.
     """
 
@@ -290,7 +291,7 @@ class UnfinishedFile:
             OutputError: The file cannot be read or written.
         """
         self.path = output.with_name(output.name + BROKEN_OFF)
-        self._run, self._header = run, list(header)
+        self._run, self.header = run, list(header)
         self.rows: dict[int, list[str]] = {}
         try:
             size = self._read() if self.path.is_file() else 0
@@ -299,7 +300,7 @@ class UnfinishedFile:
             self._stream.truncate(size)
             if not size:
                 self._stream.write(f"# {json.dumps(run)}\n")
-                csv.writer(self._stream, lineterminator="\n").writerow(self._header)
+                csv.writer(self._stream, lineterminator="\n").writerow(self.header)
                 self._stream.flush()
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or str(error)
@@ -314,9 +315,9 @@ class UnfinishedFile:
             return 0
         self._check(whole[0])
         for row in csv.reader(whole[2:]):
-            if len(row) != len(self._header):
+            if len(row) != len(self.header):
                 raise WorkspaceError(
-                    self.path, f"a row has {len(row)} cells, not {len(self._header)}: the file is "
+                    self.path, f"a row has {len(row)} cells, not {len(self.header)}: the file is "
                     "damaged; remove it to begin anew")  # fmt: skip
             self.rows[int(row[0])] = row
         return sum(len(line) + 1 for line in lines[:-1])
@@ -358,7 +359,7 @@ class UnfinishedFile:
         self.close()
         with output_file(output) as partial, open(partial, "w", encoding="utf-8", newline="") as f:
             writer = csv.writer(f, lineterminator="\n")
-            writer.writerow(self._header)
+            writer.writerow(self.header)
             writer.writerows(self.rows[index] for index in sorted(self.rows))
         self.path.unlink(missing_ok=True)
 
@@ -417,6 +418,10 @@ def views_of(points: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
     return first, second
 
 
+# From this ratio of the greatest to the least stiffness on, colours follow its logarithm.
+WIDE_RANGE = 10.0
+
+
 def draw_workspace(
     shown: Sequence[Cloud], outline: np.ndarray, path: Path, title: str, foot: str
 ) -> None:
@@ -440,11 +445,11 @@ def draw_workspace(
             good = cloud.is_good & np.isfinite(cloud.stiffness) & (cloud.stiffness > 0.0)
             stiffness = cloud.stiffness[good]
             norm = None
-            if len(stiffness) and stiffness.max() > stiffness.min():
+            if len(stiffness) and stiffness.max() > WIDE_RANGE * stiffness.min():
                 norm = LogNorm(stiffness.min(), stiffness.max())
             drawn = None
             for plot, (right, up) in zip(row, views_of(cloud.points), strict=True):
-                plot.scatter(1e3 * outline[:, right], 1e3 * outline[:, up], s=3, c="#dddddd",
+                plot.scatter(1e3 * outline[:, right], 1e3 * outline[:, up], s=3, c="#bbbbbb",
                              linewidths=0, label="robot at rest")
                 # The softest are drawn last, on top: they tell where care is needed.
                 order = np.argsort(-stiffness)
@@ -461,7 +466,7 @@ def draw_workspace(
                 plot.set_ylabel(f"{'xyz'[up]} [mm]")
                 plot.set_title(f"{cloud.name}, seen along {'xyz'[3 - right - up]}")
                 plot.set_aspect("equal", adjustable="datalim")
-            row[0].legend(loc="best", fontsize=8)
+            row[0].legend(loc="best", fontsize=8, markerscale=1.5)
             bar = figure.colorbar(drawn, ax=list(row), shrink=0.9, pad=0.02)
             bar.set_label("stiffness in the softest direction [N/m]")
 
@@ -602,7 +607,7 @@ def _compute(
         for index, row, cause in _closed(crew.run(job, left)):
             if row is None:
                 causes.append((index, cause))
-                row = [math.nan] * (len(unfinished._header) - 2) + [LOST]
+                row = [math.nan] * (len(unfinished.header) - 2) + [LOST]
             unfinished.add(index, row)
             shown.add(row[-1])
     return causes

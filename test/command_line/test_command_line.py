@@ -4,59 +4,79 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 from softrobot_twin.__main__ import main
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("simulate", "explain", "bench", "accuracy", "choose", "demo")
+COMMANDS = ("simulate", "explain", "workspace", "bench", "accuracy", "choose", "demo")
 
 
-def typed(*arguments):
-    """Runs ``python -m softrobot_twin`` with piped output."""
-    return subprocess.run([sys.executable, "-m", "softrobot_twin", *arguments], cwd=ROOT,
-                          capture_output=True, text=True, timeout=120)
+class Finished(NamedTuple):
+    """A command that has ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def typed(capsys):
+    """Runs a command within this process."""
+
+    def run(*arguments) -> Finished:
+        try:
+            code = main(list(arguments))
+        except SystemExit as end:  # how argparse ends
+            code = int(end.code or 0)
+        return Finished(code, *capsys.readouterr())
+
+    return run
 
 
 def test_without_a_command_the_usage_is_shown():
-    done = typed()
+    done = subprocess.run([sys.executable, "-m", "softrobot_twin"], cwd=ROOT,
+                          capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert all(name in done.stderr for name in COMMANDS)
 
 
 @pytest.mark.parametrize("arguments", [(), *((name,) for name in COMMANDS)])
-def test_help_needs_no_scene_and_lists_the_exit_codes(arguments):
+def test_help_needs_no_scene_and_lists_the_exit_codes(typed, arguments):
     done = typed(*arguments, "--help")
     assert done.returncode == 0 and "exit codes" in done.stdout
 
 
-def test_the_version_is_printed():
+def test_the_version_is_printed(typed):
     assert typed("--version").stdout.startswith("softrobot_twin ")
 
 
 @pytest.mark.parametrize("arguments", [
     ("bench", "--steps", "0"), ("bench", "--steps", "many"), ("demo", "--seconds", "0.5"),
     ("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--settle", "-1"),
+    ("workspace", "s.yaml", "--output", "o.csv", "--samples", "0"),
 ])
-def test_a_number_out_of_bounds_is_refused(arguments):
+def test_a_number_out_of_bounds_is_refused(typed, arguments):
     done = typed(*arguments)
     assert done.returncode == 2 and arguments[-1] in done.stderr
 
 
-def test_an_option_without_effect_is_refused():
+def test_an_option_without_effect_is_refused(typed):
     done = typed("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--rate", "10")
     assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: requires --commands\n")
 
 
-@pytest.mark.parametrize("command", ["explain", "simulate", "bench", "accuracy", "choose"])
+@pytest.mark.parametrize("command", ["explain", "simulate", "workspace", "bench", "accuracy", "choose"])
 @pytest.mark.parametrize("content", [None, b"", b"- 1", b"\tname: a", b"name: a\nname: b", b"\xff"])
 def test_an_invalid_scene_gives_one_line_and_exit_code_two(tmp_path, capsys, command, content):
     scene = tmp_path / "scene.yaml"
     if content is not None:
         scene.write_bytes(content)
     more = {"simulate": ["--steps", "2", "--output", str(tmp_path / "run.csv")],
-            "choose": ["--rate", "100"]}
+            "choose": ["--rate", "100"],
+            "workspace": ["--output", str(tmp_path / "run.csv")]}
     assert main([command, str(scene), *more.get(command, [])]) == 2
     told = capsys.readouterr()
     assert len(told.err.splitlines()) == 1 and str(scene) in told.err

@@ -308,7 +308,7 @@ def play(scenes, name, seed, ticks):
 
 
 @pytest.mark.parametrize("name", ["diamond", "small", "air"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_no_order_of_inputs_leads_to_an_unsafe_command(scenes, name, seed):
     play(scenes, name, seed, 250)
 

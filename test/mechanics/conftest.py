@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
@@ -86,3 +88,40 @@ def tet_rule():
         return np.column_stack([1 - x - y - z, x, y, z]), 6 * product * (1 - u) ** 2 * (1 - v)
 
     return make
+
+
+class MaterialPoint:
+    """One linear tetrahedron, which is deformed as a whole: a material at one point."""
+
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+    def __init__(self, law, **memory):
+        mesh = TetMesh(self.corners, np.array([[0, 1, 2, 3]]))
+        self.elements = RememberingElements(mesh, np.arange(4), law, **memory)
+        rows, columns = stencil_pairs(self.elements.stencils())
+        matrix = SuperLU(rows, columns, 4)
+        self.elements.bind(matrix.elimination_rank, matrix.slots)
+        self.time = 0.0
+
+    def step(self, F, time_step=0.0):
+        """Deform it to F in a time, and remember it; the stress P [Pa] at its end."""
+        positions = self.corners @ np.asarray(F).T
+        self.elements.begin_step(self.elements._begin_positions, np.empty(0), time_step)
+        P = self.stress(F)
+        history = self.elements.history_after(positions)
+        self.elements.begin_history(history)
+        self.elements._begin_positions[:] = positions
+        self.time += time_step
+        return P
+
+    def stress(self, F):
+        """P [Pa] at F in the step that began last."""
+        forces = np.zeros((4, 3))
+        self.elements.add_forces(self.corners @ np.asarray(F).T, forces)
+        return -6.0 * forces.T @ self.corners
+
+
+@pytest.fixture
+def material_point():
+    """Makes a `MaterialPoint`."""
+    return MaterialPoint

@@ -85,6 +85,7 @@ SHEAR, BULK = shear_modulus(YOUNG, POISSON), bulk_modulus(YOUNG, POISSON)
 CONSTANTS = {
     "mooney_rivlin": {"c10": 0.35 * SHEAR, "c01": 0.15 * SHEAR},
     "yeoh": {"c1": 0.5 * SHEAR, "c2": -0.02 * SHEAR, "c3": 0.01 * SHEAR},
+    "ogden": {"shear_moduli": (0.8 * SHEAR, -0.2 * SHEAR), "exponents": (1.5, -4.0)},
 }
 """Constants of laws that have their own, of a material with these moduli at rest."""
 MODULI = ("corotational", "linear", "neo_hookean", "saint_venant_kirchhoff", "from_outside")
@@ -217,6 +218,13 @@ def density_of(law, parameters, F):
     if law == "mooney_rivlin":
         c10, c01, bulk = parameters
         return c10 * first + c01 * second + bulk * volumetric
+    if law == "ogden":
+        stretches = np.linalg.svd(F, compute_uv=False) * J ** (-1.0 / 3.0)
+        shape = sum(
+            shear / exponent * (np.sum(stretches**exponent) - 3.0)
+            for shear, exponent in zip(parameters.shear_moduli, parameters.exponents)
+        )
+        return shape + parameters.bulk_modulus * volumetric
     lame, shear = parameters
     is_green = law in ("saint_venant_kirchhoff", "from_outside")
     strain = 0.5 * (C - np.eye(3)) if is_green else F - np.eye(3)

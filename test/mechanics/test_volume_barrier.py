@@ -67,6 +67,31 @@ def test_their_projected_stiffness_has_no_negative_curvature(body):
     assert np.linalg.eigvalsh(K)[0] > -1e-12 * np.abs(K).max()
 
 
+@pytest.mark.parametrize("law, acts", [("corotational", False), ("neo_hookean", True)])
+def test_quadratic_elements_of_hyperelastic_laws_have_the_barrier_at_corners_and_mid_edges(
+    law, acts, block, bind, slopes
+):
+    """The top is pressed to a twentieth of its volume; all quadrature points have more than J₀."""
+    mesh, parameters = add_mid_edge_nodes(block(cells=(1, 1, 1))), law_named(law).of_moduli(2e5, 0.3)
+    bound = bind(
+        (lambda mesh, free, _: Elements(mesh, free, parameters), mesh, 1.0, 0.0), fixed=[0, 1]
+    )
+    x, (term,) = mesh.node_positions.copy(), bound.terms
+    x[:, 2] -= 0.475 * x[:, 2] ** 2 / x[:, 2].max()
+    forces, K = bound.assemble(x)
+    assert (term.nearly_flat_count > 0) == acts
+    np.testing.assert_array_equal(bound.forces(x)[0], forces)
+    assert (term.nearly_flat_count > 0) == acts
+    step = 1e-6 * np.ptp(x)
+    gradient = slopes(term.energy, x, bound.free, step)
+    np.testing.assert_allclose(forces.ravel(), -gradient, atol=1e-6 * np.abs(forces).max())
+    columns = slopes(lambda at: bound.forces(at)[0].ravel(), x, bound.free, step)
+    np.testing.assert_allclose(K.toarray(), -columns, atol=1e-6 * np.abs(K).max())
+    x[:, 2] *= -1.0  # Inside out at points too: no barrier.
+    bound.forces(x)
+    assert term.nearly_flat_count == 0
+
+
 @pytest.mark.parametrize("volume", [0.9999999 * BARRIER_VOLUME, BARRIER_VOLUME, 0.5, 1.0, 3.0])
 def test_the_barrier_begins_with_two_continuous_derivatives(volume):
     energy, slope, curvature = barrier(volume)

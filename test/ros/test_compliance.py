@@ -5,7 +5,6 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
-from softrobot_twin.ros import twin_node
 from softrobot_twin.ros.messages import matrix_message, read_matrix, stamp_of
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
 

@@ -1,11 +1,14 @@
 """The nodes as processes, from ``ros2 run`` to Ctrl-C."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from itertools import starmap
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -97,46 +100,83 @@ def test_an_unknown_parameter_is_reported(start):
     assert "scene_file is unknown" not in output.read_text()
 
 
-def run(node, *arguments):
-    """Runs a node that ends by itself: because of an error, or after printing its help."""
-    return subprocess.run(
-        [sys.executable, "-m", "softrobot_twin.ros.process", node, *arguments], cwd=ROOT,
-        capture_output=True, text=True, timeout=100, check=False, stdin=subprocess.DEVNULL,
+# Arguments of ROS that no node starts with, and what it says of them.
+INVALID = [
+    (["--params-file", "{broken}"], "broken.yaml"),
+    (["--params-file", "/nowhere.yaml"], "/nowhere.yaml"),
+    (["-r", "__node:=bad name"], "__node:=bad name"),
+    (["-r", "__node:=9x"], "__node:=9x"),
+    (["-r", "__ns:=bad//"], "__ns:=bad//"),
+    (["-r", "__ns:=relative"], "__ns:=relative"),
+    (["-r", "~/cables:=bad name"], "~/cables:=bad name"),
+    (["-r", "rate"], "rate"),
+    (["-p", "a b:=1"], "a b:=1"),
+    (["-p", "1rate:=1"], "1rate:=1"),
+    (["-p", "foo..bar:=1"], "foo..bar:=1"),
+    (["-p", "rate:=[1"], "rate:=[1"),
+    (["-p", "use_sim_time:=3"], "use_sim_time"),
+    (["-p", "twin:=/a b"], "/a b/"),
+    (["-p", "target_effector:=my tip"], "my tip"),
+    (["--frobnicate"], "unknown arguments of ROS: ['--frobnicate']"),
+    (["--log-level", "loud"], "loud"),
+]
+# Starts nodes that end by themselves one after the other, because a process for each would take a
+# second or two; libraries write to the file descriptors.
+SCRIPT = """
+import json, os, sys
+from softrobot_twin.ros import process
+
+given, told = sys.argv[1:]
+answers = []
+for node, arguments in json.load(open(given)):
+    kept = [os.dup(1), os.dup(2)]
+    files = [os.open(f"{told}.{end}", os.O_CREAT | os.O_TRUNC | os.O_RDWR) for end in ("out", "err")]
+    for end, file in enumerate(files, 1):
+        os.dup2(file, end)
+    code = getattr(process, node)(arguments)
+    sys.stdout.flush(), sys.stderr.flush()
+    for end, file in enumerate(kept, 1):
+        os.dup2(file, end)
+    for file in (*kept, *files):
+        os.close(file)
+    answers.append([code, *(open(f"{told}.{end}").read() for end in ("out", "err"))])
+json.dump(answers, open(told, "w"))
+"""
+
+
+class Answer(NamedTuple):
+    """What a node that ended by itself returned and wrote."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """Answers of nodes that end by themselves: because of an error, or after printing their help."""
+    folder = tmp_path_factory.mktemp("answers")
+    broken, given, told = folder / "broken.yaml", folder / "given.json", folder / "told.json"
+    broken.write_text("/**: [")
+    (folder / "script.py").write_text(SCRIPT)
+    asked = {
+        f"{node} {' '.join(arguments)}": (node, arguments)
+        for node in NODES for arguments in (["--rate", "30"], ["--help"])
+    }  # fmt: skip
+    for arguments, _ in INVALID:
+        own = [argument.format(broken=broken) for argument in arguments]
+        asked[f"target {' '.join(arguments)}"] = "target", ["--ros-args", *own]
+    given.write_text(json.dumps(list(asked.values())))
+    subprocess.run(
+        [sys.executable, folder / "script.py", given, told], cwd=ROOT, check=True, timeout=200,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, stdin=subprocess.DEVNULL,
     )  # fmt: skip
+    return dict(zip(asked, starmap(Answer, json.loads(told.read_text())), strict=True))
 
 
-@pytest.fixture
-def broken_file(tmp_path):
-    file = tmp_path / "broken.yaml"
-    file.write_text("/**: [")
-    return str(file)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--params-file", "{broken}"], "broken.yaml"),
-        (["--params-file", "/nowhere.yaml"], "/nowhere.yaml"),
-        (["-r", "__node:=bad name"], "__node:=bad name"),
-        (["-r", "__node:=9x"], "__node:=9x"),
-        (["-r", "__ns:=bad//"], "__ns:=bad//"),
-        (["-r", "__ns:=relative"], "__ns:=relative"),
-        (["-r", "~/cables:=bad name"], "~/cables:=bad name"),
-        (["-r", "rate"], "rate"),
-        (["-p", "a b:=1"], "a b:=1"),
-        (["-p", "1rate:=1"], "1rate:=1"),
-        (["-p", "foo..bar:=1"], "foo..bar:=1"),
-        (["-p", "rate:=[1"], "rate:=[1"),
-        (["-p", "use_sim_time:=3"], "use_sim_time"),
-        (["-p", "twin:=/a b"], "/a b/"),
-        (["-p", "target_effector:=my tip"], "my tip"),
-        (["--frobnicate"], "unknown arguments of ROS: ['--frobnicate']"),
-        (["--log-level", "loud"], "loud"),
-    ],
-)
-def test_invalid_ros_arguments_end_a_node_with_one_line(arguments, words, broken_file):
-    given = [argument.format(broken=broken_file) for argument in arguments]
-    done = run("target", "--ros-args", *given)
+@pytest.mark.parametrize(("arguments", "words"), INVALID)
+def test_invalid_ros_arguments_end_a_node_with_one_line(arguments, words, answers):
+    done = answers[f"target {' '.join(arguments)}"]
     assert done.returncode == 2
     (line,) = done.stderr.strip().splitlines()
     assert line.startswith("target: ") and words in line
@@ -144,8 +184,8 @@ def test_invalid_ros_arguments_end_a_node_with_one_line(arguments, words, broken
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_a_non_ros_argument_is_refused(node):
-    done = run(node, "--rate", "30")
+def test_a_non_ros_argument_is_refused(node, answers):
+    done = answers[f"{node} --rate 30"]
     assert done.returncode == 2
     assert done.stderr == (f"{node}: unknown arguments --rate 30: arguments of ROS must "
                            "follow --ros-args; see --help\n")
@@ -153,8 +193,8 @@ def test_a_non_ros_argument_is_refused(node):
 
 @pytest.mark.parametrize(("node", "table"), [("twin", TWIN), ("device", DEVICE),
                                              ("target", TARGET)])
-def test_help_names_topics_and_every_parameter_with_its_default(node, table):
-    done = run(node, "--help")
+def test_help_names_topics_and_every_parameter_with_its_default(node, table, answers):
+    done = answers[f"{node} --help"]
     assert done.returncode == 0 and done.stderr == ""
     assert done.stdout.startswith(f"usage: {node} ")
     assert "geometry_msgs/P" in done.stdout and "Exit codes: " in done.stdout
@@ -171,8 +211,10 @@ def test_an_unknown_nested_parameter_is_reported_with_the_nearest_name(start):
     assert "tagret_rate is unknown and ignored; did you mean target_rate?" in told
 
 
-@pytest.mark.parametrize("delay", [0.15, 0.5, 1.0, 1.5, 2.0])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("number", "delay"), [
+    (signal.SIGINT, 0.15), (signal.SIGTERM, 0.5), (signal.SIGINT, 1.0), (signal.SIGTERM, 1.5),
+    (signal.SIGINT, 2.0),
+])  # fmt: skip
 def test_an_interrupt_while_a_node_starts_ends_it_cleanly(start, delay, number):
     process, output = start("twin")
     deadline = time.monotonic() + delay

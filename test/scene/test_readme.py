@@ -8,6 +8,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, UNFITTED
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 
@@ -41,6 +42,17 @@ def test_the_robot_with_symmetry_in_the_readme_is_valid(shown):
     assert [cable.body for cable in scene.cables] == ["arm_0", "arm_1", "arm_2"]
     assert [scene.tubes[0].name, scene.tubes[-1].name] == ["tube_0_a", "tube_4_c"]
     assert [marker.id for marker in scene.markers] == [0, 1, 2]
+
+
+def test_the_laws_in_the_readme_fit_the_robot_and_all_laws_of_the_package_are_in_its_table(shown):
+    (part,) = (part for part in shown if list(part) == ["materials"])
+    body = {**shown[0]["body"], **part}
+    laws = [entry.law for entry in scene_from_mapping({**shown[0], "body": body}).body.materials]
+    assert laws == ["mooney_rivlin", "yeoh", "ogden"]
+    table = README.read_text().split("### Laws of materials")[1].split("```")[0]
+    files = (README.parent / "softrobot_twin" / "mechanics" / "laws").glob("[a-z]*.py")
+    for name in {file.stem for file in files}:
+        assert f"| `{'linear' if name == 'small_displacement' else name}`" in table
 
 
 def test_the_orientation_in_the_readme_fits_the_robot(shown):
@@ -78,3 +90,24 @@ def test_the_touch_in_the_readme_fits_the_robot(shown):
     (part,) = (part for part in shown if list(part) == ["touches"])
     touch = scene_from_mapping({**shown[0], **part}).touches[0]
     assert len(touch.points) == 2 and touch.while_touched == "hold_actuators"
+
+
+def test_the_rubber_in_the_readme_is_valid_and_its_table_is_that_of_the_presets(shown):
+    (part,) = [part for part in shown if list(part) == ["material"]]
+    robot = copy.deepcopy(shown[0])
+    robot["body"]["material"] = part["material"]
+    robot["body"].pop("materials", None)
+    material = scene_from_mapping(robot).body.material
+    assert len(material.viscosity) == 2 and material.softening.m == 5.0e3
+    text = README.read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*\d+) \|$", text, re.M))
+    for name, preset in MATERIAL_PRESETS.items():
+        law, constants, error, strain, density = rows[name].split(" | ")
+        low, high = (100.0 * bound for bound in preset.strain_range)
+        assert law == preset.law and float(density) == preset.density
+        assert error == f"{100 * preset.rms_error:.1f} % ({100 * preset.largest_error:.1f} %)"
+        assert strain == f"−{-low:.0f} to {high:.0f} %"
+        pairs = re.findall(r"(c\d+) ([\d.]+)", constants)
+        given = {key: 1e3 * float(value) for key, value in pairs}
+        assert given == pytest.approx(preset.constants)
+    assert all(f"`{name}`" in text for name in UNFITTED)

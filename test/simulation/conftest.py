@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from pathlib import Path
 
 import meshio
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Hold, Simulation, State, Status
@@ -288,6 +290,56 @@ def inflatable(simulate, hollow):
         if change is not None:
             change(mapping)
         return simulate(**mapping)
+
+    return make
+
+
+@pytest.fixture
+def icosphere():
+    """Makes a sphere of triangles, by the number of its refinements."""
+
+    def make(level):
+        """Points on the unit sphere and outward triangles."""
+        golden = 0.5 * (1.0 + 5.0**0.5)
+        corners = [(0, a, b * golden) for a, b in itertools.product((-1, 1), repeat=2)]
+        points = np.array([np.roll(c, shift) for shift in range(3) for c in corners], float)
+        points /= np.linalg.norm(points[0])
+        near = np.linalg.norm(points[:, None] - points, axis=2) < 1.2
+        triangles = [t for t in itertools.combinations(range(12), 3)
+                     if all(near[i, j] for i, j in itertools.combinations(t, 2))]  # fmt: skip
+        triangles = np.array(
+            [t if np.linalg.det(points[list(t)]) > 0.0 else t[::-1] for t in triangles]
+        )
+        for _ in range(level):
+            halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+            edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
+            (a, b, c), (ab, bc, ca) = triangles.T, len(points) + place.reshape(-1, 3).T
+            middle = points[edges].mean(axis=1)
+            points = np.vstack([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+            parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+            triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
+        return points, triangles
+
+    return make
+
+
+@pytest.fixture
+def layered():
+    """Fills the space between layers of the same triangles."""
+
+    def make(layers, triangles):
+        """Tetrahedra between layers of the same triangles, each layer given by its points."""
+        count, tets = len(layers[0]), []
+        sorted_triangles = np.sort(triangles, axis=1)
+        for k in range(len(layers) - 1):
+            (a, b, c), up = sorted_triangles.T + k * count, count
+            prism = ((a, b, c, c + up), (a, b, b + up, c + up), (a, a + up, b + up, c + up))
+            tets += [np.stack(tet, axis=1) for tet in prism]
+        points, tets = np.concatenate(layers), np.concatenate(tets)
+        edges = points[tets[:, 1:]] - points[tets[:, :1]]
+        wrong = np.linalg.det(edges) < 0.0
+        tets[wrong] = tets[wrong][:, [0, 2, 1, 3]]
+        return TetMesh(points, tets)
 
     return make
 

@@ -1,12 +1,9 @@
 """Inflation against closed forms, and past a limit point."""
 
-import itertools
-
 import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.simulation import CommandSetpoints, Status
 
 YOUNG, POISSON = 1e5, 0.3
@@ -15,44 +12,8 @@ INNER, OUTER = 0.01, 0.015
 DRAG, STEP = 1.0, 1e3
 
 
-def icosphere(level):
-    """Points on the unit sphere and outward triangles."""
-    golden = 0.5 * (1.0 + 5.0**0.5)
-    corners = [(0, a, b * golden) for a, b in itertools.product((-1, 1), repeat=2)]
-    points = np.array([np.roll(c, shift) for shift in range(3) for c in corners], float)
-    points /= np.linalg.norm(points[0])
-    near = np.linalg.norm(points[:, None] - points, axis=2) < 1.2
-    triangles = [t for t in itertools.combinations(range(12), 3)
-                 if all(near[i, j] for i, j in itertools.combinations(t, 2))]  # fmt: skip
-    triangles = np.array([t if np.linalg.det(points[list(t)]) > 0.0 else t[::-1] for t in triangles])
-    for _ in range(level):
-        halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-        edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
-        (a, b, c), (ab, bc, ca) = triangles.T, len(points) + place.reshape(-1, 3).T
-        middle = points[edges].mean(axis=1)
-        points = np.vstack([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
-        triangles = np.concatenate([np.stack(corners, axis=1) for corners in
-                                    ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])  # fmt: skip
-    return points, triangles
-
-
-def layered(layers, triangles):
-    """Tetrahedra between layers of the same triangles, each layer given by its points."""
-    count, tets = len(layers[0]), []
-    sorted_triangles = np.sort(triangles, axis=1)
-    for k in range(len(layers) - 1):
-        (a, b, c), up = sorted_triangles.T + k * count, count
-        tets += [np.stack(t, axis=1) for t in
-                 ((a, b, c, c + up), (a, b, b + up, c + up), (a, a + up, b + up, c + up))]  # fmt: skip
-    points, tets = np.concatenate(layers), np.concatenate(tets)
-    edges = points[tets[:, 1:]] - points[tets[:, :1]]
-    wrong = np.linalg.det(edges) < 0.0
-    tets[wrong] = tets[wrong][:, [0, 2, 1, 3]]
-    return TetMesh(points, tets)
-
-
 @pytest.fixture
-def inflated_shell(simulate, body_of, tmp_path):
+def inflated_shell(simulate, body_of, tmp_path, layered):
     """Makes a floating shell of layers, the first of which is the wall of its cavity."""
 
     def make(layers, triangles, **entries):
@@ -71,7 +32,7 @@ def inflated_shell(simulate, body_of, tmp_path):
     return make
 
 
-def test_a_sphere_grows_as_by_lame(inflated_shell):
+def test_a_sphere_grows_as_by_lame(inflated_shell, icosphere):
     errors, pressure = [], 100.0
     for level, count in ((0, 3), (1, 5)):
         points, triangles = icosphere(level)

@@ -4,6 +4,7 @@ from softrobot_twin.mechanics.laws import (
     corotational,
     mooney_rivlin,
     neo_hookean,
+    ogden,
     saint_venant_kirchhoff,
     small_displacement,
     yeoh,
@@ -11,6 +12,6 @@ from softrobot_twin.mechanics.laws import (
 from softrobot_twin.mechanics.point_law import law_named, law_names
 
 __all__ = [
-    "corotational", "law_named", "law_names", "mooney_rivlin", "neo_hookean",
+    "corotational", "law_named", "law_names", "mooney_rivlin", "neo_hookean", "ogden",
     "saint_venant_kirchhoff", "small_displacement", "yeoh",
 ]  # fmt: skip

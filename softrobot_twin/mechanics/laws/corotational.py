@@ -91,5 +91,5 @@ def differential(law, spin_stiffness, A):
 
 register_law(
     "corotational", Corotational, energy_density, stress, differential, linearize,
-    projects=True, turns=True,
+    projects=True, is_isotropic=True, turns=True,
 )

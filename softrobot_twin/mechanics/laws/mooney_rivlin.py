@@ -106,6 +106,7 @@ def of_constants(constants: Mapping[str, float], bulk_modulus: float) -> MooneyR
 
 register_law(
     "mooney_rivlin", MooneyRivlin, energy_density, stress, differential, linearize,
+    is_isotropic=True,
     own=OwnConstants(
         (LawConstant("c10", "Pa"), LawConstant("c01", "Pa")), shear_modulus_of, of_constants
     ),

@@ -76,5 +76,6 @@ def of_moduli(young_modulus: float, poisson_ratio: float) -> NeoHookean:
 
 register_law(
     "neo_hookean", NeoHookean, energy_density, stress, differential, linearize,
+    is_isotropic=True,
     of_moduli=of_moduli,
 )  # fmt: skip

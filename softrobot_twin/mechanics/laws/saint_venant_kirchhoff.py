@@ -77,5 +77,6 @@ def differential(law, linearized, dF):
 
 
 register_law(
-    "saint_venant_kirchhoff", SaintVenantKirchhoff, energy_density, stress, differential, linearize
-)
+    "saint_venant_kirchhoff", SaintVenantKirchhoff, energy_density, stress, differential, linearize,
+    is_isotropic=True,
+)  # fmt: skip

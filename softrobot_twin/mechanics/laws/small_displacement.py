@@ -69,5 +69,5 @@ def differential(law, linearized, dF):
 
 register_law(
     "linear", SmallDisplacement, energy_density, stress, differential, linearize,
-    projects=True, is_linear=True,
+    projects=True, is_isotropic=True, is_linear=True,
 )

@@ -91,6 +91,7 @@ def of_constants(constants: Mapping[str, float], bulk_modulus: float) -> Yeoh:
 
 register_law(
     "yeoh", Yeoh, energy_density, stress, differential, linearize,
+    is_isotropic=True,
     own=OwnConstants(
         tuple(LawConstant(name, "Pa") for name in ("c1", "c2", "c3")), shear_modulus_of, of_constants
     ),

@@ -1,0 +1,105 @@
+"""Materials by name, and strains that are told to be outside of the range of a law."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO, UNFITTED
+from softrobot_twin.simulation import Hold
+
+
+def scene_of(tmp_path, **material):
+    body = {"mesh": "none.vtk", "material": material, "fixed": [{"nodes": [0]}]}
+    return scene_from_mapping({"name": "scene", "body": body}, tmp_path / "scene.yaml")
+
+
+@pytest.fixture
+def hung(simulate, write_block):
+    """Makes a bar that hangs by its end, under a multiple of its weight."""
+
+    def make(gravity, **material):
+        return simulate(
+            gravity=[-gravity, 0.0, 0.0],
+            body={
+                "name": "bar", "mesh": {"file": write_block((0.06, 0.02, 0.02), (2, 1, 1))},
+                "element": "linear", "material": material,
+                "fixed": [{"box": {"minimum": [0.029, -1, -1], "maximum": [1, 1, 1]}}],
+            },
+        )  # fmt: skip
+
+    return make
+
+
+@pytest.mark.parametrize("name", MATERIAL_PRESETS)
+def test_a_preset_gives_law_constants_density_and_range(tmp_path, name):
+    material, preset = scene_of(tmp_path, preset=name).body.material, MATERIAL_PRESETS[name]
+    assert material.law == preset.law and material.constants == preset.constants
+    assert material.density == preset.density and material.poisson_ratio == POISSON_RATIO
+    assert material.strain_range == preset.strain_range
+
+
+def test_density_mass_poisson_ratio_and_range_may_be_given_beside_a_preset(tmp_path):
+    given = {"poisson_ratio": 0.45, "density": 1000.0, "strain_range": (-0.2, 0.3)}
+    material = scene_of(tmp_path, preset="ecoflex_00_30", **given).body.material
+    assert {key: getattr(material, key) for key in given} == given
+    weighed = scene_of(tmp_path, preset="ecoflex_00_30", total_mass=0.1).body.material
+    assert weighed.density is None and weighed.total_mass == 0.1
+    bulky = scene_of(tmp_path, preset="ecoflex_00_30", bulk_modulus=1e6).body.material
+    assert bulky.poisson_ratio is None and bulky.bulk_modulus == 1e6
+
+
+@pytest.mark.parametrize(
+    ("material", "key", "reason"),
+    [
+        *(({"preset": name}, "preset", "no published tensile curve") for name in UNFITTED),
+        ({"preset": "dragonskin"}, "preset", "dragon_skin_30"),
+        ({"preset": "tpu_85a", "law": "corotational"}, "law", "tpu_85a"),
+        ({"preset": "tpu_85a", "young_modulus": 1e6}, "young_modulus", "tpu_85a"),
+        ({"preset": "tpu_85a", "constants": {"c10": 1.0, "c01": 2.0}}, "constants", "tpu_85a"),
+        ({"preset": "tpu_85a", "strain_range": [0.1, 0.5]}, "strain_range", "between -1 and 0"),
+    ],
+)
+def test_what_a_preset_does_not_allow_is_refused_by_name(tmp_path, material, key, reason):
+    with pytest.raises(SceneError) as refused:
+        scene_of(tmp_path, **material)
+    assert refused.value.key == f"body.material.{key}" and reason in str(refused.value)
+
+
+def test_strain_outside_of_the_range_is_told_after_the_step(hung):
+    simulation = hung(9.81, preset="ecoflex_00_30")
+    inside = simulation.step(Hold()).report
+    assert inside.strains == () and not any("strain" in name for name in inside.active_limits)
+    simulation = hung(9.81, preset="ecoflex_00_30", strain_range=[-0.5, 0.001])
+    report = simulation.step(Hold()).report
+    (outside,) = report.strains
+    assert "bar.strain_range" in report.active_limits
+    assert outside.body == "bar" and outside.key == "body.material"
+    assert outside.greatest > 0.001 and outside.range == (-0.5, 0.001)
+    words = outside.in_words()
+    assert "bar" in words and "0 %" in words and f"{100 * outside.greatest:.0f} %" in words
+    # The same strain by numpy.
+    (watch,) = simulation.model.strain_watches
+    F = watch.elements._watched_deformations(simulation.state.positions)
+    F = F.reshape(F.shape[0], F.shape[1], 3, 3, -1).transpose(0, 1, 4, 2, 3)
+    stretches = np.linalg.svd(F, compute_uv=False)
+    assert outside.greatest == pytest.approx(stretches.max() - 1.0, rel=1e-6)
+
+
+def test_scenes_without_a_range_watch_no_strain(hung):
+    simulation = hung(9.81, law="neo_hookean", young_modulus=1e5, poisson_ratio=0.45,
+                      density=1000.0)  # fmt: skip
+    assert simulation.model.strain_watches == ()
+    assert simulation.step(Hold()).report.strains == ()
+
+
+def test_extreme_eigenvalues_are_those_of_numpy():
+    rng = np.random.default_rng(3)
+    for scale in (1e-6, 0.1, 1.0):
+        for _ in range(20):
+            F = np.eye(3) + scale * rng.standard_normal((3, 3))
+            C = F.T @ F
+            found = extreme_eigenvalues(tuple(map(tuple, C)))
+            np.testing.assert_allclose(found, np.linalg.eigvalsh(C)[[0, 2]], rtol=1e-7, atol=1e-7)
+    assert extreme_eigenvalues(((2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0))) == (2.0, 2.0)
