@@ -1,0 +1,81 @@
+"""Touches as messages: a force or a place in, both out."""
+
+import math
+
+import pytest
+import yaml
+from geometry_msgs.msg import Point, PointStamped, Vector3, Wrench, WrenchStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.ros.twin_node import TwinNode
+
+
+@pytest.fixture(scope="module")
+def touched_scene_file(column):
+    scene = yaml.safe_load(column.read_text())
+    scene["effectors"][0]["directions"] = ["x", "y"]
+    scene["touches"] = [{"name": "finger", "points": [[0.01, 0.01, 0.10]], "force_limit": 1.0}]
+    file = column.with_name("touched_column.yaml")
+    file.write_text(yaml.safe_dump(scene))
+    return file
+
+
+@pytest.fixture
+def twin(world, touched_scene_file):
+    return world.add(
+        TwinNode, scene_file=str(touched_scene_file), rate=50.0, priority="normal",
+        touch_timeout=30.0, message_timeout=30.0,
+    )  # fmt: skip
+
+
+def force_message(world, y):
+    header = Header(stamp=world.stamp(), frame_id="base_link")
+    return WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=0.0, y=y, z=0.0)))
+
+
+def place_message(world, place):
+    x, y, z = map(float, place)
+    header = Header(stamp=world.stamp(), frame_id="base_link")
+    return PointStamped(header=header, point=Point(x=x, y=y, z=z))
+
+
+def test_a_force_is_answered_with_a_displacement_and_its_place_with_the_force(world, twin):
+    answers = world.hear(JointState, "/twin/touch/finger")
+    forces = world.speaker(WrenchStamped, "/twin/touch_force/finger")
+    places = world.speaker(PointStamped, "/twin/touch_position/finger")
+    world.until(lambda: answers)
+    assert list(answers[-1].name) == ["x", "y", "z"]
+    assert not any(answers[-1].position) and not any(answers[-1].effort)
+    forces.publish(force_message(world, 0.02))
+    world.until(lambda: answers[-1].effort[1] == 0.02)
+    world.run(0.3)
+    moved = answers[-1].position[1]
+    assert moved > 1e-4
+    touches = twin.loop.simulation.state.touches
+    place, begin = touches.points[0].copy(), touches.origins[0].copy()
+    places.publish(place_message(world, 0.5 * (place + begin)))
+    world.until(lambda: answers[-1].effort[1] < 0.015)
+    places.publish(place_message(world, place))
+    world.until(lambda: answers[-1].effort[1] > 0.015)
+    world.run(0.3)
+    assert answers[-1].effort[1] == pytest.approx(0.02, rel=1e-3)
+    assert answers[-1].position[1] == pytest.approx(moved, rel=1e-3)
+    places.publish(place_message(world, (math.nan,) * 3))
+    world.until(lambda: not any(answers[-1].effort))
+    assert not any(answers[-1].position)
+
+
+def test_a_force_beyond_its_limit_is_refused_counted_and_told(world, twin):
+    answers = world.hear(JointState, "/twin/touch/finger")
+    forces = world.speaker(WrenchStamped, "/twin/touch_force/finger")
+    forces.publish(force_message(world, 0.02))
+    world.until(lambda: answers and answers[-1].effort[1] == 0.02)
+    forces.publish(force_message(world, 5.0))
+    world.until(lambda: twin.loop.touches.refusals.of(Refusal.OUT_OF_RANGE) == 1)
+    world.run(0.1)
+    assert answers[-1].effort[1] == 0.02
+    statuses = {status.name: status for status in twin._diagnostics.statuses(twin.monotonic())}
+    values = {pair.key: pair.value for pair in statuses["twin: touch"].values}
+    assert values["out_of_range"] == "1" and float(values["finger_force_n"]) == 0.02
