@@ -7,6 +7,7 @@ from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.scene import scene_from_mapping
 
 MOONEY = {"law": "mooney_rivlin", "constants": {"c10": 40e3, "c01": 10e3}}
+OGDEN = {"law": "ogden", "constants": {"shear_moduli": [40e3, 1e3], "exponents": [1.5, 6.0]}}
 YEOH = {"law": "yeoh", "constants": {"c1": 50e3, "c2": -200.0, "c3": 15.0}}
 
 
@@ -62,6 +63,11 @@ def changed(entry, **constants):
         ({"law": "yeoh", "constants": 3, "poisson_ratio": 0.4}, "constants", "", "section"),
         ({"law": "yeoh", "poisson_ratio": 0.4}, "constants", "", "c1, c2, c3 [Pa]"),
         ({**MOONEY, "poisson_ratio": 0.4, "young_modulus": 1e5}, "young_modulus", "Pa", "constants"),
+        (changed(OGDEN, exponents=[1.5]), "constants", "", "2 shear_moduli and 1 exponents"),
+        (changed(OGDEN, exponents=[1.5, 0.0]), "constants", "", "an exponent is 0"),
+        (changed(OGDEN, shear_moduli=4e4), "constants.shear_moduli", "Pa", "a list of numbers"),
+        (changed(OGDEN, shear_moduli=[4e4, "x"]), "constants.shear_moduli[1]", "", "a number"),
+        (changed(OGDEN, exponents=[-1.5, 6.0]), "constants", "Pa", "must be above 0 Pa"),
         (MOONEY, "poisson_ratio", "", "bulk_modulus [Pa]"),
         ({**MOONEY, "poisson_ratio": 0.4, "bulk_modulus": 1e6}, "bulk_modulus", "Pa", "0.4"),
         ({**changed(MOONEY), "law": "neo_hookean", "young_modulus": 1e5}, "constants", "",
