@@ -181,12 +181,14 @@ def law_named(name: str) -> PointLaw:
 
 
 def has_bulk_modulus(parameters: type) -> bool:
-    """Whether a law's energy of volume changes is κ U(J), with a parameter `bulk_modulus`.
+    """Whether a law's energy is one of shape and κ U(J), with a parameter `bulk_modulus`.
+
+    Then its volume may be that of patches, and its shape may be viscous or soften.
 
     Args:
         parameters: The type of the law's parameters.
     """
-    return "bulk_modulus" in parameters._fields
+    return "bulk_modulus" in getattr(parameters, "_fields", ())
 
 
 def law_of(parameters: tuple) -> PointLaw:
@@ -202,15 +204,6 @@ def _law_of_type(parameters: type) -> PointLaw:
     if parameters not in _LAWS:
         raise KeyError(f"{parameters.__name__} are the parameters of no registered law")
     return _LAWS[parameters]
-
-
-def can_remember(parameters: type) -> bool:
-    """Whether a law can be viscous or soften: its energy is of shape and volume apart.
-
-    Args:
-        parameters: The type of its parameters.
-    """
-    return "bulk_modulus" in getattr(parameters, "_fields", ())
 
 
 def law_at(law, k, q, e):

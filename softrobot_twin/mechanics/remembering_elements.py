@@ -26,7 +26,7 @@ from softrobot_twin.mechanics.element_batches import (
     scratch,
 )
 from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.point_law import can_remember, energy_density, law_at, law_of
+from softrobot_twin.mechanics.point_law import energy_density, has_bulk_modulus, law_at, law_of
 from softrobot_twin.mechanics.softening import SoftenedLaw, SofteningConstants
 from softrobot_twin.mechanics.viscosity import (
     StepFactors,
@@ -160,14 +160,14 @@ class RememberingElements(Elements):
         Args:
             mesh: The body at rest, a `CellMesh`.
             free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
-            law: Parameters of a law, see `can_remember`.
+            law: Parameters of a law, see `has_bulk_modulus`.
             viscosity: Terms of a Prony series.
             softening: Constants of the softening.
 
         Raises:
             ValueError: The law cannot remember, or the series takes more than the whole modulus.
         """
-        if not can_remember(type(law)):
+        if not has_bulk_modulus(type(law)):
             raise ValueError(f"the law {law_of(law).name} has no energy of shape and volume apart")
         if viscosity and not sum(term.share for term in viscosity) < 1.0:
             raise ValueError("the shares of a Prony series must sum to less than 1")

@@ -17,11 +17,7 @@ from softrobot_twin.mechanics.material import (
     moduli_of_shear_and_bulk,
     poisson_ratio_of_bulk,
 )
-from softrobot_twin.mechanics.point_law import (
-    OwnConstants,
-    can_remember,
-    has_bulk_modulus,
-)
+from softrobot_twin.mechanics.point_law import OwnConstants, has_bulk_modulus
 from softrobot_twin.scene.entry import (
     LARGEST,
     Angles,
@@ -513,9 +509,9 @@ class Body(Entry):
             for name, asked in (("viscosity", shares), ("softening", softening)):
                 if not asked:
                     continue
-                if not can_remember(law_named(law).parameters):
+                if not has_bulk_modulus(law_named(law).parameters):
                     names = [name for name in law_names()
-                             if can_remember(law_named(name).parameters)]  # fmt: skip
+                             if has_bulk_modulus(law_named(name).parameters)]  # fmt: skip
                     raise refusal(
                         f"{key}.{name}", law,
                         f"is not a law that {name} is built for: {', '.join(names)}",
