@@ -10,7 +10,7 @@ from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal, Refusa
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation import Simulation, Touched
 
-FARTHEST = 0.5
+FARTHEST = 1.0 / 3.0
 """A touched point may be measured this far from where it is at rest, as a share of the robot's size."""
 
 

@@ -118,21 +118,34 @@ def test_the_force_of_a_press_and_its_place_are_the_same_relation(pad):
     assert np.allclose(by_force.touches.points[0, 2], by_place.touches.points[0, 2], atol=1e-8)
 
 
-def test_a_finger_through_the_pad_and_a_huge_force_are_told_and_undone(pad):
+def worst_of(pad, touched, setpoints) -> list:
+    """Statuses of three steps that keep the cables, and end at finite places."""
+    results = [pad.step(Hold(STEP), None, touched) for _ in range(3)]
+    assert all(np.isfinite(result.state.positions).all() for result in results)
+    assert all(np.array_equal(result.setpoints, setpoints) for result in results)
+    return [result.status for result in results]
+
+
+def test_a_finger_through_the_pad_and_the_greatest_force_are_told_and_undone(pad):
     before = follow(pad, 200.0, 40)
-    origin, rest = before.touches.points, before.state.positions
-    deep = held_below(pad, 0.05, origin)
-    for touched in (deep, Touched(np.array([[0.0, 0.0, -1e4]]), NONE)):
-        worst = [pad.step(Hold(STEP), None, touched) for _ in range(3)]
-        assert all(np.isfinite(result.state.positions).all() for result in worst)
-        assert all(np.array_equal(result.setpoints, before.setpoints) for result in worst)
-        assert not worst[0].status.is_success
-        for _ in range(60):
+    deep = held_below(pad, 0.03, before.touches.points)
+    for touched in (deep, Touched(np.array([[0.0, 0.0, -20.0]]), NONE)):
+        statuses = worst_of(pad, touched, before.setpoints)
+        assert not any(status.is_success for status in statuses)
+        for _ in range(40):
             result = pad.step(Hold(STEP))
             if result.status is Status.OK:
                 break
         assert result.status is Status.OK
-        assert np.allclose(result.state.positions, rest, atol=1e-5)
+        assert np.allclose(result.state.positions, before.state.positions, atol=1e-5)
+
+
+def test_after_a_force_that_no_pad_could_bear_a_reset_begins_anew(pad):
+    before = follow(pad, 200.0, 40)
+    statuses = worst_of(pad, Touched(np.array([[0.0, 0.0, -1e4]]), NONE), before.setpoints)
+    assert not any(status.is_success for status in statuses)
+    pad.reset()
+    assert np.array_equal(follow(pad, 200.0, 40).state.positions, before.state.positions)
 
 
 @pytest.fixture(scope="module")
