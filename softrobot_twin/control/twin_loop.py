@@ -483,7 +483,11 @@ class TwinLoop:
             command violated. Such a step is undone.
         """
         simulation, before = self.simulation, self.simulation.state
-        result = simulation.step(command, self.settings.budget, touched)
+        budget = self.settings.budget
+        if touched is None:
+            result = simulation.step(command, budget)
+        else:
+            result = simulation.step(command, budget, touched)
         passage = self._engagement.release(result, self.settings.period)
         if passage is None:
             return result, None, ()

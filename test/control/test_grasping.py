@@ -119,7 +119,7 @@ def test_a_palm_returns_home_at_its_speed_limit_although_the_model_failed(
     honest = simulation.step
     monkeypatch.setattr(
         simulation, "step",
-        lambda command, budget=None, touched=None: honest(command) if simulation.state.step_count < 5
+        lambda command, budget=None: honest(command) if simulation.state.step_count < 5
         else failing,
     )  # fmt: skip
     driver.loop.reset()
