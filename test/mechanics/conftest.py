@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.laws import law_named
+from softrobot_twin.mechanics.material import bulk_modulus, lame_parameters, shear_modulus
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
@@ -33,6 +34,33 @@ class Bound(NamedTuple):
         forces = np.zeros((len(self.free), 3))
         inverted = sum(term.add_forces(positions, forces) for term in self.terms)
         return forces, inverted
+
+
+SHARES = {
+    "mooney_rivlin": {"c10": 0.35, "c01": 0.15},
+    "yeoh": {"c1": 0.5, "c2": -0.02, "c3": 0.01},
+    "ogden": {"shear_moduli": (0.8, -0.2), "exponents": (1.5, -4.0)},
+}
+"""Constants of laws that have their own, those with a unit as shares of µ."""
+
+
+@pytest.fixture
+def parameters_of():
+    """The parameters of a law, by its name, that has E and ν at rest."""
+
+    def made(law, young, poisson):
+        own, mu = law_named(law).own, shear_modulus(young, poisson)
+        if own is None:
+            return law_named(law).of_moduli(young, poisson)
+        scale = {constant.name: mu if constant.unit else 1.0 for constant in own.constants}
+        constants = {
+            name: tuple(scale[name] * one for one in share) if isinstance(share, tuple)
+            else scale[name] * share
+            for name, share in SHARES[law].items()
+        }  # fmt: skip
+        return own.parameters(constants, bulk_modulus(young, poisson))
+
+    return made
 
 
 @pytest.fixture

@@ -14,19 +14,19 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.inertia import borne_masses, lumped_masses
-from softrobot_twin.mechanics.laws import law_named, law_names
+from softrobot_twin.mechanics.laws import law_names
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 
 YOUNG = 2.0e5
 
 
 @pytest.fixture
-def bind_blocks(bind):
+def bind_blocks(bind, parameters_of):
     """Binds a term of a law for each kind of cells of a mesh."""
 
     def make(mesh, law="corotational", poisson=0.3, fixed=()):
         def term(block, free, _):
-            return Elements(block, free, law_named(law).of_moduli(YOUNG, poisson))
+            return Elements(block, free, parameters_of(law, YOUNG, poisson))
 
         parts = [(term, block.mesh, YOUNG, poisson) for block in mesh.blocks()]
         return bind(*parts, fixed=fixed)
