@@ -581,7 +581,8 @@ class Newton:
         """
         if self.upright_share(start, positions) < 1.0:
             return True
-        self._gather_forces(positions)
+        # Contacts are not detected yet: rows are not evaluated here.
+        self._sum_forces(positions)
         return self.inverted_count > 0
 
     @property
@@ -636,12 +637,16 @@ class Newton:
 
     def _gather_forces(self, positions: np.ndarray) -> None:
         """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is."""
+        self._sum_forces(positions)
+        self._rows.evaluate(positions)
+
+    def _sum_forces(self, positions: np.ndarray) -> None:
+        """Sum b = p - F(q) of all terms."""
         self._forces[:] = 0.0
         self.inverted_count = sum(
             term.add_forces(positions, self._forces) for term in self._model.forces
         )
         self.is_nearly_flat = any(term.nearly_flat_count for term in self._model.forces)
-        self._rows.evaluate(positions)
 
     def _assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool) -> None:
         """Sum b = p - F(q), A and the rows H, δ of all terms."""
