@@ -72,6 +72,7 @@ class Elements(ForceTerm):
         """
         self.law = law
         self.name = f"{law_of(law).name} elements"
+        self.stays_upright = not (law_of(law).turns or law_of(law).is_linear)
         self._mesh, self._free_index = mesh, free_index
         self._shape = mesh.shape_functions
         self._points = points_of(mesh)

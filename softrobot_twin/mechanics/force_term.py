@@ -40,6 +40,8 @@ class ForceTerm(Protocol):
         remembers_start: True for a term whose forces depend on the state at the beginning of
             the step, as those of inertia and damping do; only then `begin_step` is called.
         is_inertia: True for a term of masses that resist acceleration: it is an `InertiaTerm`.
+        stays_upright: True for a term whose material no move may turn inside out, as rubber. Laws of
+            small strains may pass a fold on the way to balance, and unfold again.
         is_slender: True for a term of parts that are much stiffer along than across, such as
             beams. A part that turns on the straight line of a move is stretched a little on its
             way: its energy rises, and falls with the next move.
@@ -52,6 +54,7 @@ class ForceTerm(Protocol):
     name: str
     remembers_start: bool = False
     is_inertia: bool = False
+    stays_upright: bool = False
     is_slender: bool = False
     nearly_flat_count: int = 0
     dense_rows: DenseRows | None = None

@@ -760,6 +760,7 @@ class CarriedTerm(ForceTerm):
         """
         self._term, self.name = term, term.name
         self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
+        self.stays_upright = term.stays_upright
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))

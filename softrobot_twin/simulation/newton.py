@@ -85,6 +85,7 @@ class Newton:
         self._forces = np.zeros((model.nodes.free_node_count, 3))
         self._multipliers = np.zeros(self._rows.row_count)
         self._linear: Linearized | None = None
+        self._stays_upright = any(term.stays_upright for term in model.forces)
         self._condensed_forces = self._forces
         self._effector_columns = self._columns_of_effectors()
         # In an inverse problem all contacts have a part, and so they have where slides move them.
@@ -525,18 +526,31 @@ class Newton:
         else:
             self._move.make(positions, settled)
             self._gather_forces(positions)
-        # Between the points that are followed an element may still fold.
-        for _ in range(MOST_UNFOLDINGS):
-            if not self.inverts:
-                break
-            settled *= 0.5
-            self._move.make(positions, settled)
-            self._gather_forces(positions)
-        else:
-            self._move.make(positions, 0.0)
-            self._gather_forces(positions)
+        if self._stays_upright:
+            settled = self._unfolded_share(positions, settled)
         self._last_move *= settled / share
         return settled
+
+    def _unfolded_share(self, positions: np.ndarray, share: float) -> float:
+        """Shorten the last move further, where elements of rubber fold between the points that
+        `largest_share` follows.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3); moved.
+            share: Share of the move that was made.
+
+        Returns:
+            The share that is made.
+        """
+        for _ in range(MOST_UNFOLDINGS):
+            if not self.inverts:
+                return share
+            share *= 0.5
+            self._move.make(positions, share)
+            self._gather_forces(positions)
+        self._move.make(positions, 0.0)
+        self._gather_forces(positions)
+        return 0.0
 
     def _left_slope(self) -> float:
         """Work of the forces b + Hᵀλ that were taken last along the whole last move [J]."""
