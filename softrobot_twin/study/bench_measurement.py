@@ -529,6 +529,7 @@ _FETCHES = {
 # The tip of the Flexo is on its circle during this part of its path [s].
 _CIRCLING = ("flexo_circle.csv", 4.0, 12.0)
 _FLEXO = Paper(912, 4.5e-3, required=0.4e-3)
+_STIFFACE = Paper(2285, 30.0e-3, required=3.0e-3)
 
 
 class BenchCase(NamedTuple):
@@ -584,7 +585,7 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     for path in paths:
         ours = (
             [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases(), *fetch_cases(),
-             *beam_cases()]
+             *beam_cases(), *stiffness_cases()]
             if path.is_file() else []
         )
         known = [case for case in ours if case.scene.path.samefile(path)]
@@ -658,6 +659,12 @@ def beam_cases() -> list[BenchCase]:
     ]  # fmt: skip
 
 
+def stiffness_cases() -> list[BenchCase]:
+    """The Stifface on a circle of its effector, at the stiffness of its scene."""
+    path = default_scene_path().parent / "stifface.yaml"
+    return [BenchCase("stifface", load_scene(path), "the Stifface", paper=_STIFFACE)]
+
+
 def standard_cases(folder: Path) -> list[BenchCase]:
     """Sizes from 500 to 50 000 dof, the smallest first.
 
@@ -674,7 +681,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
     return [small, *diamonds, large, *holding_cases(), *tracking_in_contact_cases(),
-            *pneumatic_cases(), *fetch_cases(), *beam_cases()]
+            *pneumatic_cases(), *fetch_cases(), *beam_cases(), *stiffness_cases()]
 
 
 def _is_default(path: Path) -> bool:

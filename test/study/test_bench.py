@@ -127,12 +127,12 @@ def test_the_standard_sizes_reach_from_500_to_50_000_dof_and_carry_one_bar(tmp_p
     first = Simulation(cases[0].scene)
     assert first.dof_count == pytest.approx(500, rel=0.05) and first.notes == ()
     assert 3 * 13 * 13 * 98 == pytest.approx(50_000, rel=0.05)
-    assert [case.name for case in cases[-11:]] == [
+    assert [case.name for case in cases[-12:]] == [
         "column_12x12x98", "grasper", "octoleg", "trunk_700", "trunk_1600", "springy",
-        "pneunet_inverse", "fetch", "fetch_reduced", "cantilever", "flexo"]
-    assert {case.name: case.paper.required for case in cases[-6:] if case.paper} == {
+        "pneunet_inverse", "fetch", "fetch_reduced", "cantilever", "flexo", "stifface"]
+    assert {case.name: case.paper.required for case in cases[-7:] if case.paper} == {
         "springy": 4.0e-3, "pneunet_inverse": 2.0e-3, "fetch_reduced": 0.25e-3,
-        "flexo": 0.4e-3}
+        "flexo": 0.4e-3, "stifface": 3.0e-3}
 
 
 def test_a_column_fills_its_box_with_good_elements():
