@@ -200,6 +200,8 @@ class Simulation(Readouts):
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
+        # No move of a warm-up folds elements, and most scenes never see one that does.
+        self._newton.folds(before.positions, before.positions)
         run_every_path(self)
         self._direct.warm_up()
         self.restore(before)
