@@ -531,9 +531,10 @@ class _Saddle:
         none = sp.csr_array((len(stiffness), len(softness)))
         right = np.concatenate([above, np.zeros((len(stiffness), above.shape[1])), below])
         for free in (0.0, FREE_SHARE * scale):
-            system = sp.block_array([
-                [self._A + sp.diags_array(np.full(size, free)), stiff.T, -H.T],
-                [stiff, -sp.diags_array(1.0 / stiffness), none],
+            system = sp.bmat([
+                [self._A + sp.dia_array((np.full((1, size), free), [0]), shape=(size, size)),
+                 stiff.T, -H.T],
+                [stiff, sp.csr_array(np.diag(-1.0 / stiffness)), none],
                 [D, none.T, C],
             ]).tocsc()  # fmt: skip
             if not np.isfinite(system.data).all():
