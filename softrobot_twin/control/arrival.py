@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
+from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS, ClockWatch
 
 SENDER_ACCEPT_AFTER = 0.5
@@ -116,6 +117,11 @@ class HeaderCheck:
         self.future_tolerance = future_tolerance
         self._clock = ClockWatch()
         self.forget()
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed timeouts from now on."""
+        self.message_timeout = settings.message_timeout
+        self.future_tolerance = settings.future_tolerance
 
     def refusal(self, arrival: Arrival) -> Refusal | None:
         """The reason to refuse a message, or None. A stamp of zero counts as the present time."""

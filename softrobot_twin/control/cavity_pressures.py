@@ -135,8 +135,7 @@ class PressureInput:
     def apply(self, settings: LoopSettings) -> None:
         """Uses changed timeouts from now on."""
         for header in self._headers.values():
-            header.message_timeout = settings.message_timeout
-            header.future_tolerance = settings.future_tolerance
+            header.apply(settings)
 
     def reset(self) -> None:
         """Forgets the order of the messages; `keeper` forgets the pressures."""

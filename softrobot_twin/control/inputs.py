@@ -86,8 +86,7 @@ class TargetInput:
         """Uses changed limits and timeouts from now on."""
         self._settings = settings
         for header in self._headers:
-            header.message_timeout = settings.message_timeout
-            header.future_tolerance = settings.future_tolerance
+            header.apply(settings)
 
     def reset(self) -> None:
         """Forgets all targets and velocities; the counts stay."""
@@ -250,8 +249,7 @@ class StiffnessInput:
     def apply(self, settings: LoopSettings) -> None:
         """Uses changed timeouts from now on."""
         for header in self._headers:
-            header.message_timeout = settings.message_timeout
-            header.future_tolerance = settings.future_tolerance
+            header.apply(settings)
 
     def reset(self) -> None:
         """Forgets all messages; the counts stay."""
@@ -334,8 +332,7 @@ class MarkerInput:
     def apply(self, settings: LoopSettings) -> None:
         """Uses changed timeouts from now on."""
         self._timeout = settings.marker_timeout
-        self._header.message_timeout = settings.message_timeout
-        self._header.future_tolerance = settings.future_tolerance
+        self._header.apply(settings)
 
     def reset(self) -> None:
         """Forgets the measurements; the counts stay."""
@@ -434,8 +431,7 @@ class ActuatorInput:
 
     def apply(self, settings: LoopSettings) -> None:
         """Uses changed timeouts from now on."""
-        self._header.message_timeout = settings.message_timeout
-        self._header.future_tolerance = settings.future_tolerance
+        self._header.apply(settings)
 
     def reset(self) -> None:
         """Forgets what was received; the counts stay."""
@@ -669,8 +665,7 @@ class PoseInput:
         """Uses changed timeouts and workspace from now on."""
         self._settings = settings
         for header in self._headers.values():
-            header.message_timeout = settings.message_timeout
-            header.future_tolerance = settings.future_tolerance
+            header.apply(settings)
 
     def reset(self) -> None:
         """Forgets what was received; the counts stay."""

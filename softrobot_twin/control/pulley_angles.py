@@ -36,8 +36,7 @@ class AngleInput:
 
     def apply(self, settings: LoopSettings) -> None:
         """Uses changed timeouts from now on."""
-        self._header.message_timeout = settings.message_timeout
-        self._header.future_tolerance = settings.future_tolerance
+        self._header.apply(settings)
 
     def reset(self) -> None:
         """Forgets the order of the messages; `keeper` forgets the lengths."""

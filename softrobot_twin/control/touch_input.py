@@ -47,8 +47,7 @@ class TouchInput:
         """Uses changed timeouts from now on."""
         self._timeout = settings.touch_timeout
         for header in (header for pair in self._headers for header in pair):
-            header.message_timeout = settings.message_timeout
-            header.future_tolerance = settings.future_tolerance
+            header.apply(settings)
 
     def reset(self) -> None:
         """Ends all touches; the counts stay."""
