@@ -154,6 +154,17 @@ class Effectors(ConstantRows):
         return 1.0
 
 
+def along_all_axes(effectors: Effectors, free_index: np.ndarray, size: float) -> Effectors:
+    """The same points with rows along x, y and z, whatever directions a scene controls.
+
+    Args:
+        effectors: The effectors of a scene.
+        free_index, size: See `Effectors`.
+    """
+    points = tuple(one._replace(directions=(0, 1, 2)) for one in effectors.effectors)
+    return Effectors(points, free_index, size)
+
+
 def _node_weights(effector: EffectorPoints, free_index: np.ndarray):
     """Free nodes and weights of the mean of an effector's points."""
     nodes, place = np.unique(effector.points.nodes, return_inverse=True)

@@ -33,9 +33,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.constraints.effector import Effectors
+from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.simulation.limits import DISPLACEMENT_MARGIN
+from softrobot_twin.simulation.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization, NodeRows, laid_out_like
 from softrobot_twin.solvers.superlu import SuperLU
@@ -47,8 +47,6 @@ if TYPE_CHECKING:
 PRESSES = 1.0e-9
 # A contact with more than this share of the greatest friction slides.
 SLIDES = 1.0 - 1.0e-6
-# An effort within this share of the actuator's scale from a bound is at it.
-AT_BOUND = 1.0e-9
 # Rows that say the same make W_hh singular. With this share of their own compliance they share the
 # load; it is far below what any result could show.
 SHARING = 1.0e-10
@@ -141,9 +139,8 @@ class EffectorCompliance:
             or isinstance(model.factorization, DenseStiffness)
         )  # fmt: skip
         if self._count:
-            whole = tuple(one._replace(directions=(0, 1, 2)) for one in effectors.effectors)
             nodes = model.nodes
-            self._points = Effectors(whole, nodes.free_index, nodes.size)
+            self._points = along_all_axes(effectors, nodes.free_index, nodes.size)
             self._own_rows = RowStack([self._points], nodes.carried)
 
     def at_state(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
@@ -205,7 +202,7 @@ class EffectorCompliance:
         rows.tell_efforts(state.efforts)
         rows.evaluate(state.positions)
         a = rows.groups.actuators
-        efforts, scale = state.efforts[a], AT_BOUND * limits.effort_scale[a]
+        efforts = state.efforts[a]
         path = rows.values[a].copy()
         stretch = rows.stretch_compliance()
         if stretch is not None:
@@ -215,12 +212,11 @@ class EffectorCompliance:
         at_limit = (path <= limits.displacement_min[a] + margin) | (
             path >= limits.displacement_max[a] - margin
         )
-        inside = (efforts > limits.effort_min[a] + scale) & (efforts < limits.effort_max[a] - scale)
-        held = np.where(is_driven, at_limit, inside)
+        held = np.where(is_driven, at_limit, limits.can_hold(efforts))
         drives = actuators.drives(state.setpoints)[a]
         # A cable without tension that is not slack either moves the effector when it is shortened.
         touching = ~held & ~is_driven & (np.abs(path - drives) <= margin)
-        touching &= efforts < limits.effort_max[a] - scale
+        touching &= efforts < limits.effort_max[a] - HOLDING_MARGIN * limits.effort_scale[a]
         if by_effort is not None:
             commanded = np.asarray(by_effort, bool)[a]
             held, touching = held & ~commanded, touching & ~commanded

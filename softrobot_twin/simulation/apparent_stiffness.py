@@ -34,9 +34,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.effector import Effectors
+from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.mechanics.force_term import SECOND_DIFFERENCE
+from softrobot_twin.simulation.apparent_compliance import SHARING
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.factorization import Factorization
@@ -44,10 +45,6 @@ from softrobot_twin.solvers.factorization import Factorization
 # Largest displacement of a node that rows and forces are differentiated over, as a share of the
 # body's size: differences of fourth order then have about ten digits.
 REACH = 2.0e-4
-# Rows that hold the same make W_hh singular. With this share of their own compliance they share it.
-SHARING = 1.0e-10
-# An effort within this share of the actuator's scale from a bound is at it.
-AT_BOUND = 1.0e-9
 # Places and weights of a first derivative of fourth order, in steps; of the places above.
 FIRST_DIFFERENCE = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
@@ -100,8 +97,7 @@ class ApparentStiffness:
         """
         self._model, self._free_nodes = model, model.nodes.free_nodes
         self._reach = REACH * model.nodes.size
-        whole = tuple(one._replace(directions=(0, 1, 2)) for one in model.effectors.effectors)
-        points = Effectors(whole, model.nodes.free_index, model.nodes.size)
+        points = along_all_axes(model.effectors, model.nodes.free_index, model.nodes.size)
         blocks, values = np.empty((len(points.entry_rows), 3)), np.empty(points.row_count)
         points.evaluate(model.nodes.rest_positions, blocks, values)
         self._loads = points.entry_rows, points.entry_nodes, blocks
@@ -176,10 +172,8 @@ class ApparentStiffness:
 
     def _holds(self, efforts: np.ndarray) -> np.ndarray:
         """Whether each actuator with a row holds its displacement."""
-        actuators, a = self._model.actuators, slice(0, len(efforts))
-        limits, scale = actuators.limits, AT_BOUND * actuators.effort_scale[a]
-        inside = (efforts > limits.effort_min[a] + scale) & (efforts < limits.effort_max[a] - scale)
-        return inside & ~actuators.is_effort_driven[a]
+        actuators = self._model.actuators
+        return actuators.limits.can_hold(efforts) & ~actuators.is_effort_driven[: len(efforts)]
 
     def _derivatives(
         self, state: State, x: np.ndarray, Lambda: np.ndarray

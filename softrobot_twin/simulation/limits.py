@@ -14,6 +14,8 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 DISPLACEMENT_MARGIN = 1.0e-6
 # An effort this near to its limit, as a share of the limit, is at the limit.
 EFFORT_MARGIN = 1.0e-4
+# Nearer to it than this share of the actuator's scale, an effort does not hold a displacement.
+HOLDING_MARGIN = 1.0e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -152,6 +154,18 @@ class ActuatorLimits:
         """
         least = self.effort_min * (1.0 - EFFORT_MARGIN)
         return np.where(self.effort_min < 0.0, least, -np.inf)
+
+    def can_hold(self, efforts: np.ndarray) -> np.ndarray:
+        """Whether efforts are between their limits, where they hold a displacement, shape (n,).
+
+        A slack cable holds nothing, nor does a motor that stalls.
+
+        Args:
+            efforts: λ of the first n actuators, shape (n,).
+        """
+        a = slice(0, len(efforts))
+        margin = HOLDING_MARGIN * self.effort_scale[a]
+        return (efforts > self.effort_min[a] + margin) & (efforts < self.effort_max[a] - margin)
 
     def setpoint_range(self, rest_setpoints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and greatest setpoints, each of shape (actuator_count,).

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation import CommandSetpoints, Simulation, StepResult
+from softrobot_twin.simulation import CommandSetpoints, Simulation, Status, StepResult
 
 # Steps of the way to the setpoints, and most steps after it.
 WAY, MOST_STEPS = 10, 200
@@ -35,7 +35,7 @@ class Rest(NamedTuple):
     def status(self) -> str:
         """Status of the last step; ``not_converged`` where it succeeded and rest is not reached."""
         status = self.result.status
-        if self.is_reached or not (status.is_success or status.value == "rate_limited"):
+        if self.is_reached or not (status.is_success or status is Status.RATE_LIMITED):
             return status.value
         return "not_converged"
 
@@ -62,19 +62,17 @@ def bring_to_rest(simulation: Simulation, setpoints: np.ndarray, way: int = WAY)
         failures = failures + 1 if result.status.is_failure else 0
         if failures == MOST_FAILURES:
             break
-        if index < way or failures or not _is_balanced(simulation, result, setpoints):
+        if index < way or failures or not _is_balanced(simulation, result):
             continue
         if np.abs(simulation.state.positions - before).max(initial=0.0) <= still:
             return Rest(result, True)
     return Rest(result, False)
 
 
-def _is_balanced(simulation: Simulation, result: StepResult, setpoints: np.ndarray) -> bool:
+def _is_balanced(simulation: Simulation, result: StepResult) -> bool:
     """Whether a step ended in equilibrium, and at the setpoints or at limits of the actuators."""
-    if result.report.residual > simulation.scene.solver.residual_tolerance:
-        return False
-    rate = "rate_limited"
-    return result.status.value != rate
+    is_at_rest = not result.report.residual > simulation.scene.solver.residual_tolerance
+    return is_at_rest and result.status is not Status.RATE_LIMITED
 
 
 def _size_of(simulation: Simulation) -> float:
