@@ -21,7 +21,6 @@ of work that nobody expects.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,18 +36,22 @@ from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
-from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.superelements import SuperelementFit
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.body_materials import MaterialPart
+from softrobot_twin.simulation.body_fingerprints import (
+    changed_since,
+    digest,
+    fingerprints_of,
+    mesh_coordinates,
+    rounded_places,
+    saved_prints,
+)
 from softrobot_twin.simulation.deformable_body import Body, part_named
 from softrobot_twin.simulation.frame_part import FramePart
 
 _SAVED = tuple(name for name in SuperelementFit._fields if name != "shares")
 # Version of the file; one of another version is made anew.
 FORMAT = 2
-# Digits of coordinates in fingerprints, as a share of the body's size: what files can tell apart.
-DIGITS = 1.0e-7
 COMMAND = "python -m softrobot_twin reduce-vertebrae"
 
 
@@ -156,13 +159,6 @@ def without_vertebrae(scene: Scene) -> Scene:
     if scene.body is not None:
         return scene.model_copy(update={"body": bodies[0]})
     return scene.model_copy(update={"bodies": bodies})
-
-
-def mesh_coordinates(body: Body, points: np.ndarray) -> np.ndarray:
-    """Points in the world, in the coordinates of the body's mesh before its placement [m]."""
-    placed = body.entry.mesh
-    turn = Rotation.from_euler("xyz", placed.rotation)
-    return turn.inv().apply(points - np.asarray(placed.translation))
 
 
 def divide(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Division:
@@ -325,34 +321,13 @@ def reduction_path(body: Body, scene: Scene) -> Path:
 def fingerprints(division: Division) -> dict[str, str]:
     """Digests of what superelements are made from: mesh, material, vertebrae, cavity walls."""
     body = division.body
-    size = float(np.linalg.norm(np.ptp(division.positions, axis=0)))
-    scale = DIGITS * size
-
-    def digest(*values) -> str:
-        made = hashlib.sha256()
-        for value in values:
-            made.update(value.encode() if isinstance(value, str) else np.ascontiguousarray(value))
-        return made.hexdigest()
-
-    def places(points: np.ndarray) -> np.ndarray:
-        # Half a digit is added: most coordinates are round numbers, and stay clear of a limit.
-        return np.floor(points / scale + 0.5).astype(np.int64)
-
-    materials = [
-        (part.law, repr((*_constants(part), part.density)),
-         np.arange(body.mesh.cell_count) if part.cells is None else part.cells)
-        for part in body.materials
-    ]  # fmt: skip
     walls = [
-        (wall.cavity, places(mesh_coordinates(body, wall.vertices.positions(
+        (wall.cavity, rounded_places(body, mesh_coordinates(body, wall.vertices.positions(
             body.mesh.node_positions))), wall.triangles) for wall in division.walls
     ]  # fmt: skip
     return {
         "format": str(FORMAT),
-        "mesh": digest(
-            f"{size:.6e}", places(division.positions), body.mesh.cells, body.entry.element
-        ),
-        "material": digest(*(value for part in materials for value in part)),
+        **fingerprints_of(body),
         "vertebrae": digest(*division.nodes, repr(body.entry.vertebrae.degree)),
         "cavity walls": digest(*(value for wall in walls for value in wall)),
     }
@@ -382,43 +357,19 @@ class Reduction(NamedTuple):
     measured: np.ndarray = np.full(2, np.nan)
 
 
-def _constants(part: MaterialPart) -> tuple:
-    """What the stiffness of a material follows from: E and ν, or the constants of its law."""
-    if law_named(part.law).own is None:
-        return part.young_modulus, part.poisson_ratio
-    return part.law_parameters
-
-
 def write_reduction(path: Path, reduction: Reduction, prints: dict[str, str]) -> None:
     """Save superelements and the fingerprints of what they were made from."""
     arrays = {
         "degree": reduction.degree, "rest_volumes": reduction.rest_volumes,
         "rest_areas": reduction.rest_areas, "count": len(reduction.fits),
         "measured": reduction.measured,
-        "prints": np.array([f"{name}={value}" for name, value in prints.items()]),
+        "prints": saved_prints(prints),
     }  # fmt: skip
     for s, fit in enumerate(reduction.fits):
         arrays.update({f"{name}_{s}": getattr(fit, name) for name in _SAVED})
         for name in ("samples", "residuals"):
             arrays[f"{name}_{s}"] = getattr(reduction, name)[s].astype(np.float32)
     np.savez_compressed(path, **arrays)
-
-
-def changed_since(path: Path, prints: dict[str, str]) -> tuple[str, ...]:
-    """What has changed since a file was made.
-
-    Args:
-        path: The file.
-        prints: Fingerprints of the scene's body.
-
-    Returns:
-        Names of what changed; ``file`` where there is none.
-    """
-    if not path.is_file():
-        return ("file",)
-    with np.load(path) as saved:
-        found = dict(entry.split("=", 1) for entry in saved["prints"].tolist())
-    return tuple(name for name, value in prints.items() if found.get(name) != value)
 
 
 def read_reduction(path: Path) -> Reduction:

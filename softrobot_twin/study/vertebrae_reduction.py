@@ -24,10 +24,10 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.scene_layout import lay_out, walls_on, whole_layout
+from softrobot_twin.simulation.body_fingerprints import changed_since
 from softrobot_twin.simulation.vertebrae import (
     Division,
     Reduction,
-    changed_since,
     divide,
     fingerprints,
     read_reduction,

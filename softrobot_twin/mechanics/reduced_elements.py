@@ -1,0 +1,513 @@
+"""Elements of a body in the coordinates of a basis: few quadrature points stand for all.
+
+With modes Φ the displacement of node a is u_a = Φ_a q, and at a point
+
+    F = 1 + G q,        G = Σ_a Φ_a ∇N_aᵀ,   shape (9, mode_count),
+    f = -Σ w Gᵀ P(F),   K = Σ w Gᵀ (∂P/∂F) G,
+
+with weights w that are those of the quadrature times what energy-conserving sampling gives. Any law
+is evaluated as in whole elements, in the same batches of points. All points with their own weights
+are Galerkin's projection of the full model.
+
+The derivative ∂P/∂F of the corotational law is 2µ on the diagonal, a matrix of rank one and another
+of rank three (`corotational.py`), so K is a constant and two products of few rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
+from softrobot_twin.geometry.matrix3 import product
+from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.mechanics.element_assembly import (
+    UNCACHED,
+    fill_derivatives,
+    find_negative,
+    find_state,
+    is_of_package,
+    linearize_all,
+    linearized_rows,
+    project_all,
+    seen_by_law,
+    weighted_stresses,
+)
+from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, at, matrix_at, put_matrix, scratch
+from softrobot_twin.mechanics.elements import are_same
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.laws.corotational import Corotational
+from softrobot_twin.mechanics.laws.corotational import linearize as spin_stiffness
+from softrobot_twin.mechanics.point_law import energy_density, law_at, law_of, law_projects, law_turns
+from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
+
+
+class SampledPoints(NamedTuple):
+    """Quadrature points of a body that stand for all.
+
+    Attributes:
+        cells: Cell of each, in rising order, shape (count,).
+        points: Which of the cell's quadrature points it is, shape (count,).
+        weights: What its volume is multiplied by, positive, shape (count,).
+    """
+
+    cells: np.ndarray
+    points: np.ndarray
+    weights: np.ndarray
+
+
+def all_points(block: CellBlock) -> SampledPoints:
+    """All quadrature points of a block of cells, by their own volumes."""
+    points = points_of(block.mesh)
+    cell_count, point_count = points.weights.shape
+    places = np.arange(cell_count) if isinstance(block.places, slice) else block.places
+    return SampledPoints(
+        np.repeat(places, point_count), np.tile(np.arange(point_count), cell_count),
+        np.ones(cell_count * point_count),
+    )  # fmt: skip
+
+
+class PointGradients(NamedTuple):
+    """What sampled points of one law need.
+
+    Attributes:
+        gradients: G of each point [1/m], entries of F row by row, shape (count, 9, mode_count).
+        weights: Its volume times its weight [m³], shape (count,).
+    """
+
+    gradients: np.ndarray
+    weights: np.ndarray
+
+
+def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray) -> PointGradients:
+    """Gradients of the sampled points that are in a block of cells.
+
+    Args:
+        block: The cells; their mesh has the nodes of the body, numbered from 0.
+        sampled: The points of the body; those of other cells are left out.
+        basis: Φ, shape (node_count, 3, mode_count).
+    """
+    points, cells = points_of(block.mesh), block.mesh.cells
+    own, place = np.arange(len(sampled.cells)), sampled.cells
+    if not isinstance(block.places, slice):
+        position = np.searchsorted(block.places, sampled.cells)
+        found = np.minimum(position, len(block.places) - 1)
+        own = np.flatnonzero(block.places[found] == sampled.cells)
+        place = found[own]
+    q, mode_count = sampled.points[own], basis.shape[2]
+    gradients = np.empty((len(own), 9, mode_count))
+    for first in range(0, len(own), 2048):  # bounds the memory of nodes times modes
+        some = slice(first, first + 2048)
+        slopes = points.gradients[place[some], q[some]]
+        G = np.einsum("paj,paim->pijm", slopes, basis[cells[place[some]]])
+        gradients[some] = G.reshape(-1, 9, mode_count)
+    return PointGradients(gradients, points.weights[place, q] * sampled.weights[own])
+
+
+# --- loops over points ---------------------------------------------------------------------------
+
+
+def find_stresses(law, deformations, weights, rotations, uprights, stresses):
+    """w P at all points, and what the state of each is.
+
+    Args:
+        law: Parameters of the law.
+        deformations: F, shape (batch_count, 9 × BATCH).
+        weights: w [m³], zero beyond the last point, shape (batch_count, BATCH).
+        rotations: R; written where the law turns, shape (batch_count, 9 × BATCH).
+        uprights: 1.0 where a point is upright, else 0.0; written, shape (batch_count, BATCH).
+        stresses: Takes w P [N m], shape (batch_count, 9 × BATCH).
+
+    Returns:
+        Number of points that are flat or inside out.
+    """
+    change, inverted_count = scratch(1), 0
+    for k in range(len(weights)):
+        find_state(law, deformations[k], rotations[k], uprights[k], change)
+        weighted_stresses(
+            law, k, 0, weights[k], deformations[k], rotations[k], stresses[k]
+        )
+        for e in range(BATCH):
+            if weights[k, e] > 0.0 and uprights[k, e] <= 0.0:
+                inverted_count += 1
+    return inverted_count
+
+
+def sum_energies(law, deformations, weights, rotations, uprights):
+    """Energy of all points [J]; see `find_stresses`."""
+    change, total = scratch(1), 0.0
+    for k in range(len(weights)):
+        find_state(law, deformations[k], rotations[k], uprights[k], change)
+        for e in range(BATCH):
+            if weights[k, e] > 0.0:
+                V = seen_by_law(law, deformations[k], rotations[k], e)
+                total += weights[k, e] * energy_density(law_at(law, k, 0, e), V)
+    return total
+
+
+def write_stress_changes(
+    law, deformations, weights, rotations, uprights, projected, gradients, changes
+):
+    """w (∂P/∂F) G at all points.
+
+    Args:
+        law, deformations, weights, rotations, uprights: See `find_stresses`, which has been called.
+        projected: True for positive semidefinite derivatives.
+        gradients: G, shape (batch_count, 9, BATCH, mode_count).
+        changes: Written, same shape.
+    """
+    L, C = scratch(3 * len(linearized_rows(law))), scratch(81)
+    factor, negative = scratch(81), scratch(1)
+    is_tested = projected and not law_projects(law)
+    for k in range(len(weights)):
+        F, R = deformations[k], rotations[k]
+        linearize_all(law, k, 0, F, R, uprights[k], projected, L)
+        fill_derivatives(law, k, 0, L, C)
+        if is_tested:
+            find_negative(C, factor, negative)
+            project_all(law, k, 0, weights[k], negative, F, R, L, C)
+        if law_turns(law):
+            turn_derivatives(R, C)
+        apply_to_gradients(C, weights[k], gradients[k], changes[k])
+
+
+@njit(**KERNEL)
+def turn_derivatives(R, C):
+    """From dP Rᵀ by dF Rᵀ to dP by dF: C_{ik,jl} ← Σ C_{im,jn} R_mk R_nl."""
+    for e in range(BATCH):
+        turn = matrix_at(R, 0, e)
+        for i in range(3):
+            for j in range(3):
+                block = (
+                    (C[at(27 * i + 3 * j, e)], C[at(27 * i + 3 * j + 1, e)],
+                     C[at(27 * i + 3 * j + 2, e)]),
+                    (C[at(27 * i + 9 + 3 * j, e)], C[at(27 * i + 10 + 3 * j, e)],
+                     C[at(27 * i + 11 + 3 * j, e)]),
+                    (C[at(27 * i + 18 + 3 * j, e)], C[at(27 * i + 19 + 3 * j, e)],
+                     C[at(27 * i + 20 + 3 * j, e)]),
+                )  # fmt: skip
+                right = product(block, turn)
+                for k in range(3):
+                    for n in range(3):
+                        C[at(9 * (3 * i + k) + 3 * j + n, e)] = (
+                            turn[0][k] * right[0][n] + turn[1][k] * right[1][n]
+                            + turn[2][k] * right[2][n]
+                        )  # fmt: skip
+
+
+@njit(**KERNEL)
+def apply_to_gradients(C, weights, gradients, changes):
+    """w C G of one batch."""
+    for i in range(9):
+        for e in range(BATCH):
+            line = changes[i, e]
+            line[:] = 0.0
+            for j in range(9):
+                factor = weights[e] * C[at(9 * i + j, e)]
+                row = gradients[j, e]
+                for m in range(len(line)):
+                    line[m] += factor * row[m]
+
+
+@njit(**KERNEL)
+def lower_cholesky(M):
+    """L of M = L Lᵀ of a 3×3 matrix that is positive semidefinite but for rounding."""
+    tiny = 1.0e-30
+    l00 = math.sqrt(max(M[0][0], tiny))
+    l10, l20 = M[1][0] / l00, M[2][0] / l00
+    l11 = math.sqrt(max(M[1][1] - l10 * l10, tiny))
+    l21 = (M[2][1] - l20 * l10) / l11
+    l22 = math.sqrt(max(M[2][2] - l20 * l20 - l21 * l21, tiny))
+    return l00, l10, l11, l20, l21, l22
+
+
+@njit(**KERNEL)
+def write_spin_rows(law, deformations, weights, rotations, uprights, projected, spin_rows, signs):
+    """Rows v of ∂P/∂F = 2µ 1 + λ R Rᵀ - Σ s v vᵀ of the corotational law, times √w.
+
+    The spin stiffness M = c G⁻¹ gives dF : dP a part -wᵀ M w with w the axial vector of dF Rᵀ:
+    with M = s L Lᵀ, v are the three components of Lᵀ w.
+
+    Args:
+        law, deformations, weights, rotations, uprights, projected: See `write_stress_changes`.
+        spin_rows: Takes v, shape (batch_count, BATCH, 3, 9).
+        signs: Takes s of each point, 1 or -1, shape (batch_count, BATCH).
+    """
+    for k in range(len(weights)):
+        for e in range(BATCH):
+            R = matrix_at(rotations[k], 0, e)
+            V = seen_by_law(law, deformations[k], rotations[k], e)
+            M = spin_stiffness(law, V, uprights[k, e] > 0.0, projected)
+            sign = 1.0 if M[0][0] + M[1][1] + M[2][2] >= 0.0 else -1.0
+            size = sign * weights[k, e]
+            M = ((size * M[0][0], 0.0, 0.0), (size * M[1][0], size * M[1][1], 0.0),
+                 (size * M[2][0], size * M[2][1], size * M[2][2]))  # fmt: skip
+            l00, l10, l11, l20, l21, l22 = lower_cholesky(M)
+            signs[k, e] = sign
+            v = spin_rows[k, e]
+            for j in range(3):
+                # w = (A₂₁ - A₁₂, A₀₂ - A₂₀, A₁₀ - A₀₁) with A = dF Rᵀ.
+                v[0, j] = l10 * R[2][j] - l20 * R[1][j]
+                v[0, 3 + j] = l20 * R[0][j] - l00 * R[2][j]
+                v[0, 6 + j] = l00 * R[1][j] - l10 * R[0][j]
+                v[1, j] = l11 * R[2][j] - l21 * R[1][j]
+                v[1, 3 + j] = l21 * R[0][j]
+                v[1, 6 + j] = -l11 * R[0][j]
+                v[2, j] = -l22 * R[1][j]
+                v[2, 3 + j] = l22 * R[0][j]
+                v[2, 6 + j] = 0.0
+
+
+@njit(**KERNEL)
+def apply_rows(root, weights, rotations, spin_rows, signs, gradients, positive, negative):
+    """The rows times G: those that are added to the stiffness, and those that are subtracted.
+
+    Args:
+        root: √λ of Lamé [√Pa].
+        weights, rotations, spin_rows, signs: See `write_spin_rows`.
+        gradients: G point by point, shape (batch_count × BATCH, 9, mode_count).
+        positive: Takes the rows that are added, shape (4 point_count, mode_count).
+        negative: Takes those that are subtracted, shape (3 point_count, mode_count).
+
+    Returns:
+        Number of rows of each.
+    """
+    added, subtracted, axial = 0, 0, np.empty(9)
+    for p in range(len(gradients)):
+        k, e = p // BATCH, p % BATCH
+        if weights[k, e] == 0.0:
+            continue
+        size = root * math.sqrt(weights[k, e])
+        for i in range(9):
+            axial[i] = size * rotations[k, at(i, e)]
+        write_row(axial, gradients[p], positive[added])
+        added += 1
+        for m in range(3):
+            if signs[k, e] > 0.0:
+                write_row(spin_rows[k, e, m], gradients[p], negative[subtracted])
+                subtracted += 1
+            else:
+                write_row(spin_rows[k, e, m], gradients[p], positive[added])
+                added += 1
+    return added, subtracted
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def write_row(v, gradients, out):
+    """vᵀ G of one point."""
+    g0, g1, g2 = gradients[0], gradients[1], gradients[2]
+    g3, g4, g5 = gradients[3], gradients[4], gradients[5]
+    g6, g7, g8 = gradients[6], gradients[7], gradients[8]
+    v0, v1, v2, v3, v4, v5, v6, v7, v8 = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8]
+    for m in range(len(out)):
+        out[m] = (
+            v0 * g0[m] + v1 * g1[m] + v2 * g2[m] + v3 * g3[m] + v4 * g4[m] + v5 * g5[m]
+            + v6 * g6[m] + v7 * g7[m] + v8 * g8[m]
+        )  # fmt: skip
+
+
+class ReducedAssembly(NamedTuple):
+    """The loops over points, compiled for a law when they are first called.
+
+    Attributes:
+        find_stresses: See the function of this name; so the others.
+        sum_energies: Energy.
+        write_stress_changes: Derivatives of stresses along the basis.
+    """
+
+    find_stresses: Callable
+    sum_energies: Callable
+    write_stress_changes: Callable
+
+
+@cache
+def reduced_assembly_of(parameters: type) -> ReducedAssembly:
+    """The loops for a law; see `element_assembly.assembly_of`.
+
+    Args:
+        parameters: The type of the law's parameters.
+    """
+    options = KERNEL if is_of_package(parameters) else UNCACHED
+    loops = (find_stresses, sum_energies, write_stress_changes)
+    return ReducedAssembly(*(njit(**options)(loop) for loop in loops))
+
+
+# --- the term ------------------------------------------------------------------------------------
+
+
+class ReducedElements(ForceTerm):
+    """Force term of the sampled points of one law, in the coordinates of a basis.
+
+    The forces of the last state are stored, with F and R of each point, and are reused as long as
+    the coordinates are the same to the bit.
+
+    Attributes:
+        law: Parameters of the law.
+        point_count: Number of sampled points.
+        mode_count: Number of coordinates.
+    """
+
+    def __init__(
+        self, sampled: PointGradients, law: tuple, coordinate_nodes: np.ndarray,
+        free_index: np.ndarray,
+    ):  # fmt: skip
+        """Lay out the points.
+
+        Args:
+            sampled: Gradients and weights of the points.
+            law: Parameters of a registered law.
+            coordinate_nodes: Nodes whose positions are the coordinates, three each,
+                shape (mode_count / 3,).
+            free_index: Unknown of each node, shape (node_count,).
+        """
+        self.law, kind = law, law_of(law)
+        self.name = f"reduced {kind.name} elements"
+        self.stays_upright = not (kind.turns or kind.is_linear)
+        self._nodes = np.asarray(coordinate_nodes, np.int64)
+        self._unknowns = np.asarray(free_index)[self._nodes]
+        count, _, modes = sampled.gradients.shape
+        self.point_count, self.mode_count = count, modes
+        batch_count = max(1, -(-count // BATCH))
+        padded = np.zeros((batch_count * BATCH, 9, modes))
+        padded[:count] = sampled.gradients
+        weights = np.zeros(batch_count * BATCH)
+        weights[:count] = sampled.weights
+        self._weights = weights.reshape(batch_count, BATCH)
+        # Rows in the order of the batches: entry after entry, the points side by side.
+        by_entry = padded.reshape(batch_count, BATCH, 9, modes).transpose(0, 2, 1, 3)
+        self._gradients = np.ascontiguousarray(by_entry)
+        self._rows = self._gradients.reshape(-1, modes)
+        identity = np.repeat(np.eye(3).ravel(), BATCH)
+        self._rest = np.tile(identity, batch_count)
+        shape = (batch_count, 9 * BATCH)
+        self._deformations, self._stresses = np.empty(shape), np.empty(shape)
+        self._rotations = np.zeros(shape)
+        self._uprights = np.ones((batch_count, BATCH))
+        self._assembly = reduced_assembly_of(type(law))
+        self._forces, self._known_at = np.empty(modes), np.full((len(self._nodes), 3), np.nan)
+        self._inverted_count, self._bound = 0, None
+        self._constant = np.zeros((modes, modes))
+        if isinstance(law, Corotational):
+            self._lay_out_spin_rows(padded, weights)
+        elif kind.is_linear:
+            self._constant = self._by_matrices(np.zeros(modes), False)
+        else:
+            self._changes = np.empty_like(self._gradients)
+
+    def _lay_out_spin_rows(self, padded: np.ndarray, weights: np.ndarray) -> None:
+        """Allocate what the corotational law needs, and sum its constant part."""
+        count, modes = len(weights), self.mode_count
+        by_point = padded.reshape(-1, modes)
+        scaled = by_point * np.repeat(np.sqrt(2.0 * self.law.shear_modulus * weights), 9)[:, None]
+        self._constant = scaled.T @ scaled
+        self._by_point = np.ascontiguousarray(padded)
+        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9))
+        self._signs = np.empty((count // BATCH, BATCH))
+        self._positive, self._negative = np.empty((4 * count, modes)), np.empty((3 * count, modes))
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that the points couple: all coordinates, shape (1, mode_count / 3)."""
+        return self._unknowns[None]
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Find the places of the stiffness; see `ForceTerm.bind`."""
+        bound = bind_stencils(self.stencils(), elimination_rank, slots)
+        self._bound = tuple(writable(field[0]) for field in bound)
+
+    def _evaluate(self, positions: np.ndarray) -> None:
+        """Forces, stresses and states of all points at a state."""
+        coordinates = positions[self._nodes]
+        if are_same(coordinates, self._known_at):
+            return
+        self._known_at = coordinates
+        np.dot(self._rows, coordinates.ravel(), out=self._deformations.reshape(-1))
+        self._deformations.reshape(-1)[:] += self._rest
+        self._inverted_count = self._assembly.find_stresses(
+            self.law, self._deformations, self._weights, self._rotations, self._uprights,
+            self._stresses,
+        )  # fmt: skip
+        np.dot(self._stresses.reshape(-1), self._rows, out=self._forces)
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add the forces on the coordinates [N]; see `ForceTerm.add_forces`.
+
+        Returns:
+            Number of sampled points that are flat or inside out.
+        """
+        self._evaluate(positions)
+        forces[self._unknowns] -= self._forces.reshape(-1, 3)
+        return self._inverted_count
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """Add the forces, and the stiffness to the system matrix; see `ForceTerm.add`."""
+        self.add_forces(positions, forces)
+        add_to_storage(*self._bound, self.stiffness(projected), storage)
+
+    def stiffness(self, projected: bool) -> np.ndarray:
+        """K at the state evaluated last [N/m], shape (mode_count, mode_count)."""
+        if isinstance(self.law, Corotational):
+            return self._by_spin_rows(projected)
+        if law_of(self.law).is_linear:
+            return self._constant
+        return self._by_matrices(None, projected)
+
+    def _by_spin_rows(self, projected: bool) -> np.ndarray:
+        write_spin_rows(
+            self.law, self._deformations, self._weights, self._rotations, self._uprights, projected,
+            self._spin_rows, self._signs,
+        )  # fmt: skip
+        added, subtracted = apply_rows(
+            math.sqrt(max(self.law.lame_lambda, 0.0)), self._weights, self._rotations,
+            self._spin_rows, self._signs, self._by_point, self._positive, self._negative,
+        )  # fmt: skip
+        positive, negative = self._positive[:added], self._negative[:subtracted]
+        K = np.dot(positive.T, positive)
+        K += self._constant
+        K -= np.dot(negative.T, negative)
+        return K
+
+    def _by_matrices(self, coordinates: np.ndarray | None, projected: bool) -> np.ndarray:
+        if coordinates is not None:
+            self._changes = np.empty_like(self._gradients)
+            self._evaluate_at(coordinates)
+        self._assembly.write_stress_changes(
+            self.law, self._deformations, self._weights, self._rotations, self._uprights, projected,
+            self._gradients, self._changes,
+        )  # fmt: skip
+        return np.dot(self._rows.T, self._changes.reshape(-1, self.mode_count))
+
+    def _evaluate_at(self, coordinates: np.ndarray) -> None:
+        positions = np.zeros((int(self._nodes.max()) + 1, 3))
+        positions[self._nodes] = coordinates.reshape(-1, 3)
+        self._evaluate(positions)
+
+    def point_forces(self, coordinates: np.ndarray) -> np.ndarray:
+        """What each point adds to Gᵀ w P [N], shape (point_count, mode_count).
+
+        Args:
+            coordinates: q [m], shape (mode_count,).
+        """
+        self._evaluate_at(np.asarray(coordinates, float))
+        batches = self._stresses.reshape(len(self._weights), 9, BATCH, 1)
+        forces = (batches * self._gradients).sum(axis=1)
+        return forces.reshape(-1, self.mode_count)[: self.point_count]
+
+    def energy(self, positions: np.ndarray) -> float:
+        """Stored elastic energy [J]; see `ForceTerm.energy`."""
+        coordinates = writable(positions)[self._nodes].ravel()
+        deformations = (self._rows @ coordinates + self._rest).reshape(self._deformations.shape)
+        return self._assembly.sum_energies(
+            self.law, deformations, self._weights, np.zeros_like(self._rotations),
+            np.empty_like(self._uprights),
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_to_storage(order, offsets, strides, matrix, storage):
+    """Add the matrix of all coordinates; see `add_stencil_matrix`."""
+    add_stencil_matrix(order, offsets, strides, matrix, storage)
