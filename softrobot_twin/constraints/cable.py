@@ -276,8 +276,8 @@ class Cables(ConstantRows):
             self._folded.bind(elimination_rank, slots)
             return
         bound = bind_stencils(self._free, elimination_rank, slots)
-        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
-        self._coefficients = np.take_along_axis(self._coefficients, bound.order, axis=1)
+        self._nodes = bound.sorted(self._nodes)
+        self._coefficients = bound.sorted(self._coefficients)
         self._bound = bound
         self._lay_out_entries()
 

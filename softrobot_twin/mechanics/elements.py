@@ -98,7 +98,7 @@ class Elements(ForceTerm):
             slots: The factorization's `slots`.
         """
         bound = bind_stencils(self.stencils(), elimination_rank, slots)
-        cells = np.take_along_axis(self._mesh.cells, bound.order, axis=1)
+        cells = bound.sorted(self._mesh.cells)
         order = bound.order[:, None, :, None]
         gradients = np.take_along_axis(self._points.gradients, order, axis=2)
         count, point_count = gradients.shape[:2]

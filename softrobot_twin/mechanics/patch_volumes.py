@@ -301,8 +301,8 @@ class PatchVolumes(ForceTerm):
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """See `ForceTerm.bind`; sorts the nodes of each patch in elimination order."""
         bound = bind_stencils(self._free, elimination_rank, slots)
-        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
-        self._free = np.take_along_axis(self._free, bound.order, axis=1)
+        self._nodes = bound.sorted(self._nodes)
+        self._free = bound.sorted(self._free)
         moved = np.argsort(bound.order, axis=1, kind="stable")
         patch = np.repeat(np.arange(self.patch_count), np.diff(self._first))
         self._places = np.ascontiguousarray(moved[patch[:, None], self._places])

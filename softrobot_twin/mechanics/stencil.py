@@ -37,6 +37,14 @@ class BoundStencils(NamedTuple):
     offsets: np.ndarray
     strides: np.ndarray
 
+    def sorted(self, columns: np.ndarray) -> np.ndarray:
+        """Columns of unsorted stencils in elimination order.
+
+        Args:
+            columns: One for each node of a stencil, shape (stencil_count, width).
+        """
+        return np.take_along_axis(columns, self.order, axis=1)
+
 
 def lower_pairs(width: int) -> tuple[np.ndarray, np.ndarray]:
     """Local (row, column) of the lower triangle's pairs, column by column."""

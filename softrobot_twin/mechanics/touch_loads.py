@@ -82,8 +82,8 @@ class TouchLoads(ForceTerm):
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness in the storage, and sort the points' nodes."""
         self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
-        self._free = np.take_along_axis(self._free, bound.order, axis=1)
-        self._weights = np.take_along_axis(self._weights, bound.order, axis=1)
+        self._free = bound.sorted(self._free)
+        self._weights = bound.sorted(self._weights)
 
     def load(self, forces: np.ndarray, places: np.ndarray) -> bool:
         """Set the touches from now on.
