@@ -39,7 +39,7 @@ from softrobot_twin.geometry.matrix3 import (
 from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
 from softrobot_twin.mechanics.element_batches import KERNEL
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 from softrobot_twin.mechanics.volume_change import volumetric
 
 PATCH_SIZES = {4: 12, 10: 2}
@@ -235,18 +235,6 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, moves, cells, pla
                     K = add_outer(K, (0.0, 0.0, 1.0), turning[2])
                 add_block(K, offsets[k, pair], strides[k, pair], storage)
                 pair += 1
-
-
-@njit(**KERNEL)
-def add_block(K, offset, stride, storage):
-    """Add one block to the storage."""
-    if offset < 0:
-        return
-    for j in range(3):
-        storage[offset] += K[0][j]
-        storage[offset + 1] += K[1][j]
-        storage[offset + 2] += K[2][j]
-        offset += stride
 
 
 class PatchVolumes(ForceTerm):
