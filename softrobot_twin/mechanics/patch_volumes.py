@@ -28,12 +28,13 @@ from numba import njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.geometry.cell_patches import grow_patches
 from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
+    ZERO,
     add_outer,
+    add_scaled_matrix,
     cofactor,
     cross_matrix,
     determinant,
-    plus_identity,
-    scaled_matrix,
     transform,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
@@ -101,7 +102,7 @@ def patches_of(mesh, patch_size: int | None = None) -> np.ndarray:
 @njit(**KERNEL)
 def deformation(moves, cell, gradients):
     """F = 1 + Σ u_a ∇N_aᵀ of one element at one point."""
-    F = plus_identity(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    F = IDENTITY
     for a in range(len(cell)):
         F = add_outer(F, row(moves, cell[a]), row(gradients, a))
     return F
@@ -224,15 +225,9 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, moves, cells, pla
             n, of_b = free[k, b], row(g, b)
             set_row(forces, n, add_scaled(row(forces, n), of_b, -pressure))
             for a in range(b, width):
-                K = add_outer(
-                    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-                    scaled(row(g, a), stiffness), of_b,
-                )
+                K = add_outer(ZERO, scaled(row(g, a), stiffness), of_b)
                 if a > b and not projected:
-                    turning = scaled_matrix(cross_matrix(row(curvature[a], b)), -pressure)
-                    K = add_outer(K, (1.0, 0.0, 0.0), turning[0])
-                    K = add_outer(K, (0.0, 1.0, 0.0), turning[1])
-                    K = add_outer(K, (0.0, 0.0, 1.0), turning[2])
+                    K = add_scaled_matrix(K, cross_matrix(row(curvature[a], b)), -pressure)
                 add_block(K, offsets[k, pair], strides[k, pair], storage)
                 pair += 1
 
