@@ -128,12 +128,10 @@ class Elements(ForceTerm):
             self._constant_stiffness = self._sum_stiffness_once(bound)
 
     def _bind_corners(self) -> None:
-        """The corners and mid-edges that the barrier watches, beside the points; none where there
-        is no need.
+        """The corners and mid-edges that the barrier watches, beside the points; none of a law that
+        may turn an element inside out.
         """
-        watched = self._to_corners
-        if law_of(self.law).turns or not self._barrier_stiffness:
-            watched = watched[:0]
+        watched = self._to_corners if self.stays_upright else self._to_corners[:0]
         first, second = np.triu_indices(len(watched), 1)
         self._to_watched = np.concatenate([watched, 0.5 * (watched[first] + watched[second])])
         count = len(self._to_watched)
