@@ -211,6 +211,22 @@ class Elements(ForceTerm):
         self._known_at[:] = positions
         self._is_known = True
 
+    def _knows(self, positions: np.ndarray) -> bool:
+        """Whether the stored state is that at node positions [m], to the bit."""
+        return self._is_known and are_same(writable(positions), self._known_at)
+
+    def _deformations_at(self, positions: np.ndarray) -> np.ndarray:
+        """F at the points, shape (batch_count, point_count, 9 × BATCH), not to be changed.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if self._knows(positions):
+            return self._deformations
+        deformations = np.empty_like(self._deformations)
+        deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+        return deformations
+
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add -F(q) to the forces and ∂F/∂q to the system matrix.
 
@@ -220,7 +236,7 @@ class Elements(ForceTerm):
             storage: The factorization's storage [N/m]; added to.
             projected: True for the positive semidefinite tangent, projected point by point.
         """
-        is_known = self._is_known and are_same(writable(positions), self._known_at)
+        is_known = self._knows(positions)
         if self._constant_stiffness is not None:
             if is_known:
                 forces += self._forces
@@ -269,8 +285,7 @@ class Elements(ForceTerm):
 
     def _watched_deformations(self, positions: np.ndarray) -> np.ndarray:
         """F at the points and corners, shape (batch_count, watched_count, 9 × BATCH)."""
-        deformations = np.empty_like(self._deformations)
-        deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+        deformations = self._deformations_at(positions)
         if len(self._corners.edges):
             corners = np.zeros((len(deformations), len(self._corners.edges), 9 * BATCH))
             write_corners(writable(positions), self._mesh.cells, *self._corners, corners)
@@ -304,9 +319,7 @@ class Elements(ForceTerm):
             least: Only lower squares count.
             greatest: Only greater ones count.
         """
-        return extreme_squares(
-            positions - self._reference, self._cells, self._gradients, self._weights, least, greatest
-        )
+        return extreme_squares(self._deformations_at(positions), self._weights, least, greatest)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J].
@@ -316,8 +329,7 @@ class Elements(ForceTerm):
         """
         energy, is_upright = self._law_energy(positions)
         if self._barrier_stiffness and is_upright:
-            deformations = np.empty_like(self._deformations)
-            deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+            deformations = self._deformations_at(positions)
             energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
             if self._has_corners:
                 energy += self._corner_energy(deformations)
