@@ -10,9 +10,9 @@ is evaluated as in whole elements, in the same batches of points. All points wit
 are Galerkin's projection of the full model.
 
 The derivative ∂P/∂F of the corotational law is 2µ on the diagonal, a matrix of rank one and another
-of rank three (`corotational.py`), so K is a constant and two products of few rows. These are in
-single precision: the modes are orthogonal in the stiffness at rest, so K is well conditioned, and
-Newton's method ends where forces are zero, which are in double precision.
+of rank three (`corotational.py`), so K is a constant and two products of few rows. Where points are sampled,
+these rows are in single precision: the sampling itself is less exact by orders, and Newton's method
+ends where the forces are zero, which are in double precision.
 """
 
 from __future__ import annotations
@@ -80,10 +80,12 @@ class PointGradients(NamedTuple):
     Attributes:
         gradients: G of each point [1/m], entries of F row by row, shape (count, 9, mode_count).
         weights: Its volume times its weight [m³], shape (count,).
+        are_all: Whether they are all points of the body, by their own volumes.
     """
 
     gradients: np.ndarray
     weights: np.ndarray
+    are_all: bool = False
 
 
 def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray) -> PointGradients:
@@ -108,7 +110,9 @@ def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray)
         slopes = points.gradients[place[some], q[some]]
         G = np.einsum("paj,paim->pijm", slopes, basis[cells[place[some]]])
         gradients[some] = G.reshape(-1, 9, mode_count)
-    return PointGradients(gradients, points.weights[place, q] * sampled.weights[own])
+    weights = sampled.weights[own]
+    are_all = len(own) == points.weights.size and bool((weights == 1.0).all())
+    return PointGradients(gradients, points.weights[place, q] * weights, are_all)
 
 
 # --- loops over points ---------------------------------------------------------------------------
@@ -279,7 +283,7 @@ def apply_rows(root, weights, rotations, spin_rows, signs, gradients, positive, 
     Returns:
         Number of rows of each.
     """
-    added, subtracted, axial = 0, 0, np.empty(9, np.float32)
+    added, subtracted, axial = 0, 0, np.empty(9, gradients.dtype)
     for p in range(len(gradients)):
         k, e = p // BATCH, p % BATCH
         if weights[k, e] == 0.0:
@@ -393,23 +397,23 @@ class ReducedElements(ForceTerm):
         self._inverted_count, self._bound = 0, None
         self._constant = np.zeros((modes, modes))
         if isinstance(law, Corotational):
-            self._lay_out_spin_rows(padded, weights)
+            self._lay_out_spin_rows(padded, weights, float if sampled.are_all else np.float32)
         elif kind.is_linear:
             self._constant = self._by_matrices(np.zeros(modes), False)
         else:
             self._changes = np.empty_like(self._gradients)
 
-    def _lay_out_spin_rows(self, padded: np.ndarray, weights: np.ndarray) -> None:
+    def _lay_out_spin_rows(self, padded: np.ndarray, weights: np.ndarray, precision) -> None:
         """Allocate what the corotational law needs, and sum its constant part."""
         count, modes = len(weights), self.mode_count
         by_point = padded.reshape(-1, modes)
         scaled = by_point * np.repeat(np.sqrt(2.0 * self.law.shear_modulus * weights), 9)[:, None]
-        self._constant, single = scaled.T @ scaled, np.float32
-        self._by_point = padded.astype(single)
-        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9), single)
+        self._constant = scaled.T @ scaled
+        self._by_point = padded.astype(precision)
+        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9), precision)
         self._signs = np.empty((count // BATCH, BATCH))
-        self._positive = np.empty((4 * count, modes), single)
-        self._negative = np.empty((3 * count, modes), single)
+        self._positive = np.empty((4 * count, modes), precision)
+        self._negative = np.empty((3 * count, modes), precision)
 
     def stencils(self) -> np.ndarray:
         """Unknowns that the points couple: all coordinates, shape (1, mode_count / 3)."""
