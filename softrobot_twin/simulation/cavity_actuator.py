@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.constraints.cavity import EMPTY, Cavities
+from softrobot_twin.constraints.reduced_cavities import ReducedCavities, ReducedWalls
 from softrobot_twin.constraints.superelement_cavities import SuperelementCavities
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
-from softrobot_twin.simulation.cavity_walls import cavity_surface
-from softrobot_twin.simulation.scene_layout import Layout
+from softrobot_twin.simulation.cavity_walls import (
+    cavity_surface,
+    cavity_wall,
+    check_walls_of_reduced,
+)
+from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.scene_layout import Layout, whole_layout
 from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.vertebrae import joined_walls
 
@@ -167,8 +175,70 @@ def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
     return joined_walls(own, name)
 
 
+class ReducedCoordinates(NamedTuple):
+    """A body that is reduced to a basis, as cavities see it.
+
+    Attributes:
+        body: The body with nodes of its own; their numbers do not matter.
+        basis: Φ of the modes in use, along the axes of the world, shape (node_count, 3, mode_count).
+        coordinate_nodes: Nodes of the scene whose positions are the coordinates, three each,
+            shape (mode_count / 3,).
+    """
+
+    body: Body
+    basis: np.ndarray
+    coordinate_nodes: np.ndarray
+
+
+def reduced_cavity_term(
+    layout: Layout, entries: tuple[Cavity, ...], bodies: Sequence[ReducedCoordinates],
+    notes: list[str],
+) -> ReducedCavities | None:  # fmt: skip
+    """The term of cavities on bodies that are reduced to a basis.
+
+    Args:
+        layout: All bodies, with their nodes.
+        entries: The cavities.
+        bodies: Those bodies that are reduced.
+        notes: List to which repairs and warnings are appended.
+
+    Returns:
+        The term; None where all cavities are on other bodies.
+
+    Raises:
+        SceneError: See `check_walls_of_reduced` and `cavity_wall`; or the walls of a cavity are all
+            fixed.
+    """
+    reduced = {part.body.name for part in bodies}
+    check_walls_of_reduced(layout.scene, reduced)
+    alone = [replace(part.body, first_node=0) for part in bodies]
+    whole, surfaces = whole_layout(layout.scene, alone), {body.name: [] for body in alone}
+    for index, cavity in enumerate(entries):
+        for place, wall in enumerate(cavity.walls):
+            name = layout.body_named(wall.body).name
+            if name in reduced:
+                own = wall.model_copy(update={"body": name})
+                found = cavity_wall(whole, own, f"cavities[{index}].walls[{place}]", notes)
+                surfaces[name].append(CavitySurface(cavity.name, *found))
+    if not any(surfaces.values()):
+        return None
+    walls = [
+        ReducedWalls(
+            tuple(surfaces[part.body.name]), part.body.mesh.node_positions, part.basis,
+            part.coordinate_nodes,
+        )
+        for part in bodies if surfaces[part.body.name]
+    ]  # fmt: skip
+    term = ReducedCavities(
+        [cavity.name for cavity in entries], walls, layout.nodes.free_index
+    )
+    _check_walls_move(term, layout)
+    return term
+
+
 def _growths(
-    term: Cavities | SuperelementCavities, entries: tuple[Cavity, ...], layout: Layout
+    term: Cavities | SuperelementCavities | ReducedCavities, entries: tuple[Cavity, ...],
+    layout: Layout,
 ) -> np.ndarray:
     """Least and greatest growth of each cavity [m³], shape (count, 2)."""
     growths = np.empty((len(entries), 2))
@@ -188,7 +258,7 @@ def _growths(
     return growths
 
 
-def _check_walls_move(term: Cavities, layout: Layout) -> None:
+def _check_walls_move(term: Cavities | ReducedCavities, layout: Layout) -> None:
     """Refuse cavities whose walls are all fixed: they have a volume that nothing changes."""
     for index in np.setdiff1d(np.arange(term.row_count), term.entry_rows):
         raise SceneError(
