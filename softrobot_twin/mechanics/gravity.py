@@ -12,15 +12,21 @@ class Gravity(ForceTerm):
 
     name = "gravity"
 
-    def __init__(self, masses: np.ndarray, gravity: np.ndarray):
+    def __init__(
+        self, masses: np.ndarray, gravity: np.ndarray, more: np.ndarray | None = None
+    ):
         """Compute the weight of each node.
 
         Args:
             masses: Mass whose weight acts at each unknown [kg], shape (free_node_count,); that of a
                 rigid body acts at its translation.
             gravity: Acceleration [m/s²], shape (3,).
+            more: Weight at unknowns that are no places, such as coordinates of a basis [N], shape
+                (free_node_count, 3); None without any.
         """
         self.weights = np.outer(masses, np.asarray(gravity, dtype=float))
+        if more is not None:
+            self.weights += more
 
     def stencils(self) -> np.ndarray:
         """Weight does not depend on the shape: no node pairs, shape (0, 1)."""

@@ -80,15 +80,17 @@ def is_same(first, second):
 
 
 class UnknownKind(Protocol):
-    """A kind of unknowns other than free nodes: frames of rigid bodies, later reduced bases.
+    """A kind of unknowns, or of points that unknowns carry: frames of rigid bodies, reduced bodies.
 
     Attributes:
+        has_constant_derivatives: Whether D is the same in every state.
         carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
             (carried_count, width). The order is that of the points' indices.
         turning_unknowns: Row of each block of A that gets a turning term, shape (turning_count,).
         turning_columns: Its column, the same unknown for a diagonal block, shape (turning_count,).
     """
 
+    has_constant_derivatives: bool
     carried_unknowns: np.ndarray
     turning_unknowns: np.ndarray
     turning_columns: np.ndarray
@@ -267,6 +269,12 @@ class CarriedPoints:
             own = kind.carried_unknowns
             self.unknowns[part, : own.shape[1]] = own
         self.derivatives, self._known_at = np.zeros((self.count, width, 3, 3)), np.empty((0, 3))
+        self._changing = []
+        for kind, part in zip(kinds, self._parts, strict=True):
+            if kind.has_constant_derivatives:
+                kind.write_derivatives(self._known_at, self.derivatives[part])
+            else:
+                self._changing.append((kind, part))
         none = [np.empty(0, np.int64)]
         self.turning_unknowns = np.concatenate(none + [kind.turning_unknowns for kind in kinds])
         self.turning_columns = np.concatenate(none + [kind.turning_columns for kind in kinds])
@@ -276,10 +284,12 @@ class CarriedPoints:
 
         Several terms ask for the same state one after the other: it is computed once.
         """
-        if self._known_at.shape == positions.shape and is_same(self._known_at, positions):
+        if not self._changing or (
+            self._known_at.shape == positions.shape and is_same(self._known_at, positions)
+        ):
             return
         self._known_at = positions.copy()
-        for kind, part in zip(self._kinds, self._parts, strict=True):
+        for kind, part in self._changing:
             kind.write_derivatives(positions, self.derivatives[part])
 
     def all_unknowns(self) -> np.ndarray:

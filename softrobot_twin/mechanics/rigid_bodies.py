@@ -222,6 +222,8 @@ class RigidFrames:
         rotations: Its rotation unknown, shape (free_body_count,).
     """
 
+    has_constant_derivatives = False
+
     def __init__(
         self, first_node: int, free, first_unknown: int, free_node_count: int,
         radii=None, attached: AttachedNodes = NOTHING_ATTACHED,

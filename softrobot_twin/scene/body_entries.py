@@ -423,6 +423,13 @@ class Vertebrae(Entry):
     """Total degree of their enthalpy as a polynomial of deformations and pressures."""
 
 
+class Reduced(Entry):
+    """Reduces a body to the coordinates of a basis, made by ``python -m softrobot_twin reduce``."""
+
+    file: Path
+    """File of the reduced model, relative to the scene file."""
+
+
 class Damping(Entry):
     """Rayleigh damping, C = α M + β K. The damping ratio at angular frequency ω is α/2ω + βω/2."""
 
@@ -477,6 +484,8 @@ class Body(Entry):
     damping: Damping = Damping()
     vertebrae: Vertebrae | None = None
     """Rigid parts that the body is reduced to; without them all its nodes are unknowns."""
+    reduced: Reduced | None = None
+    """Basis that the body is reduced to; its coordinates are the unknowns in place of its nodes."""
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
 
@@ -487,6 +496,24 @@ class Body(Entry):
                 "a body with materials needs material.density: a total_mass does not say how the "
                 "mass is distributed"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _reduces(self):
+        """Refuse what is not built for bodies in the coordinates of a basis."""
+        if self.reduced is None:
+            return self
+        if self.vertebrae is not None:
+            raise refusal("reduced", str(self.reduced.file),
+                          "is given beside vertebrae: name one of them")  # fmt: skip
+        if self.volume == "patches":
+            raise refusal("volume", self.volume, "is not built for reduced bodies")
+        entries = (("material", self.material),
+                   *((f"materials[{i}]", entry) for i, entry in enumerate(self.materials)))  # fmt: skip
+        for key, entry in entries:
+            for name in ("viscosity", "softening"):
+                if getattr(entry, name):
+                    raise refusal(f"{key}.{name}", self.name, "is not built for reduced bodies")
         return self
 
     @model_validator(mode="after")

@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.geometry.shapes import Plane
 from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.beam_bodies import BeamBody
 from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
-from softrobot_twin.simulation.deformable_body import Body, carry_surface
+from softrobot_twin.simulation.deformable_body import Body, surface_on_mesh
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.scene_layout import build_shape, triangulated
 from softrobot_twin.simulation.state import State
@@ -42,8 +43,9 @@ class OwnSkin:
         self.name = body.name
         nodes, places = np.unique(body.mesh.surface_triangles, return_inverse=True)
         self.triangles = places.reshape(-1, 3)
-        self._nodes = nodes + body.first_node
-        self._mapping = None if body.vertebrae is None else body.node_mapping(nodes)
+        self._nodes, self._mapping = nodes + body.first_node, None
+        if body.vertebrae is not None or body.reduction is not None:
+            self._mapping = body.shown_nodes(nodes)
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Where its points are.
@@ -81,7 +83,7 @@ class CarriedSkin:
             rotation=mesh.rotation, translation=mesh.translation,
         )  # fmt: skip
         self.name = body.name
-        self._mapping = carry_surface(body, points, entry, key, scene)
+        self._mapping = body.shown(surface_on_mesh(body, points, entry, key, scene))
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Where its points are; see `OwnSkin.positions`."""
@@ -257,8 +259,12 @@ def _patch(plane: Plane, entry, model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _body_nodes(model: Model) -> np.ndarray:
-    """Nodes that are points of bodies; the tips of rigid bodies' frames are not."""
-    nodes = len(model.nodes.rest_positions)
-    count = model.nodes.kinds[0].first_node if model.nodes.kinds else nodes
-    origins = np.arange(count, nodes, 4)
-    return np.concatenate([np.arange(count), origins])
+    """Nodes that are points of bodies; tips of rigid bodies' frames and coordinates are not."""
+    are_points = np.ones(len(model.nodes.rest_positions), bool)
+    for kind in model.nodes.kinds:
+        if isinstance(kind, ReducedPoints):
+            are_points[kind.coordinate_nodes] = False
+        else:
+            tips = kind.first_node + np.arange(len(are_points) - kind.first_node)
+            are_points[tips[np.arange(len(tips)) % 4 != 0]] = False
+    return np.flatnonzero(are_points)

@@ -35,7 +35,7 @@ although it is indefinite, as LU (`AugmentedLU`), and the Woodbury identity adds
 slower by an order of magnitude, and needed only past limit points.
 
 The row of a hinge that a motor turns has one entry: Hᵀ ρ H adds to the diagonal of A, and needs
-nothing else (`AugmentedHinges`). A beam that only its motor holds has a singular A, not an
+nothing else (`AugmentedHinges`). Nor does it where A is dense anyway (`AugmentedDense`). A beam that only its motor holds has a singular A, not an
 indefinite one, of which a factorization may take no notice; so a scene with motors begins with the
 augmented tangent, and takes A alone where this shows that it is definite by a margin.
 
@@ -50,10 +50,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.solvers.dense_cholesky import DenseCholesky
 from softrobot_twin.solvers.factorization import (
     Condensed,
     Factorization,
@@ -409,6 +412,122 @@ class AugmentedLU:
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether A is indefinite."""
         return self._lu.negative_count != 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_squared_rows(H, stiffness, matrix):
+    """Add Σ k h hᵀ of dense rows h to the lower triangle of a matrix."""
+    for r in range(len(H)):
+        if stiffness[r] <= 0.0:
+            continue
+        for j in range(H.shape[1]):
+            factor = stiffness[r] * H[r, j]
+            if factor != 0.0:
+                for i in range(j, H.shape[1]):
+                    matrix[j, i] += factor * H[r, i]
+
+
+class AugmentedDense:
+    """A + Hᵀ ρ H of actuators of any kind, where A is dense; see `AugmentedTangent` for the methods.
+
+    Attributes:
+        stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
+        contact_stiffness: ρ of each contact, shape (contact_count,); empty where none is augmented.
+    """
+
+    def __init__(
+        self, rows: RowStack, contacts: Contacts | None, factorization: DenseCholesky,
+        is_effort_driven: np.ndarray, stretches: np.ndarray | None,
+    ):  # fmt: skip
+        """Take the rows.
+
+        Args:
+            rows: All rows; evaluated where the tangent is assembled.
+            contacts: The term of contacts without friction; else None.
+            factorization: Holds the tangent A in its storage.
+            is_effort_driven: Whether each actuator row holds an effort, and no displacement,
+                shape (row_count,).
+            stretches: Whether each has a compliance of its own, same shape; None without any.
+                Such a row is not augmented.
+        """
+        self._rows, self._contacts, self._factorization = rows, contacts, factorization
+        self._by_effort = is_effort_driven if stretches is None else is_effort_driven | stretches
+        self._own: np.ndarray | None = None
+        self.stiffness = np.zeros(len(is_effort_driven))
+        self.contact_stiffness = np.empty(0)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the stiffness of the bodies along their actuators is known."""
+        return self._own is not None
+
+    def measure(self, W_aa: np.ndarray) -> None:
+        """Take the stiffness of the bodies along their actuators from the compliance at rest."""
+        self._own = 1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny)
+
+    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
+        """Augment what holds its displacement by an effort within bounds, and what presses."""
+        a = slice(0, len(self._by_effort))
+        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
+        self.stiffness = np.where(inside & ~self._by_effort, AUGMENTATION * self._own, 0.0)
+        self.contact_stiffness = np.empty(0)
+        contacts = self._contacts
+        if contacts is not None and contacts.count and held.is_prescribed:
+            pressing = contacts.last_multipliers > 0.0
+            self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
+        return bool(self.stiffness.any() or self.contact_stiffness.any())
+
+    def _row_stiffness(self) -> np.ndarray:
+        """ρ of all rows, shape (row_count,)."""
+        stiffness, groups = np.zeros(self._rows.row_count), self._rows.groups
+        stiffness[groups.actuators] = self.stiffness
+        if len(self.contact_stiffness):
+            stiffness[groups.contacts] = self.contact_stiffness
+        return stiffness
+
+    def factor(self, positions: np.ndarray) -> bool:
+        """Factorize A + Hᵀ ρ H, from the tangent A in storage."""
+        rows, count = self._rows, len(self._factorization.elimination_rank)
+        H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+        matrix = self._factorization.storage.reshape(3 * count, 3 * count)
+        add_squared_rows(H.transposed(count).T.copy(), self._row_stiffness(), matrix)
+        return self._factorization.factor()
+
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
+        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
+
+    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
+        """See `Factorization.condense`."""
+        return self._factorization.condense(H, b)
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
+        return self._factorization.expand(multipliers)
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """(A + Hᵀ ρ H)⁻¹ b, shape (free_node_count, 3); see `Factorization`."""
+        return self._factorization.solve(b)
+
+    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
+        """What turns λ̂ into λ; see `AugmentedTangent`."""
+        return Augmentation(self.stiffness, held.displacements[:row_count])
+
+    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
+        """-ρ δ(q) of the contacts [N]; see `AugmentedTangent`."""
+        if not len(self.contact_stiffness):
+            return np.zeros(len(gaps))
+        return -self.contact_stiffness * gaps
+
+    def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
+        """Whether the tangent without the augmentation is indefinite."""
+        contacts = first_contact + np.arange(len(self.contact_stiffness))
+        rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
+        root = np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
+        try:
+            np.linalg.cholesky(np.eye(len(root)) - W[np.ix_(rows, rows)] * np.outer(root, root))
+        except np.linalg.LinAlgError:
+            return True
+        return False
 
 
 class AugmentedHinges:

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.actuators import build_actuators
+from softrobot_twin.simulation.actuators import Actuators, build_actuators
 from softrobot_twin.simulation.apparent_stiffness import why_no_stiffness
 from softrobot_twin.simulation.constraint_building import effector_term, marker_mapping
 from softrobot_twin.simulation.contact_building import contact_term
 from softrobot_twin.simulation.force_building import force_terms
 from softrobot_twin.simulation.guided_bodies import Guides
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.simulation.scene_layout import Layout, lay_out
 from softrobot_twin.simulation.scene_warnings import scene_warnings
 from softrobot_twin.simulation.unit_checks import unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
+from softrobot_twin.solvers.dense_cholesky import DenseCholesky
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+
+# Most unknowns of a dense matrix: beyond, zeros between several reduced bodies are worth more.
+MOST_DENSE = 400
 
 
 def build_model(
@@ -56,18 +62,18 @@ def build_model(
 def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     notes: list[str] = []
     layout = lay_out(scene, notes)
-    nodes = layout.nodes
-    forces = tuple(force_terms(layout, notes))
-    actuators = build_actuators(layout, notes)
-    forces += actuators.held_forces
-    effectors = effector_term(layout, notes) if scene.effectors else None
-    markers, marker_ids, effector_markers = marker_mapping(layout, notes)
-    contacts = contact_term(layout, notes) if scene.contact is not None else None
+    terms = _terms(layout, notes)
+    if layout.asked is not None:
+        # Terms have asked for points of reduced bodies, of which only these are kept.
+        notes = []
+        layout = lay_out(scene, notes, layout.asked)
+        terms = _terms(layout, notes)
+    nodes, (forces, actuators, effectors, markers, contacts) = layout.nodes, terms
     others = [term for term in (effectors, contacts) if term is not None]
     constraints = [*actuators.terms, *others]
     factorization = _factorization(
-        factorization_type or FACTORIZATIONS[scene.solver.factorization],
-        [*forces, *constraints], nodes.free_node_count,
+        factorization_type or _factorization_type(layout), [*forces, *constraints],
+        nodes.free_node_count,
     )  # fmt: skip
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = RowStack(constraints, nodes.carried)
@@ -86,9 +92,41 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
-        actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
-        factorization, guides, notes, layout.superelements, layout.beams,
+        actuators, effectors, contacts, rows, *markers, factorization, guides, notes,
+        layout.superelements, layout.beams,
     )  # fmt: skip
+
+
+class _Terms(NamedTuple):
+    """The terms of a scene; see `Model`. `markers` are mapping, ids and those of effectors."""
+
+    forces: tuple
+    actuators: Actuators
+    effectors: object | None
+    markers: tuple
+    contacts: object | None
+
+
+def _terms(layout: Layout, notes: list[str]) -> _Terms:
+    """Build all terms of a scene."""
+    scene, forces = layout.scene, tuple(force_terms(layout, notes))
+    actuators = build_actuators(layout, notes)
+    return _Terms(
+        forces + actuators.held_forces, actuators,
+        effector_term(layout, notes) if scene.effectors else None,
+        marker_mapping(layout, notes),
+        contact_term(layout, notes) if scene.contact is not None else None,
+    )  # fmt: skip
+
+
+def _factorization_type(layout: Layout) -> type:
+    """The class that the scene names; a dense one where it names none and all is reduced."""
+    solver = layout.scene.solver
+    is_reduced = layout.bodies and all(body.reduction is not None for body in layout.bodies)
+    if is_reduced and "factorization" not in solver.model_fields_set:
+        if 3 * layout.nodes.free_node_count <= MOST_DENSE:
+            return DenseCholesky
+    return FACTORIZATIONS[solver.factorization]
 
 
 def _check_stiffness(model: Model) -> None:

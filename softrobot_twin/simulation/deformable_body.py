@@ -60,6 +60,7 @@ class Body:
         parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
             `mesh`; the nodes of surfaces and edges are corners.
         vertebrae: A `ReducedBody` in place of its nodes; None where these are unknowns.
+        reduction: `ReducedNodes` in place of its nodes; None where these are unknowns.
     """
 
     entry: BodyEntry
@@ -72,11 +73,26 @@ class Body:
     materials: tuple[MaterialPart, ...]
     parts: MeshParts = NO_PARTS
     vertebrae: object | None = None
+    reduction: object | None = None
 
     @property
     def name(self) -> str:
         """The body's name."""
         return self.entry.name
+
+    @property
+    def scene_node_count(self) -> int:
+        """Number of nodes that it has among those of the scene."""
+        if self.reduction is not None:
+            return self.reduction.node_count
+        return 0 if self.vertebrae is not None else self.mesh.node_count
+
+    @property
+    def free_node_count(self) -> int:
+        """Number of its nodes, or blocks of three coordinates, that are unknowns."""
+        if self.reduction is not None:
+            return len(self.reduction.coordinate_nodes)
+        return int(np.count_nonzero(~self.fixed))
 
     def distances(self, points) -> np.ndarray:
         """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
@@ -102,10 +118,18 @@ class Body:
 
     def mapping(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
         """Nodes and weights of points inside its cells; see `CellMesh.carriers`."""
-        nodes, weights = self.mesh.carriers(cells, barycentric_weights)
-        if self.vertebrae is not None:
-            return self.vertebrae.carried_by(BarycentricMapping(nodes, weights))
-        return BarycentricMapping(nodes + self.first_node, weights)
+        return self.carried_by(self.on_mesh(cells, barycentric_weights))
+
+    def on_mesh(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
+        """The same on the nodes of its mesh, numbered from 0."""
+        return BarycentricMapping(*self.mesh.carriers(cells, barycentric_weights))
+
+    def carried_by(self, on_mesh: BarycentricMapping) -> BarycentricMapping:
+        """Points on the nodes of its mesh, numbered from 0, on the nodes of the scene."""
+        for carrier in (self.vertebrae, self.reduction):
+            if carrier is not None:
+                return carrier.carried_by(on_mesh)
+        return BarycentricMapping(on_mesh.nodes + self.first_node, on_mesh.barycentric_weights)
 
     def node_mapping(self, nodes: np.ndarray) -> BarycentricMapping:
         """Nodes of its mesh as points that it carries.
@@ -113,10 +137,28 @@ class Body:
         Args:
             nodes: The nodes, shape (count,).
         """
-        own = BarycentricMapping(np.asarray(nodes, np.int64)[:, None], np.ones((len(nodes), 1)))
-        if self.vertebrae is not None:
-            return self.vertebrae.carried_by(own)
-        return BarycentricMapping(own.nodes + self.first_node, own.barycentric_weights)
+        return self.carried_by(_single_nodes(nodes))
+
+    def shown_nodes(self, nodes: np.ndarray):
+        """The same for pictures and files: points of a reduced body are placed when asked for.
+
+        Args:
+            nodes: The nodes, shape (count,).
+
+        Returns:
+            Something with the `positions` of a `BarycentricMapping`.
+        """
+        return self.shown(_single_nodes(nodes))
+
+    def shown(self, on_mesh: BarycentricMapping):
+        """Points on the nodes of its mesh, numbered from 0; see `shown_nodes`."""
+        return self.carried_by(on_mesh) if self.reduction is None else self.reduction.placed(on_mesh)
+
+
+def _single_nodes(nodes: np.ndarray) -> BarycentricMapping:
+    """Nodes of a mesh as points, numbered from 0."""
+    nodes = np.asarray(nodes, np.int64)
+    return BarycentricMapping(nodes[:, None], np.ones((len(nodes), 1)))
 
 
 def build_body(
@@ -434,6 +476,13 @@ def carry_surface(
     Raises:
         SceneError: The surface stands too far off the body, or is far smaller.
     """
+    return body.carried_by(surface_on_mesh(body, points, entry, key, scene))
+
+
+def surface_on_mesh(
+    body: Body, points: np.ndarray, entry, key: str, scene: Scene
+) -> BarycentricMapping:
+    """The same on the nodes of its mesh, numbered from 0; see `carry_surface`."""
     found = locate_points(body.mesh.corner_mesh, points)
     furthest = float(found.distances.max())
     if furthest > STAND_OFF * body.size:
@@ -449,7 +498,7 @@ def carry_surface(
             f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
             f"{1e3 * body.size:.1f} mm: is its scale right?",
         )  # fmt: skip
-    return body.mapping(found.cells, extrapolated_weights(body.mesh.corner_mesh, found, points))
+    return body.on_mesh(found.cells, extrapolated_weights(body.mesh.corner_mesh, found, points))
 
 
 def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping:
@@ -467,7 +516,7 @@ def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping
     # The ball of a point that was snapped may not contain any of the body: it remains a point.
     inside[~inside.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
     spread = [
-        body.mapping(found.cells[own[kept]], found.barycentric_weights[own[kept]]).mean()
+        body.on_mesh(found.cells[own[kept]], found.barycentric_weights[own[kept]]).mean()
         for own, kept in zip(place, inside, strict=True)
     ]
-    return reduce(BarycentricMapping.followed_by, spread)
+    return body.carried_by(reduce(BarycentricMapping.followed_by, spread))

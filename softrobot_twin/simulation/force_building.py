@@ -36,6 +36,7 @@ from softrobot_twin.mechanics.patch_volumes import (
     element_bulk,
     patches_of,
 )
+from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gradients
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
@@ -83,7 +84,7 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     if scene.beams:
         yield from _beam_terms(layout)
     if any(scene.gravity):
-        yield Gravity(_borne_masses(layout), np.array(scene.gravity))
+        yield Gravity(_borne_masses(layout), np.array(scene.gravity), _reduced_weights(layout))
     if scene.mass_springs and scene.integration == "quasi_static":
         check_masses_held(layout)
     if (scene.springs or scene.tubes or scene.fibres
@@ -191,6 +192,9 @@ def with_nodes(layout: Layout) -> list[Body]:
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     """A term for each material of a body and each kind of its cells, and one for its patches."""
     free_index = layout.nodes.free_index
+    if body.reduction is not None:
+        yield from _reduced_terms(layout, body)
+        return
     for part in body.materials:
         for block in layout.mesh_among_nodes(body).blocks(part.cells):
             law, memory = part.law_parameters, (part.viscosity, part.softening)
@@ -206,6 +210,17 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
             yield term
             if bulk_modulus > 0.0:
                 yield PatchVolumes(block.mesh, free_index, bulk_modulus, patches_of(block.mesh))
+
+
+def _reduced_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
+    """A term for each material of a reduced body and each kind of its cells."""
+    nodes, free_index = body.reduction, layout.nodes.free_index
+    for part in body.materials:
+        for block in body.mesh.blocks(part.cells):
+            points = point_gradients(block, nodes.reduction.sampled, nodes.basis)
+            yield ReducedElements(
+                points, part.law_parameters, nodes.coordinate_nodes, free_index
+            )
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
@@ -231,7 +246,9 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     bodies = []
     for body in with_nodes(layout):
         # A body falls undeformed only if its weight is distributed like its inertia.
-        if body.entry.mass_model == "consistent":
+        if body.reduction is not None:
+            bodies.append(np.zeros(body.reduction.node_count))
+        elif body.entry.mass_model == "consistent":
             bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
         else:
             bodies.append(_nodal_masses(body))
@@ -242,6 +259,18 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     rigid = [(part.mass, 0.0) for part in layout.framed if part.is_free]
     hinges = np.zeros(0 if layout.hinged is None else layout.hinged.hinge_count)
     return np.concatenate([masses, np.array(rigid, float).reshape(-1), hinges])
+
+
+def _reduced_weights(layout: Layout) -> np.ndarray | None:
+    """Weight of reduced bodies on their coordinates [N]; None without any."""
+    reduced = [body for body in layout.bodies if body.reduction is not None]
+    if not reduced:
+        return None
+    weights = np.zeros((layout.nodes.free_node_count, 3))
+    for body in reduced:
+        own = layout.nodes.free_index[body.reduction.coordinate_nodes]
+        weights[own] = body.reduction.weights_of(body, np.array(layout.scene.gravity))
+    return weights
 
 
 def _check_resisted(layout: Layout) -> None:

@@ -21,6 +21,7 @@ from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.simulation import apparent_stiffness
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.augmented_tangent import (
+    AugmentedDense,
     AugmentedHinges,
     AugmentedLU,
     AugmentedTangent,
@@ -31,6 +32,7 @@ from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.move import Move
 from softrobot_twin.simulation.time_budget import StageClock
+from softrobot_twin.solvers.dense_cholesky import DenseCholesky
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
 
@@ -117,7 +119,7 @@ class Newton:
 
     def _augmented_tangent(
         self,
-    ) -> AugmentedTangent | AugmentedLU | AugmentedHinges | None:
+    ) -> AugmentedTangent | AugmentedLU | AugmentedHinges | AugmentedDense | None:
         """The augmented tangent of a scene with cables on free nodes, given volumes or angles.
 
         None with friction along cables: at held lengths equilibria are not minima of an energy.
@@ -125,6 +127,8 @@ class Newton:
         rows, actuators = self._rows, self._model.actuators
         if self._model.has_motors_of_hinges:
             return self._augmented_hinges()
+        if isinstance(self._model.factorization, DenseCholesky):
+            return self._augmented_dense()
         if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
             if self._dense is not None:
                 return None
@@ -142,6 +146,21 @@ class Newton:
         if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
             contacts = None
         return AugmentedTangent(first, self._model.factorization, contacts)
+
+    def _augmented_dense(self) -> AugmentedDense | None:
+        """The augmented tangent where A is dense; None where no row of an actuator is."""
+        model, rows = self._model, self._rows
+        actuators = model.actuators
+        if not actuators.row_count or model.cable_friction is not None:
+            return None
+        contacts = model.contacts if rows.varies else None
+        if contacts is not None and contacts.rows_per_contact > 1:
+            contacts = None
+        stretch = rows.stretch_compliance()
+        return AugmentedDense(
+            rows, contacts, model.factorization, actuators.is_effort_driven[: actuators.row_count],
+            None if stretch is None else stretch > 0.0,
+        )  # fmt: skip
 
     def _augmented_hinges(self) -> AugmentedHinges:
         """The augmented tangent of a scene with motors of hinges."""

@@ -39,6 +39,7 @@ from softrobot_twin.simulation.deformable_body import (
     placed_in_world,
 )
 from softrobot_twin.simulation.frame_part import FramePart
+from softrobot_twin.simulation.reduced_body import ReducedNodes, reduced_nodes
 from softrobot_twin.simulation.scene_files import check_files
 from softrobot_twin.simulation.vertebrae import Wall, reduced_body
 
@@ -344,6 +345,12 @@ class Layout(NamedTuple):
     beam_frames: tuple[FramePart, ...] = ()
 
     @property
+    def asked(self) -> dict[str, ReducedNodes] | None:
+        """The reduced bodies by name, for `lay_out`; None where no term asks for points still."""
+        found = {body.name: body.reduction for body in self.bodies if body.reduction is not None}
+        return found if any(nodes.points is None for nodes in found.values()) else None
+
+    @property
     def framed(self) -> tuple:
         """All parts that have a frame: rigid bodies, vertebrae, then nodes of beams."""
         return (*self.rigid, *self.vertebrae, *self.beam_frames)
@@ -443,12 +450,16 @@ class Layout(NamedTuple):
         return body.mesh.renumbered(positions, body.first_node)
 
 
-def lay_out(scene: Scene, notes: list[str]) -> Layout:
+def lay_out(
+    scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | None = None
+) -> Layout:
     """Read all bodies of a scene and number their nodes.
 
     Args:
         scene: The scene.
         notes: List to which repairs are appended.
+        asked: The reduced bodies, by name, after their terms have asked for points; None before,
+            when all nodes of their meshes are points.
 
     Returns:
         The layout.
@@ -466,13 +477,18 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     for index, entry in enumerate(scene.deformables):
         key = "body" if scene.body is not None else f"bodies[{index}]"
         bodies.append(build_body(entry, key, first_node, scene, notes, held_bodies))
+        if entry.reduced is not None:
+            bodies[-1] = _with_coordinates(bodies[-1], scene, asked)
         if entry.vertebrae is None:
-            first_node += bodies[-1].mesh.node_count
+            first_node += bodies[-1].scene_node_count
     if any(body.entry.vertebrae is not None for body in bodies):
         bodies = _reduced(bodies, scene)
     with_nodes = [body for body in bodies if body.vertebrae is None]
-    positions = [body.mesh.node_positions for body in with_nodes]
-    fixed = [body.fixed for body in with_nodes]
+    reduced = [body.reduction for body in bodies if body.reduction is not None]
+    positions = [body.mesh.node_positions if body.reduction is None else body.reduction.rest_nodes()
+                 for body in with_nodes]  # fmt: skip
+    fixed = [body.fixed if body.reduction is None else body.reduction.are_points()
+             for body in with_nodes]  # fmt: skip
     sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.as_tets)
              for body in bodies]  # fmt: skip
     mass_nodes = {}
@@ -499,7 +515,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     if net is not None and net.pivots:
         before = len(framed) - len(beam_frames)
         hinges = net.hinges(framed, before, first_node - 4 * before)
-    nodes = _number(positions, fixed, sizes, framed, hinges)
+    nodes = _number(positions, fixed, sizes, framed, hinges, reduced)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
         raise _nothing_moves(scene)
     superelements = {
@@ -585,7 +601,7 @@ def _nothing_moves(scene: Scene) -> SceneError:
 
 def _number(
     positions: list[np.ndarray], fixed: list[np.ndarray], sizes: list[float], rigid: tuple,
-    hinges: Hinges | None = None,
+    hinges: Hinges | None, reduced: list[ReducedNodes],
 ) -> Nodes:  # fmt: skip
     """Number the unknowns: the free nodes, in order."""
     held = np.concatenate([np.empty(0, bool), *fixed])
@@ -594,8 +610,33 @@ def _number(
     free_index[free_nodes] = np.arange(len(free_nodes))
     rest = np.concatenate([np.empty((0, 3)), *positions])
     if rigid or hinges is not None:
-        return frame_nodes(rest, free_nodes, free_index, sizes, rigid, hinges)
-    rest.setflags(write=False)
-    # A single point has no size that could limit its displacement.
-    size = max(sizes) or np.inf
-    return Nodes(rest, free_nodes, free_index, len(free_nodes), size)
+        nodes = frame_nodes(rest, free_nodes, free_index, sizes, rigid, hinges)
+    else:
+        rest.setflags(write=False)
+        # A single point has no size that could limit its displacement.
+        size = max(sizes) or np.inf
+        nodes = Nodes(rest, free_nodes, free_index, len(free_nodes), size)
+    return _with_reduced_points(nodes, reduced) if reduced else nodes
+
+
+def _with_reduced_points(nodes: Nodes, reduced: list[ReducedNodes]) -> Nodes:
+    """The nodes, the points of reduced bodies numbered after all other carried points."""
+    index = nodes.free_index.copy()
+    first = nodes.free_node_count + sum(len(kind.carried_unknowns) for kind in nodes.kinds)
+    kinds = tuple(body.kind(index) for body in reduced)
+    for body, kind in zip(reduced, kinds, strict=True):
+        count = len(kind.carried_unknowns)
+        index[body.first_point : body.first_point + count] = first + np.arange(count)
+        first += count
+    return replace(nodes, free_index=index, kinds=(*nodes.kinds, *kinds))
+
+
+def _with_coordinates(
+    body: Body, scene: Scene, asked: dict[str, ReducedNodes] | None
+) -> Body:
+    """A body in the coordinates of its basis, with all points or those that were asked for."""
+    if asked is None:
+        nodes = replace(reduced_nodes(body, scene), first_node=body.first_node)
+    else:
+        nodes = replace(asked[body.name].with_asked_points(), first_node=body.first_node)
+    return replace(body, reduction=nodes)

@@ -191,7 +191,7 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
 def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Unknowns of free nodes of bodies and of translations of beams, and the nodes of both."""
     nodes = model.nodes
-    own = np.arange(sum(int((~body.fixed).sum()) for body in model.bodies))
+    own = np.arange(sum(body.free_node_count for body in model.bodies))
     if not model.beams:
         return own, nodes.free_nodes[own]
     origins = np.unique(np.concatenate([beam.carriers.frame_nodes for beam in model.beams]))

@@ -42,11 +42,11 @@ class BodyReadouts:
         self._weights = sum(term.weights for term in simulation.model.forces
                             if term.name == "gravity")
         self._bodies = simulation.model.bodies
-        self._points = [body.node_mapping(np.arange(body.mesh.node_count))
+        self._points = [body.shown_nodes(np.arange(body.mesh.node_count))
                         for body in self._bodies]
         self._beams = simulation.model.beams
         self._beam_nodes = [beam.nodes_mapping() for beam in self._beams]
-        first = sum(body.mesh.node_count for body in self._bodies if body.vertebrae is None)
+        first = sum(body.scene_node_count for body in self._bodies)
         self._masses = simulation.scene.mass_springs
         self._mass_nodes = slice(first, first + sum(len(entry.points) for entry in self._masses))
         self._shares = [_mass_shares(body) for body in self._bodies]

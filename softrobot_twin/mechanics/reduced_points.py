@@ -1,0 +1,78 @@
+"""Points of a body in the coordinates of a basis: x = x₀ + Φ q.
+
+The coordinates are three by three the positions of *coordinate nodes*, which are free nodes without
+a place in space; so a step treats them as any unknowns. The points are carried points whose
+derivatives D are Φ itself, the same in every state.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.mechanics.kinematics import longest_row
+
+
+class ReducedPoints:
+    """A kind of unknowns (`kinematics.UnknownKind`): the points that coordinates of a basis carry.
+
+    Attributes:
+        coordinate_nodes: Nodes whose positions are the coordinates, shape (mode_count / 3,).
+        carried_unknowns: All coordinates, for each point, shape (point_count, mode_count / 3).
+        turning_unknowns: Empty: D does not depend on the state.
+        turning_columns: Empty.
+    """
+
+    has_constant_derivatives = True
+
+    def __init__(
+        self, coordinate_nodes: np.ndarray, unknowns: np.ndarray, first_point: int,
+        rest: np.ndarray, modes: np.ndarray,
+    ):  # fmt: skip
+        """Take the points.
+
+        Args:
+            coordinate_nodes: Nodes whose positions are the coordinates, shape (mode_count / 3,).
+            unknowns: Their unknowns, same shape.
+            first_point: Index of the first point among all nodes.
+            rest: Positions at rest [m], shape (point_count, 3).
+            modes: Φ of each point, shape (point_count, 3, mode_count).
+        """
+        self.coordinate_nodes = np.asarray(coordinate_nodes, np.int64)
+        self._unknowns = np.asarray(unknowns, np.int64)
+        self._points = slice(first_point, first_point + len(rest))
+        self._rest, self._modes = np.asarray(rest, float), np.ascontiguousarray(modes, float)
+        self._rows = self._modes.reshape(3 * len(rest), -1)
+        self.carried_unknowns = np.tile(self._unknowns, (len(rest), 1))
+        self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
+
+    def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
+        """Place the points, after the coordinates were moved; see `UnknownKind.advance`."""
+        self.place(positions)
+
+    def place(self, positions: np.ndarray) -> None:
+        """Place the points by the coordinates.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); those of the points are written.
+        """
+        coordinates = positions[self.coordinate_nodes].ravel()
+        moved = (self._rows @ coordinates).reshape(-1, 3)
+        np.add(self._rest, moved, out=positions[self._points])
+
+    def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
+        """Writes nothing: coordinates are free nodes."""
+
+    def largest(self, vectors: np.ndarray, are_forces: bool) -> float:
+        """Longest displacement of a point; forces on coordinates are those on free nodes."""
+        if are_forces or not len(self._rest):
+            return 0.0
+        return longest_row((self._rows @ vectors[self._unknowns].ravel()).reshape(-1, 3))
+
+    def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
+        """Write D = Φ of every point; see `UnknownKind.write_derivatives`."""
+        count, width = self.carried_unknowns.shape
+        by_block = self._modes.reshape(count, 3, width, 3).transpose(0, 2, 1, 3)
+        out[:, :width] = by_block
+
+    def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
+        """Adds nothing: D does not depend on the state."""

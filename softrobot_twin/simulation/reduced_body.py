@@ -1,0 +1,231 @@
+"""A deformable body in the coordinates of a basis, among the nodes of a scene.
+
+In the node positions of a scene such a body has its coordinate nodes first, then the points that
+terms of the scene ask for: where cables, effectors, markers and contacts are. Nothing else of the body
+is placed in a step. Which points these are is found by building the terms once with all nodes of
+the mesh as points (`asked`); surfaces for pictures are placed when they are asked for (`Placed`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.inertia import borne_masses, lumped_masses, uniform_masses
+from softrobot_twin.mechanics.reduced_points import ReducedPoints
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.body_fingerprints import changed_since
+from softrobot_twin.simulation.body_reduction import (
+    BodyReduction,
+    read_body_reduction,
+    reduction_fingerprints,
+)
+from softrobot_twin.simulation.deformable_body import Body
+
+COMMAND = "python -m softrobot_twin reduce"
+
+
+def without_reductions(scene: Scene) -> Scene:
+    """The same scene with all nodes of its reduced bodies as unknowns."""
+    bodies = tuple(body.model_copy(update={"reduced": None}) for body in scene.deformables)
+    if scene.body is not None:
+        return scene.model_copy(update={"body": bodies[0]})
+    return scene.model_copy(update={"bodies": bodies})
+
+
+class Placed:
+    """Points of a reduced body that no term needs, placed from its coordinates.
+
+    It has the `positions` of a `BarycentricMapping`.
+    """
+
+    def __init__(self, coordinate_nodes: np.ndarray, rest: np.ndarray, modes: np.ndarray):
+        """Take the points.
+
+        Args:
+            coordinate_nodes: Nodes whose positions are the coordinates, shape (mode_count / 3,).
+            rest: Positions at rest [m], shape (point_count, 3).
+            modes: Φ of each point, shape (point_count, 3, mode_count).
+        """
+        self._nodes, self._rest = coordinate_nodes, rest
+        self._rows = modes.reshape(3 * len(rest), modes.shape[2])
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """Positions of the points [m], shape (point_count, 3).
+
+        Args:
+            node_positions: Node positions of the scene [m], shape (node_count, 3).
+        """
+        coordinates = node_positions[self._nodes].ravel()
+        return self._rest + (self._rows @ coordinates).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class ReducedNodes:
+    """What replaces the nodes of a reduced body.
+
+    Attributes:
+        reduction: Its basis and sampled points.
+        basis: Φ of the modes in use in world axes, shape (mesh_node_count, 3, mode_count).
+        rest: Nodes of its mesh at rest [m], shape (mesh_node_count, 3).
+        first_node: Its first coordinate node among all nodes of the scene.
+        points: The points that terms ask for, on the nodes of its mesh; None while all nodes of the
+            mesh are points.
+        asked: What terms asked for while all nodes were points.
+    """
+
+    reduction: BodyReduction
+    basis: np.ndarray
+    rest: np.ndarray
+    first_node: int = 0
+    points: dict[tuple[bytes, bytes], int] | None = None
+    asked: list[BarycentricMapping] = field(default_factory=list)
+
+    @property
+    def mode_count(self) -> int:
+        """Number of coordinates."""
+        return self.basis.shape[2]
+
+    @property
+    def node_count(self) -> int:
+        """Number of its coordinate nodes and points."""
+        points = len(self.rest) if self.points is None else len(self.points)
+        return self.mode_count // 3 + points
+
+    @property
+    def coordinate_nodes(self) -> np.ndarray:
+        """Nodes whose positions are the coordinates, shape (mode_count / 3,)."""
+        return self.first_node + np.arange(self.mode_count // 3)
+
+    @property
+    def first_point(self) -> int:
+        """Its first point among all nodes of the scene."""
+        return self.first_node + self.mode_count // 3
+
+    def carried_by(self, mapping: BarycentricMapping) -> BarycentricMapping:
+        """Points on nodes of its mesh, on its points among all nodes of the scene."""
+        if self.points is None:
+            self.asked.append(mapping)
+            return BarycentricMapping(
+                mapping.nodes + self.first_point, mapping.barycentric_weights
+            )
+        places = [self.points[key] for key in map(_key_of, *_rows_of(mapping))]
+        nodes = self.first_point + np.array(places, np.int64).reshape(-1, 1)
+        return BarycentricMapping(nodes, np.ones((len(nodes), 1)))
+
+    def point_modes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions at rest [m] and Φ of its points, shape (count, 3) and (count, 3, mode_count)."""
+        if self.points is None:
+            return self.rest, self.basis
+        keys = [(np.frombuffer(nodes, np.int64), np.frombuffer(weights))
+                for nodes, weights in self.points]  # fmt: skip
+        rest = np.array([weights @ self.rest[nodes] for nodes, weights in keys]).reshape(-1, 3)
+        modes = [np.tensordot(weights, self.basis[nodes], 1) for nodes, weights in keys]
+        return rest, np.array(modes).reshape(len(keys), 3, self.mode_count)
+
+    def with_asked_points(self) -> ReducedNodes:
+        """The same with the points that were asked for, each once, in place of all nodes."""
+        keys = [key for mapping in self.asked for key in map(_key_of, *_rows_of(mapping))]
+        points = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        return replace(self, points=points, asked=[])
+
+    def rest_nodes(self) -> np.ndarray:
+        """Its nodes at rest: coordinates, which are zero, then points [m], (node_count, 3)."""
+        return np.vstack([np.zeros((self.mode_count // 3, 3)), self.point_modes()[0]])
+
+    def are_points(self) -> np.ndarray:
+        """Which of its nodes are points, and no unknowns themselves, shape (node_count,)."""
+        return np.arange(self.node_count) >= self.mode_count // 3
+
+    def placed(self, mapping: BarycentricMapping) -> Placed:
+        """Points on nodes of its mesh that no term needs."""
+        modes = np.zeros((mapping.point_count, 3, self.mode_count))
+        for nodes, weights in zip(mapping.nodes.T, mapping.barycentric_weights.T, strict=True):
+            modes += weights[:, None, None] * self.basis[nodes]
+        return Placed(self.coordinate_nodes, mapping.positions(self.rest), modes)
+
+    def kind(self, free_index: np.ndarray) -> ReducedPoints:
+        """Its kind of unknowns.
+
+        Args:
+            free_index: Unknown of each node of the scene, shape (node_count,).
+        """
+        nodes = self.coordinate_nodes
+        return ReducedPoints(nodes, free_index[nodes], self.first_point, *self.point_modes())
+
+    def weights_of(self, body: Body, gravity: np.ndarray) -> np.ndarray:
+        """Weight as forces on the coordinates [N], shape (mode_count / 3, 3).
+
+        Args:
+            body: The body.
+            gravity: Acceleration [m/s²], shape (3,).
+        """
+        if body.entry.mass_model == "consistent":
+            masses = borne_masses(body.mesh, body.density, None)
+        else:
+            spread = uniform_masses if body.entry.mass_model == "uniform" else lumped_masses
+            masses = spread(body.mesh, body.density)
+        return np.einsum("n,i,nim->m", masses, gravity, self.basis, optimize=True).reshape(-1, 3)
+
+
+def _rows_of(mapping: BarycentricMapping) -> tuple[np.ndarray, np.ndarray]:
+    return mapping.nodes, mapping.barycentric_weights
+
+
+def _key_of(nodes: np.ndarray, weights: np.ndarray) -> tuple[bytes, bytes]:
+    """Nodes and weights of one point, those without weight left out."""
+    used = weights != 0.0
+    return nodes[used].astype(np.int64).tobytes(), weights[used].astype(float).tobytes()
+
+
+def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
+    """Read what a body is reduced to.
+
+    Args:
+        body: The body, with an entry `reduced`.
+        scene: The scene.
+
+    Raises:
+        SceneError: The file is not there, or of another body; or the scene asks for something that
+            is not built for reduced bodies.
+    """
+    path: Path = scene.file_path(body.entry.reduced.file)
+    key = f"{body.key}.reduced"
+    _refuse(body, key, scene)
+    try:
+        changed = changed_since(path, reduction_fingerprints(body))
+    except (OSError, ValueError, KeyError) as error:
+        raise SceneError(
+            scene.path, f"{key}.file", str(path), "", f"is no reduced model: {error}"
+        ) from None
+    if changed:
+        reason = "does not exist" if changed == ("file",) else (
+            f"was made of another {', '.join(changed)}"
+        )
+        raise SceneError(
+            scene.path, f"{key}.file", str(path), "", f"{reason}; run: {COMMAND} {scene.path}"
+        )
+    reduction = read_body_reduction(path)
+    turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()
+    used = reduction.basis[:, :, : reduction.mode_count]
+    return ReducedNodes(reduction, np.einsum("ij,njm->nim", turn, used), body.mesh.node_positions)
+
+
+def _refuse(body: Body, key: str, scene: Scene) -> None:
+    """Refuse what is not built for reduced bodies, by name."""
+    if scene.integration != "quasi_static":
+        raise SceneError(
+            scene.path, "integration", scene.integration, "",
+            f"{body.name} is reduced: inertia and damping of reduced bodies are not built; use "
+            "quasi_static",
+        )  # fmt: skip
+    if body.riding:
+        raise SceneError(
+            scene.path, f"{body.key}.attached", ", ".join(body.riding), "",
+            "nodes of a reduced body cannot be attached to rigid bodies",
+        )  # fmt: skip
