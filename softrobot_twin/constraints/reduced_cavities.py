@@ -66,58 +66,6 @@ class ReducedWalls(NamedTuple):
     coordinate_nodes: np.ndarray
 
 
-class BasisPoints:
-    """Points on a body that moves in a basis, placed from its coordinates when they are asked for.
-
-    Attributes:
-        point_count: Number of points.
-    """
-
-    def __init__(self, mapping: BarycentricMapping, walls: ReducedWalls):
-        """Keep the modes of the nodes that carry the points.
-
-        Args:
-            mapping: The points on the nodes of the body, numbered from 0.
-            walls: The body.
-        """
-        used, place = np.unique(mapping.nodes, return_inverse=True)
-        self.point_count = mapping.point_count
-        self._mapping = BarycentricMapping(
-            place.reshape(mapping.nodes.shape), mapping.barycentric_weights
-        )
-        self._rest = np.ascontiguousarray(walls.rest_positions[used])
-        self._modes = walls.basis[used].reshape(3 * len(used), -1)
-        self._nodes = np.asarray(walls.coordinate_nodes, np.int64)
-
-    def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Positions of the points [m], shape (point_count, 3).
-
-        Args:
-            node_positions: Positions of the nodes of the scene [m], shape (node_count, 3).
-        """
-        moves = self._modes @ node_positions[self._nodes].ravel()
-        return self._mapping.positions(self._rest + moves.reshape(-1, 3))
-
-
-class JoinedPoints(NamedTuple):
-    """Points on several bodies, one body after the other.
-
-    Attributes:
-        parts: Those on each.
-    """
-
-    parts: tuple[BasisPoints, ...]
-
-    @property
-    def point_count(self) -> int:
-        """Number of points."""
-        return sum(part.point_count for part in self.parts)
-
-    def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Positions of the points [m]; see `BasisPoints.positions`."""
-        return np.concatenate([part.positions(node_positions) for part in self.parts])
-
-
 # --- the coefficients ----------------------------------------------------------------------------
 
 
@@ -396,7 +344,7 @@ class ReducedCavities(ConstantRows):
     is the gauge pressure. A cavity in which nothing moves has no entries.
 
     Attributes:
-        surfaces: Walls of each cavity, placed from the coordinates, as pictures show them.
+        surfaces: Walls of each cavity, placed by the nodes of the scene, as pictures show them.
         row_count: Number of cavities.
         rest_volumes: Volume of each at rest [m³], shape (row_count,).
         rest_areas: Area of its walls at rest [m²], shape (row_count,).
@@ -406,15 +354,18 @@ class ReducedCavities(ConstantRows):
     group = "actuators"
 
     def __init__(
-        self, names: Sequence[str], bodies: Sequence[ReducedWalls], free_index: np.ndarray
-    ):
+        self, names: Sequence[str], bodies: Sequence[ReducedWalls], free_index: np.ndarray,
+        surfaces: tuple[CavitySurface, ...] = (),
+    ):  # fmt: skip
         """Sum the coefficients of all walls.
 
         Args:
             names: Name of each cavity, in the order of the rows.
             bodies: Their walls on each body.
             free_index: Unknown of each node of the scene, shape (node_count,).
+            surfaces: Walls of each cavity for pictures.
         """
+        self.surfaces = surfaces
         names = tuple(names)
         self.row_count = len(names)
         self._bodies = tuple(BodyVolumes(names, walls, free_index) for walls in bodies)
@@ -425,7 +376,6 @@ class ReducedCavities(ConstantRows):
                 points = surface.vertices.positions(walls.rest_positions)
                 area = surface_area(points, surface.triangles)
                 self.rest_areas[names.index(surface.name)] += area
-        self.surfaces = tuple(_drawn_surface(name, bodies) for name in names)
         none = [np.empty(0, np.int64)]
         self.entry_rows = np.concatenate(none + [body.entry_rows for body in self._bodies])
         self.entry_nodes = np.concatenate(none + [body.entry_nodes for body in self._bodies])
@@ -514,16 +464,3 @@ class ReducedCavities(ConstantRows):
             ),
             self.sphere_volumes,
         )  # fmt: skip
-
-
-def _drawn_surface(name: str, bodies: Sequence[ReducedWalls]) -> CavitySurface:
-    """All walls of a cavity as one surface, carried by the coordinates."""
-    parts, triangles, count = [], [], 0
-    for walls in bodies:
-        for surface in walls.surfaces:
-            if surface.name == name:
-                parts.append(BasisPoints(surface.vertices, walls))
-                triangles.append(np.asarray(surface.triangles) + count)
-                count += surface.vertices.point_count
-    vertices = parts[0] if len(parts) == 1 else JoinedPoints(tuple(parts))
-    return CavitySurface(name, vertices, np.concatenate(triangles))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from softrobot_twin.simulation.cavity_walls import (
     check_walls_of_reduced,
 )
 from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.reduced_body import Placed
 from softrobot_twin.simulation.scene_layout import Layout, whole_layout
 from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.vertebrae import joined_walls
@@ -65,6 +66,8 @@ class CavityActuator:
         Without a limit it may grow up to a stretch of `LARGEST_STRETCH`.
         """
         term = _reduced_term(layout, entries) if layout.superelements else None
+        if term is None:
+            term = reduced_cavity_term(layout, entries, notes)
         if term is None:
             surfaces = tuple(
                 cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
@@ -175,65 +178,77 @@ def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
     return joined_walls(own, name)
 
 
-class ReducedCoordinates(NamedTuple):
-    """A body that is reduced to a basis, as cavities see it.
+class _JoinedPoints(NamedTuple):
+    """Points on several reduced bodies, one body after the other; see `Placed`.
 
     Attributes:
-        body: The body with nodes of its own; their numbers do not matter.
-        basis: Φ of the modes in use, along the axes of the world, shape (node_count, 3, mode_count).
-        coordinate_nodes: Nodes of the scene whose positions are the coordinates, three each,
-            shape (mode_count / 3,).
+        parts: Those on each.
     """
 
-    body: Body
-    basis: np.ndarray
-    coordinate_nodes: np.ndarray
+    parts: tuple[Placed, ...]
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """Positions of the points [m], shape (point_count, 3); see `Placed.positions`."""
+        return np.concatenate([part.positions(node_positions) for part in self.parts])
 
 
 def reduced_cavity_term(
-    layout: Layout, entries: tuple[Cavity, ...], bodies: Sequence[ReducedCoordinates],
-    notes: list[str],
-) -> ReducedCavities | None:  # fmt: skip
+    layout: Layout, entries: tuple[Cavity, ...], notes: list[str]
+) -> ReducedCavities | None:
     """The term of cavities on bodies that are reduced to a basis.
 
+    Their walls are carried by the modes: they ask for no points.
+
     Args:
-        layout: All bodies, with their nodes.
+        layout: The bodies.
         entries: The cavities.
-        bodies: Those bodies that are reduced.
         notes: List to which repairs and warnings are appended.
 
     Returns:
         The term; None where all cavities are on other bodies.
 
     Raises:
-        SceneError: See `check_walls_of_reduced` and `cavity_wall`; or the walls of a cavity are all
-            fixed.
+        SceneError: See `check_walls_of_reduced` and `cavity_surface`; or the walls of a cavity are
+            all fixed.
     """
-    reduced = {part.body.name for part in bodies}
-    check_walls_of_reduced(layout.scene, reduced)
-    alone = [replace(part.body, first_node=0) for part in bodies]
-    whole, surfaces = whole_layout(layout.scene, alone), {body.name: [] for body in alone}
+    check_walls_of_reduced(layout.scene)
+    bodies = {body.name: body for body in layout.bodies if body.reduction is not None}
+    carriers = {layout.body_named(wall.body).name for cavity in entries for wall in cavity.walls}
+    if not carriers & set(bodies):
+        return None
+    # Points on the nodes of the meshes.
+    on_mesh = [replace(body, first_node=0, reduction=None) for body in layout.bodies]
+    whole, walls = whole_layout(layout.scene, on_mesh), {name: [] for name in bodies}
     for index, cavity in enumerate(entries):
         for place, wall in enumerate(cavity.walls):
-            name = layout.body_named(wall.body).name
-            if name in reduced:
-                own = wall.model_copy(update={"body": name})
-                found = cavity_wall(whole, own, f"cavities[{index}].walls[{place}]", notes)
-                surfaces[name].append(CavitySurface(cavity.name, *found))
-    if not any(surfaces.values()):
-        return None
-    walls = [
-        ReducedWalls(
-            tuple(surfaces[part.body.name]), part.body.mesh.node_positions, part.basis,
-            part.coordinate_nodes,
-        )
-        for part in bodies if surfaces[part.body.name]
+            found = cavity_wall(whole, wall, f"cavities[{index}].walls[{place}]", notes)
+            own = walls[whole.body_named(wall.body).name]
+            own.append(CavitySurface(cavity.name, *found))
+    walls = {name: tuple(own) for name, own in walls.items() if own}
+    parts = [
+        ReducedWalls(own, nodes.rest, nodes.basis, nodes.coordinate_nodes)
+        for own, nodes in ((own, bodies[name].reduction) for name, own in walls.items())
     ]  # fmt: skip
-    term = ReducedCavities(
-        [cavity.name for cavity in entries], walls, layout.nodes.free_index
-    )
+    names = tuple(cavity.name for cavity in entries)
+    shown = tuple(_shown_surface(name, walls, bodies) for name in names)
+    term = ReducedCavities(names, parts, layout.nodes.free_index, shown)
     _check_walls_move(term, layout)
     return term
+
+
+def _shown_surface(
+    name: str, walls: dict[str, tuple[CavitySurface, ...]], bodies: dict[str, Body]
+) -> CavitySurface:
+    """The walls of a cavity on reduced bodies, placed from the coordinates."""
+    parts, triangles, count = [], [], 0
+    for body, own in walls.items():
+        for wall in own:
+            if wall.name == name:
+                parts.append(bodies[body].shown(wall.vertices))
+                triangles.append(wall.triangles + count)
+                count += wall.vertices.point_count
+    vertices = parts[0] if len(parts) == 1 else _JoinedPoints(tuple(parts))
+    return CavitySurface(name, vertices, np.concatenate(triangles))
 
 
 def _growths(

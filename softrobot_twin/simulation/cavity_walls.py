@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
-
 import numpy as np
 
 from softrobot_twin.errors import MeshError, SceneError
@@ -119,21 +117,18 @@ def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     return np.vstack([points, points[edges].mean(axis=1)]), quartered
 
 
-def check_walls_of_reduced(scene: Scene, reduced: Set[str]) -> None:
+def check_walls_of_reduced(scene: Scene) -> None:
     """Refuse what is not built of cavities on bodies that are reduced to a basis.
-
-    Force terms of sealed gas and of liquid are built before the actuators, on nodes that such a body
-    does not have: this is called before both.
 
     Args:
         scene: The scene.
-        reduced: Names of the bodies that are reduced to a basis.
 
     Raises:
         SceneError: Gas is sealed in such a body, liquid fills it, a wall lies on it and on another
             body, or cavities lie on it and on bodies that are not reduced.
     """
-    for section in ("cavities", "sealed_cavities"):
+    reduced = {body.name for body in scene.deformables if body.reduced is not None}
+    for section in ("cavities", "sealed_cavities") if reduced else ():
         for index, cavity in enumerate(getattr(scene, section)):
             for place, wall in enumerate(cavity.walls):
                 _check_one_body(scene, wall, f"{section}[{index}].walls[{place}]", reduced)
@@ -165,7 +160,7 @@ def _body_of(wall: CavityWall, scene: Scene) -> str:
     return scene.deformables[0].name if wall.body is None else wall.body
 
 
-def _check_one_body(scene: Scene, wall: CavityWall, key: str, reduced: Set[str]) -> None:
+def _check_one_body(scene: Scene, wall: CavityWall, key: str, reduced: set[str]) -> None:
     """Refuse a wall that several bodies form where one of them is reduced."""
     names = {_body_of(wall, scene), *wall.also_on}
     if len(names) > 1 and names & reduced:
