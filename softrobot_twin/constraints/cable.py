@@ -26,11 +26,18 @@ from numba import njit
 
 from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.constraints.row_stack import add_row_forces
-from softrobot_twin.geometry.vector3 import divided, dot, norm, row, scaled, set_row
+from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
+    ZERO,
+    add_outer,
+    scaled_matrix,
+    set_rows,
+)
+from softrobot_twin.geometry.vector3 import divided, dot, negated, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedSegments, size_of_points
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 
 # Two segments whose directions have a smaller cosine fold back on each other.
 FOLD_COSINE = -0.5
@@ -116,17 +123,11 @@ def add_stiffness_kernel(
             k = tension / length
         else:
             continue
-        pair = 0
+        across, pair = add_outer(IDENTITY, negated(d), d), 0
         for b in range(width):
             for a in range(b, width):
-                o = offsets[s, pair]
-                if o >= 0:
-                    kab = k * coefficients[s, a] * coefficients[s, b]
-                    for j in range(3):
-                        for i in range(3):
-                            one = 1.0 if i == j else 0.0
-                            storage[o + i] += kab * (one - d[i] * d[j])
-                        o += strides[s, pair]
+                block = scaled_matrix(across, k * coefficients[s, a] * coefficients[s, b])
+                add_block(block, offsets[s, pair], strides[s, pair], storage)
                 pair += 1
 
 
@@ -143,9 +144,7 @@ def write_matrices(
             k = tension / rounding[s]
         elif tension > 0.0 and length > least:
             d, k = divided(r, length), tension / length
-        for i in range(3):
-            for j in range(3):
-                matrices[s, i, j] = k * ((1.0 if i == j else 0.0) - d[i] * d[j])
+        set_rows(matrices[s], scaled_matrix(add_outer(IDENTITY, negated(d), d), k))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -166,13 +165,9 @@ def add_row_stiffness_kernel(
         pair = 0
         for b in range(width):
             for a in range(b, width):
-                o = offsets[s, pair]
-                if o >= 0:
-                    k = stiffness[s] * coefficients[s, a] * coefficients[s, b]
-                    for j in range(3):
-                        for i in range(3):
-                            storage[o + i] += k * d[i] * d[j]
-                        o += strides[s, pair]
+                k = stiffness[s] * coefficients[s, a] * coefficients[s, b]
+                block = add_outer(ZERO, scaled(d, k), d)
+                add_block(block, offsets[s, pair], strides[s, pair], storage)
                 pair += 1
 
 
@@ -276,8 +271,8 @@ class Cables(ConstantRows):
             self._folded.bind(elimination_rank, slots)
             return
         bound = bind_stencils(self._free, elimination_rank, slots)
-        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
-        self._coefficients = np.take_along_axis(self._coefficients, bound.order, axis=1)
+        self._nodes = bound.sorted(self._nodes)
+        self._coefficients = bound.sorted(self._coefficients)
         self._bound = bound
         self._lay_out_entries()
 

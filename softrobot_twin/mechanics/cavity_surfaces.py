@@ -328,7 +328,7 @@ class CavitySurfaces:
         self.stencil_weights = np.ascontiguousarray(
             np.take_along_axis(self.stencil_weights, bound.order[:, None, :], axis=2)
         )
-        self.stencils = np.take_along_axis(self.stencils, bound.order, axis=1)
+        self.stencils = bound.sorted(self.stencils)
 
     def add_stiffness(
         self, positions: np.ndarray, pressures: np.ndarray, storage: np.ndarray

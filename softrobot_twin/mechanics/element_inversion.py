@@ -171,6 +171,24 @@ def count_inverted(weights, upright):
 
 
 @njit(**KERNEL)
+def deform_corners(to_corners, F, corners):
+    """F at the corners of a batch, or wherever else in its elements, from F at its points.
+
+    Args:
+        to_corners: See `point_to_corner_weights`, shape (corner_count, point_count).
+        F: Deformation gradients at the points, shape (point_count, 9 BATCH).
+        corners: Those at the corners; written, shape (corner_count, 9 BATCH).
+    """
+    for corner in range(len(to_corners)):
+        values = corners[corner]
+        values[:] = 0.0
+        for q in range(len(F)):
+            share, point = to_corners[corner, q], F[q]
+            for i in range(9 * BATCH):
+                values[i] += share * point[i]
+
+
+@njit(**KERNEL)
 def find_folds(to_corners, F, corners, upright, sure):
     """Mark the elements that are flat or inside out at a corner, or anywhere between.
 
@@ -182,15 +200,10 @@ def find_folds(to_corners, F, corners, upright, sure):
             everywhere.
         sure: Memory, shape (BATCH,).
     """
+    deform_corners(to_corners, F, corners)
     for corner in range(len(to_corners)):
-        values = corners[corner]
-        values[:] = 0.0
-        for q in range(len(F)):
-            share, point = to_corners[corner, q], F[q]
-            for i in range(9 * BATCH):
-                values[i] += share * point[i]
         for e in range(BATCH):
-            upright[e] = upright[e] if is_upright(matrix_at(values, 0, e)) else 0.0
+            upright[e] = upright[e] if is_upright(matrix_at(corners[corner], 0, e)) else 0.0
     sure[:] = upright
     mark_surely_upright(corners, sure)
     cut_the_unsure(corners, sure, upright)

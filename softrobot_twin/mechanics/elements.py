@@ -98,7 +98,7 @@ class Elements(ForceTerm):
             slots: The factorization's `slots`.
         """
         bound = bind_stencils(self.stencils(), elimination_rank, slots)
-        cells = np.take_along_axis(self._mesh.cells, bound.order, axis=1)
+        cells = bound.sorted(self._mesh.cells)
         order = bound.order[:, None, :, None]
         gradients = np.take_along_axis(self._points.gradients, order, axis=2)
         count, point_count = gradients.shape[:2]
@@ -128,12 +128,10 @@ class Elements(ForceTerm):
             self._constant_stiffness = self._sum_stiffness_once(bound)
 
     def _bind_corners(self) -> None:
-        """The corners and mid-edges that the barrier watches, beside the points; none where there
-        is no need.
+        """The corners and mid-edges that the barrier watches, beside the points; none of a law that
+        may turn an element inside out.
         """
-        watched = self._to_corners
-        if law_of(self.law).turns or not self._barrier_stiffness:
-            watched = watched[:0]
+        watched = self._to_corners if self.stays_upright else self._to_corners[:0]
         first, second = np.triu_indices(len(watched), 1)
         self._to_watched = np.concatenate([watched, 0.5 * (watched[first] + watched[second])])
         count = len(self._to_watched)
@@ -213,6 +211,22 @@ class Elements(ForceTerm):
         self._known_at[:] = positions
         self._is_known = True
 
+    def _knows(self, positions: np.ndarray) -> bool:
+        """Whether the stored state is that at node positions [m], to the bit."""
+        return self._is_known and are_same(writable(positions), self._known_at)
+
+    def _deformations_at(self, positions: np.ndarray) -> np.ndarray:
+        """F at the points, shape (batch_count, point_count, 9 × BATCH), not to be changed.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if self._knows(positions):
+            return self._deformations
+        deformations = np.empty_like(self._deformations)
+        deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+        return deformations
+
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add -F(q) to the forces and ∂F/∂q to the system matrix.
 
@@ -222,7 +236,7 @@ class Elements(ForceTerm):
             storage: The factorization's storage [N/m]; added to.
             projected: True for the positive semidefinite tangent, projected point by point.
         """
-        is_known = self._is_known and are_same(writable(positions), self._known_at)
+        is_known = self._knows(positions)
         if self._constant_stiffness is not None:
             if is_known:
                 forces += self._forces
@@ -271,8 +285,7 @@ class Elements(ForceTerm):
 
     def _watched_deformations(self, positions: np.ndarray) -> np.ndarray:
         """F at the points and corners, shape (batch_count, watched_count, 9 × BATCH)."""
-        deformations = np.empty_like(self._deformations)
-        deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+        deformations = self._deformations_at(positions)
         if len(self._corners.edges):
             corners = np.zeros((len(deformations), len(self._corners.edges), 9 * BATCH))
             write_corners(writable(positions), self._mesh.cells, *self._corners, corners)
@@ -306,9 +319,7 @@ class Elements(ForceTerm):
             least: Only lower squares count.
             greatest: Only greater ones count.
         """
-        return extreme_squares(
-            positions - self._reference, self._cells, self._gradients, self._weights, least, greatest
-        )
+        return extreme_squares(self._deformations_at(positions), self._weights, least, greatest)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J].
@@ -318,8 +329,7 @@ class Elements(ForceTerm):
         """
         energy, is_upright = self._law_energy(positions)
         if self._barrier_stiffness and is_upright:
-            deformations = np.empty_like(self._deformations)
-            deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+            deformations = self._deformations_at(positions)
             energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
             if self._has_corners:
                 energy += self._corner_energy(deformations)

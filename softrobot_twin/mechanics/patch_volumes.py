@@ -28,18 +28,19 @@ from numba import njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.geometry.cell_patches import grow_patches
 from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
+    ZERO,
     add_outer,
+    add_scaled_matrix,
     cofactor,
     cross_matrix,
     determinant,
-    plus_identity,
-    scaled_matrix,
     transform,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
 from softrobot_twin.mechanics.element_batches import KERNEL
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 from softrobot_twin.mechanics.volume_change import volumetric
 
 PATCH_SIZES = {4: 12, 10: 2}
@@ -101,7 +102,7 @@ def patches_of(mesh, patch_size: int | None = None) -> np.ndarray:
 @njit(**KERNEL)
 def deformation(moves, cell, gradients):
     """F = 1 + Σ u_a ∇N_aᵀ of one element at one point."""
-    F = plus_identity(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    F = IDENTITY
     for a in range(len(cell)):
         F = add_outer(F, row(moves, cell[a]), row(gradients, a))
     return F
@@ -224,29 +225,11 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, moves, cells, pla
             n, of_b = free[k, b], row(g, b)
             set_row(forces, n, add_scaled(row(forces, n), of_b, -pressure))
             for a in range(b, width):
-                K = add_outer(
-                    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-                    scaled(row(g, a), stiffness), of_b,
-                )
+                K = add_outer(ZERO, scaled(row(g, a), stiffness), of_b)
                 if a > b and not projected:
-                    turning = scaled_matrix(cross_matrix(row(curvature[a], b)), -pressure)
-                    K = add_outer(K, (1.0, 0.0, 0.0), turning[0])
-                    K = add_outer(K, (0.0, 1.0, 0.0), turning[1])
-                    K = add_outer(K, (0.0, 0.0, 1.0), turning[2])
+                    K = add_scaled_matrix(K, cross_matrix(row(curvature[a], b)), -pressure)
                 add_block(K, offsets[k, pair], strides[k, pair], storage)
                 pair += 1
-
-
-@njit(**KERNEL)
-def add_block(K, offset, stride, storage):
-    """Add one block to the storage."""
-    if offset < 0:
-        return
-    for j in range(3):
-        storage[offset] += K[0][j]
-        storage[offset + 1] += K[1][j]
-        storage[offset + 2] += K[2][j]
-        offset += stride
 
 
 class PatchVolumes(ForceTerm):
@@ -301,8 +284,8 @@ class PatchVolumes(ForceTerm):
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """See `ForceTerm.bind`; sorts the nodes of each patch in elimination order."""
         bound = bind_stencils(self._free, elimination_rank, slots)
-        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
-        self._free = np.take_along_axis(self._free, bound.order, axis=1)
+        self._nodes = bound.sorted(self._nodes)
+        self._free = bound.sorted(self._free)
         moved = np.argsort(bound.order, axis=1, kind="stable")
         patch = np.repeat(np.arange(self.patch_count), np.diff(self._first))
         self._places = np.ascontiguousarray(moved[patch[:, None], self._places])

@@ -10,7 +10,9 @@ is evaluated as in whole elements, in the same batches of points. All points wit
 are Galerkin's projection of the full model.
 
 The derivative ∂P/∂F of the corotational law is 2µ on the diagonal, a matrix of rank one and another
-of rank three (`corotational.py`), so K is a constant and two products of few rows.
+of rank three (`corotational.py`), so K is a constant and two products of few rows. These are in
+single precision: the modes are orthogonal in the stiffness at rest, so K is well conditioned, and
+Newton's method ends where forces are zero, which are in double precision.
 """
 
 from __future__ import annotations
@@ -277,7 +279,7 @@ def apply_rows(root, weights, rotations, spin_rows, signs, gradients, positive, 
     Returns:
         Number of rows of each.
     """
-    added, subtracted, axial = 0, 0, np.empty(9)
+    added, subtracted, axial = 0, 0, np.empty(9, np.float32)
     for p in range(len(gradients)):
         k, e = p // BATCH, p % BATCH
         if weights[k, e] == 0.0:
@@ -285,29 +287,27 @@ def apply_rows(root, weights, rotations, spin_rows, signs, gradients, positive, 
         size = root * math.sqrt(weights[k, e])
         for i in range(9):
             axial[i] = size * rotations[k, at(i, e)]
-        write_row(axial, gradients[p], positive[added])
+        write_row(axial, gradients, p, positive, added)
         added += 1
         for m in range(3):
             if signs[k, e] > 0.0:
-                write_row(spin_rows[k, e, m], gradients[p], negative[subtracted])
+                write_row(spin_rows[k, e, m], gradients, p, negative, subtracted)
                 subtracted += 1
             else:
-                write_row(spin_rows[k, e, m], gradients[p], positive[added])
+                write_row(spin_rows[k, e, m], gradients, p, positive, added)
                 added += 1
     return added, subtracted
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def write_row(v, gradients, out):
-    """vᵀ G of one point."""
-    g0, g1, g2 = gradients[0], gradients[1], gradients[2]
-    g3, g4, g5 = gradients[3], gradients[4], gradients[5]
-    g6, g7, g8 = gradients[6], gradients[7], gradients[8]
+def write_row(v, gradients, p, rows, line):
+    """Row number `line`: vᵀ G of point p."""
     v0, v1, v2, v3, v4, v5, v6, v7, v8 = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8]
-    for m in range(len(out)):
-        out[m] = (
-            v0 * g0[m] + v1 * g1[m] + v2 * g2[m] + v3 * g3[m] + v4 * g4[m] + v5 * g5[m]
-            + v6 * g6[m] + v7 * g7[m] + v8 * g8[m]
+    for m in range(gradients.shape[2]):
+        rows[line, m] = (
+            v0 * gradients[p, 0, m] + v1 * gradients[p, 1, m] + v2 * gradients[p, 2, m]
+            + v3 * gradients[p, 3, m] + v4 * gradients[p, 4, m] + v5 * gradients[p, 5, m]
+            + v6 * gradients[p, 6, m] + v7 * gradients[p, 7, m] + v8 * gradients[p, 8, m]
         )  # fmt: skip
 
 
@@ -404,11 +404,12 @@ class ReducedElements(ForceTerm):
         count, modes = len(weights), self.mode_count
         by_point = padded.reshape(-1, modes)
         scaled = by_point * np.repeat(np.sqrt(2.0 * self.law.shear_modulus * weights), 9)[:, None]
-        self._constant = scaled.T @ scaled
-        self._by_point = np.ascontiguousarray(padded)
-        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9))
+        self._constant, single = scaled.T @ scaled, np.float32
+        self._by_point = padded.astype(single)
+        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9), single)
         self._signs = np.empty((count // BATCH, BATCH))
-        self._positive, self._negative = np.empty((4 * count, modes)), np.empty((3 * count, modes))
+        self._positive = np.empty((4 * count, modes), single)
+        self._negative = np.empty((3 * count, modes), single)
 
     def stencils(self) -> np.ndarray:
         """Unknowns that the points couple: all coordinates, shape (1, mode_count / 3)."""
@@ -466,10 +467,7 @@ class ReducedElements(ForceTerm):
             self._spin_rows, self._signs, self._by_point, self._positive, self._negative,
         )  # fmt: skip
         positive, negative = self._positive[:added], self._negative[:subtracted]
-        K = np.dot(positive.T, positive)
-        K += self._constant
-        K -= np.dot(negative.T, negative)
-        return K
+        return self._constant + (np.dot(positive.T, positive) - np.dot(negative.T, negative))
 
     def _by_matrices(self, coordinates: np.ndarray | None, projected: bool) -> np.ndarray:
         if coordinates is not None:

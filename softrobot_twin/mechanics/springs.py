@@ -220,9 +220,9 @@ class Springs(ForceTerm):
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness in the storage, and sort the springs' nodes."""
         self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
-        self._free = np.take_along_axis(self._free, bound.order, axis=1)
-        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
-        self._coefficients = np.take_along_axis(self._coefficients, bound.order, axis=1)
+        self._free = bound.sorted(self._free)
+        self._nodes = bound.sorted(self._nodes)
+        self._coefficients = bound.sorted(self._coefficients)
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float

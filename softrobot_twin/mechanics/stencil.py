@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.matrix3 import rows
 from softrobot_twin.geometry.vector3 import INLINED
 
 Slots = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -36,6 +37,14 @@ class BoundStencils(NamedTuple):
     order: np.ndarray
     offsets: np.ndarray
     strides: np.ndarray
+
+    def sorted(self, columns: np.ndarray) -> np.ndarray:
+        """Columns of unsorted stencils in elimination order.
+
+        Args:
+            columns: One for each node of a stencil, shape (stencil_count, width).
+        """
+        return np.take_along_axis(columns, self.order, axis=1)
 
 
 def lower_pairs(width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -65,13 +74,29 @@ def bind_stencils(
     rank = np.where(stencils >= 0, np.append(elimination_rank, -1)[stencils], -1)
     order = np.argsort(rank, axis=1, kind="stable")
     sorted_nodes = np.take_along_axis(stencils, order, axis=1)
-    rows, columns = lower_pairs(width)
-    row_nodes, column_nodes = sorted_nodes[:, rows], sorted_nodes[:, columns]
+    lines, columns = lower_pairs(width)
+    row_nodes, column_nodes = sorted_nodes[:, lines], sorted_nodes[:, columns]
     present = (row_nodes >= 0) & (column_nodes >= 0)
     offsets = np.full(present.shape, -1, dtype=np.int64)
     strides = np.zeros(present.shape, dtype=np.int64)
     offsets[present], strides[present] = slots(row_nodes[present], column_nodes[present])
     return BoundStencils(order, offsets, strides)
+
+
+@njit(**INLINED)
+def add_block(matrix, offset, stride, storage):
+    """Add the block of one pair of nodes to the storage, unless one of them is fixed.
+
+    Args:
+        matrix: The block, a matrix of `matrix3`.
+        offset: Its place, -1 for none; see `BoundStencils`.
+        stride: Distance between two of its columns.
+        storage: The factorization's storage [N/m]; added to.
+    """
+    if offset >= 0:
+        for j in range(3):
+            for i in range(3):
+                storage[offset + j * stride + i] += matrix[i][j]
 
 
 @njit(**INLINED)
@@ -88,13 +113,10 @@ def add_stencil_matrix(order, offsets, strides, matrix, storage):
     pair = 0
     for column in range(len(order)):
         for line in range(column, len(order)):
-            o, stride = offsets[pair], strides[pair]
+            a, b = 3 * order[line], 3 * order[column]
+            block = rows(matrix[a : a + 3, b : b + 3])
+            add_block(block, offsets[pair], strides[pair], storage)
             pair += 1
-            if o >= 0:
-                a, b = 3 * order[line], 3 * order[column]
-                for j in range(3):
-                    for i in range(3):
-                        storage[o + j * stride + i] += matrix[a + i, b + j]
 
 
 def stencil_pairs(

@@ -20,8 +20,7 @@ from softrobot_twin.geometry.matrix3 import (
     trace,
     transposed_product,
 )
-from softrobot_twin.mechanics.element_assembly import deform, gather
-from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, matrix_at, scratch
+from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, matrix_at
 
 
 class StrainOutside(NamedTuple):
@@ -67,24 +66,23 @@ def extreme_eigenvalues(C):
 
 
 @njit(**KERNEL)
-def extreme_squares(moves, cells, gradients, weights, least, greatest):
+def extreme_squares(deformations, weights, least, greatest):
     """Least and greatest eigenvalue of C beyond given ones.
 
     Args:
-        moves, cells, gradients, weights: See `element_assembly.add_forces`.
+        deformations: F at the points, shape (batch_count, point_count, 9 × BATCH).
+        weights: Volume of each point [m³], 0 beyond the last element,
+            shape (batch_count, point_count, BATCH).
         least: Only lower eigenvalues count.
         greatest: Only greater ones count.
 
     Returns:
         Both; the given ones where no point has others.
     """
-    U, F = np.empty(gradients.shape[2]), scratch(9)
-    for k in range(len(cells)):
-        gather(moves, cells[k], U)
-        for q in range(gradients.shape[1]):
-            deform(U, gradients[k, q], F)
+    for k in range(len(weights)):
+        for q in range(weights.shape[1]):
             for e in range(BATCH):
-                A = matrix_at(F, 0, e)
+                A = matrix_at(deformations[k, q], 0, e)
                 squares, J = inner(A, A), determinant(A)
                 if squares <= greatest and 4.0 * J * J >= least * squares * squares:
                     continue

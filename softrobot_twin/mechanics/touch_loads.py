@@ -16,9 +16,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.matrix3 import diagonal_matrix
+from softrobot_twin.geometry.vector3 import row, scaled
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -26,15 +28,11 @@ def add_touch_stiffness(weights, stiffness, offsets, strides, storage):
     """Add w_a w_b diag(s) of every touch to the blocks of its nodes."""
     width = weights.shape[1]
     for touch in range(len(weights)):
-        pair = 0
+        s, pair = row(stiffness, touch), 0
         for b in range(width):
             for a in range(b, width):
-                o = offsets[touch, pair]
-                if o >= 0:
-                    share = weights[touch, a] * weights[touch, b]
-                    for axis in range(3):
-                        storage[o + axis] += share * stiffness[touch, axis]
-                        o += strides[touch, pair]
+                block = diagonal_matrix(scaled(s, weights[touch, a] * weights[touch, b]))
+                add_block(block, offsets[touch, pair], strides[touch, pair], storage)
                 pair += 1
 
 
@@ -82,8 +80,8 @@ class TouchLoads(ForceTerm):
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness in the storage, and sort the points' nodes."""
         self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
-        self._free = np.take_along_axis(self._free, bound.order, axis=1)
-        self._weights = np.take_along_axis(self._weights, bound.order, axis=1)
+        self._free = bound.sorted(self._free)
+        self._weights = bound.sorted(self._weights)
 
     def load(self, forces: np.ndarray, places: np.ndarray) -> bool:
         """Set the touches from now on.

@@ -45,6 +45,7 @@ from softrobot_twin.mechanics.element_batches import (
     of_node,
     vector_at,
 )
+from softrobot_twin.mechanics.element_inversion import deform_corners
 from softrobot_twin.mechanics.polar import is_upright
 
 # J₀: volume of a point, as a share of that at rest, below which the barrier acts.
@@ -145,13 +146,9 @@ def find_corners(to_corners, deformations, weights, corners):
     """
     upright, least = np.empty(BATCH), no_volumes_yet()
     for k in range(len(deformations)):
+        deform_corners(to_corners, deformations[k], corners[k])
         for c in range(len(to_corners)):
             F = corners[k, c]
-            F[:] = 0.0
-            for q in range(deformations.shape[1]):
-                share, point = to_corners[c, q], deformations[k, q]
-                for i in range(9 * BATCH):
-                    F[i] += share * point[i]
             for e in range(BATCH):
                 known = is_upright(matrix_at(F, 0, e)) or weights[k, c, e] == 0.0
                 upright[e] = 1.0 if known else 0.0

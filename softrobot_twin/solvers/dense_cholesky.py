@@ -7,6 +7,7 @@ factorization could use.
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 from numba import njit
 from scipy.linalg.blas import dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
@@ -71,6 +72,11 @@ class DenseCholesky:
     def clear(self) -> None:
         """See `Factorization.clear`."""
         self.storage[:] = 0.0
+
+    def matrix(self) -> sp.csc_array:
+        """The assembled matrix A, full and symmetric, shape (3 node_count, 3 node_count)."""
+        lower = np.tril(self._matrix)
+        return sp.csc_array(lower + np.tril(lower, -1).T)
 
     def factor(self) -> bool:
         """See `Factorization.factor`."""

@@ -319,6 +319,8 @@ def test_a_move_of_carried_points_is_that_of_the_exact_rotation_to_first_order(a
 class ReducedBasis:
     """A kind of unknowns from outside the package: x = x_rest + Φ z, two blocks of z."""
 
+    has_constant_derivatives = True
+
     def __init__(self, nodes, rest, first_unknown):
         self.nodes, self.rest, self.first = nodes, rest[nodes].copy(), first_unknown
         self.basis = np.random.default_rng(11).standard_normal((len(nodes), 2, 3, 3))

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics import elements
+from softrobot_twin.mechanics.element_assembly import deform_all
 from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO, UNFITTED
@@ -85,6 +87,22 @@ def test_strain_outside_of_the_range_is_told_after_the_step(hung):
     F = F.reshape(F.shape[0], F.shape[1], 3, 3, -1).transpose(0, 1, 4, 2, 3)
     stretches = np.linalg.svd(F, compute_uv=False)
     assert outside.greatest == pytest.approx(stretches.max() - 1.0, rel=1e-6)
+
+
+def test_the_strain_of_the_state_after_a_step_needs_no_second_deformation(hung, monkeypatch):
+    deformed = []
+    monkeypatch.setattr(
+        elements, "deform_all", lambda *given: deformed.append(deform_all(*given))
+    )
+    simulation = hung(9.81, preset="ecoflex_00_30")
+    simulation.step(Hold())
+    deformed.clear()
+    (watch,), x = simulation.model.strain_watches, simulation.state.positions
+    squares = watch.elements.extreme_squares(x, 1.0, 1.0)
+    assert deformed == []
+    moved = np.nextafter(x, np.inf)
+    np.testing.assert_allclose(watch.elements.extreme_squares(moved, 1.0, 1.0), squares, rtol=1e-9)
+    assert len(deformed) == 1 and squares[1] > 1.001
 
 
 def test_scenes_without_a_range_watch_no_strain(hung):
