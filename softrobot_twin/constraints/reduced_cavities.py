@@ -22,6 +22,7 @@ and every mode first: large coordinates that mostly carry a cavity along leave n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -70,23 +71,21 @@ class ReducedWalls(NamedTuple):
 
 
 class VolumePolynomial(NamedTuple):
-    """Coefficients of the volume of closed surfaces; see the module.
+    """Coefficients of the growth V - V₀ of closed surfaces; see the module.
 
     Attributes:
-        constant: V₀ [m³].
         linear: g [m²], shape (mode_count,).
         quadratic: B [m], shape (mode_count, mode_count).
         cubic: T, entries with m ≤ n ≤ p in that order, p fastest,
             shape (mode_count (mode_count + 1) (mode_count + 2) / 6,).
     """
 
-    constant: float
     linear: np.ndarray
     quadratic: np.ndarray
     cubic: np.ndarray
 
     def plus(self, other: VolumePolynomial) -> VolumePolynomial:
-        """The volumes of both."""
+        """The growths of both together."""
         return VolumePolynomial(*(a + b for a, b in zip(self, other, strict=True)))
 
 
@@ -112,9 +111,20 @@ def volume_polynomial(surface: CavitySurface, walls: ReducedWalls) -> VolumePoly
             np.ascontiguousarray(points[used]), shapes, corners.reshape(-1, 3), linear, quadratic,
             cubic,
         )  # fmt: skip
-    volume, origin = np.zeros(1), np.zeros(1, np.int64)
-    add_volumes(points, triangles, np.zeros(len(triangles), np.int64), origin, volume)
-    return VolumePolynomial(float(volume[0]), linear, 0.5 * (quadratic + quadratic.T), cubic)
+    return VolumePolynomial(linear, 0.5 * (quadratic + quadratic.T), cubic)
+
+
+def rest_volume(surface: CavitySurface, walls: ReducedWalls) -> float:
+    """V₀ of a closed surface [m³].
+
+    Args:
+        surface: One of the surfaces of the body.
+        walls: The body.
+    """
+    points, triangles = surface.vertices.positions(walls.rest_positions), surface.triangles
+    volume, none = np.zeros(1), np.zeros(len(triangles), np.int64)
+    add_volumes(points, np.asarray(triangles, np.int64), none, none[:1], volume)
+    return float(volume[0])
 
 
 def _modes_at(mapping: BarycentricMapping, points: np.ndarray, basis: np.ndarray) -> np.ndarray:
@@ -249,6 +259,9 @@ class BodyVolumes:
 
     The last state is stored, and reused as long as the coordinates are the same to the bit.
 
+    The coefficients are summed when the term is bound, or evaluated without: to find the points that
+    a scene needs, terms are built that are neither.
+
     Attributes:
         rows: Row of each cavity whose walls move, shape (cavity_count,).
         rest_volumes: Volume of each cavity of the scene in this body at rest [m³], fixed walls
@@ -260,33 +273,46 @@ class BodyVolumes:
     """
 
     def __init__(self, names: Sequence[str], walls: ReducedWalls, free_index: np.ndarray):
-        """Sum the coefficients.
+        """Find the cavities that move.
 
         Args:
             names: Names of all cavities of the scene, in the order of their rows.
             walls: Walls on the body.
             free_index: Unknown of each node of the scene, shape (node_count,).
         """
+        self._walls = walls
         self._nodes = np.asarray(walls.coordinate_nodes, np.int64)
         self.unknowns = np.asarray(free_index)[self._nodes]
-        self.rest_volumes, found = np.zeros(len(names)), {}
+        self.rest_volumes, moving = np.zeros(len(names)), set()
         for surface in walls.surfaces:
-            own, place = volume_polynomial(surface, walls), names.index(surface.name)
-            self.rest_volumes[place] += own.constant
-            if walls.basis[surface.vertices.nodes].any():
-                found[place] = found[place].plus(own) if place in found else own
-        self.rows = np.array(sorted(found), np.int64)
-        count, modes = len(found), walls.basis.shape[2]
-        ordered = [found[place] for place in self.rows]
-        self._linear = np.array([own.linear for own in ordered]).reshape(count, modes)
-        self._quadratic = np.array([own.quadratic for own in ordered]).reshape(count, modes, modes)
-        none = [np.empty((modes, 0))]
-        self._cubic = np.hstack(none + [by_pairs(own.cubic, modes) for own in ordered])
-        self._contracted = np.empty(self._cubic.shape[1])
+            place = names.index(surface.name)
+            self.rest_volumes[place] += rest_volume(surface, walls)
+            used = surface.vertices.barycentric_weights != 0.0
+            if walls.basis[np.unique(surface.vertices.nodes[used])].any():
+                moving.add(place)
+        self.rows = np.array(sorted(moving), np.int64)
+        self._names = [names[place] for place in self.rows]
+        count, modes = len(self.rows), walls.basis.shape[2]
         self.growths, self.gradients = np.zeros(count), np.zeros((count, modes))
         self.stiffness = np.zeros((count, modes, modes))
         self._known_at = np.full((len(self._nodes), 3), np.nan)
-        self._matrix, self._bound = np.zeros((modes, modes)), None
+        self._matrix = np.zeros((modes, modes))
+        self._linear = self._quadratic = self._cubic = self._contracted = self._bound = None
+
+    def _sum_coefficients(self) -> None:
+        """Sum the coefficients of each cavity."""
+        sums = [
+            reduce(
+                VolumePolynomial.plus,
+                (volume_polynomial(own, self._walls) for own in self._walls.surfaces
+                 if own.name == name),
+            )
+            for name in self._names
+        ]  # fmt: skip
+        self._linear = np.array([own.linear for own in sums])
+        self._quadratic = np.array([own.quadratic for own in sums])
+        self._cubic = np.hstack([by_pairs(own.cubic, len(own.linear)) for own in sums])
+        self._contracted = np.empty(self._cubic.shape[1])
 
     @property
     def entry_rows(self) -> np.ndarray:
@@ -315,6 +341,8 @@ class BodyVolumes:
         if are_same(coordinates, self._known_at):
             return
         self._known_at = coordinates
+        if self._cubic is None:
+            self._sum_coefficients()
         q = coordinates.ravel()
         np.dot(q, self._cubic, out=self._contracted)
         evaluate_volumes(
@@ -323,7 +351,9 @@ class BodyVolumes:
         )  # fmt: skip
 
     def bind(self, elimination_rank: np.ndarray, slots: Callable) -> None:
-        """Find the places of the stiffness; see `ConstraintTerm.bind`."""
+        """Sum the coefficients, and find the places of the stiffness; see `ConstraintTerm.bind`."""
+        if self._cubic is None:
+            self._sum_coefficients()
         bound = bind_stencils(self.unknowns[None], elimination_rank, slots)
         self._bound = tuple(writable(field[0]) for field in bound)
 
@@ -348,6 +378,7 @@ class ReducedCavities(ConstantRows):
         row_count: Number of cavities.
         rest_volumes: Volume of each at rest [m³], shape (row_count,).
         rest_areas: Area of its walls at rest [m²], shape (row_count,).
+        sphere_volumes: Volume of a sphere with that area [m³], shape (row_count,).
     """
 
     name = "cavities"
@@ -357,7 +388,7 @@ class ReducedCavities(ConstantRows):
         self, names: Sequence[str], bodies: Sequence[ReducedWalls], free_index: np.ndarray,
         surfaces: tuple[CavitySurface, ...] = (),
     ):  # fmt: skip
-        """Sum the coefficients of all walls.
+        """Lay out the rows.
 
         Args:
             names: Name of each cavity, in the order of the rows.
@@ -376,6 +407,7 @@ class ReducedCavities(ConstantRows):
                 points = surface.vertices.positions(walls.rest_positions)
                 area = surface_area(points, surface.triangles)
                 self.rest_areas[names.index(surface.name)] += area
+        self.sphere_volumes = sphere_volumes(self.rest_areas)
         none = [np.empty(0, np.int64)]
         self.entry_rows = np.concatenate(none + [body.entry_rows for body in self._bodies])
         self.entry_nodes = np.concatenate(none + [body.entry_nodes for body in self._bodies])
@@ -390,11 +422,6 @@ class ReducedCavities(ConstantRows):
     def walls(self) -> ReducedCavities:
         """Itself: it answers what pictures and limits ask of `CavitySurfaces`."""
         return self
-
-    @property
-    def sphere_volumes(self) -> np.ndarray:
-        """Volume of a sphere with the area of each cavity's walls [m³], shape (row_count,)."""
-        return sphere_volumes(self.rest_areas)
 
     @property
     def scales(self) -> np.ndarray:

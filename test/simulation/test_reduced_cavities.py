@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.constraints.reduced_cavities import ReducedCavities
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, all_points
@@ -91,6 +92,59 @@ def test_walls_of_a_reduced_body_ask_for_no_points(pair):
     np.testing.assert_allclose(term.rest_areas, other.rest_areas, rtol=1e-14)
     bounds = [one.model.actuators.groups[0].displacement_bounds for one in (reduced, full)]
     np.testing.assert_allclose(*bounds, rtol=1e-12)
+
+
+def test_a_cavity_whose_walls_are_all_fixed_is_refused(inflatable, tmp_path):
+    low = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.021]}}]
+    held = {**BLOCK, "fixed": low}
+    body = inflatable(lambda mapping: mapping.pop("cavities"), body=held).model.bodies[0]
+    save_whole_basis(tmp_path / "held.npz", body)
+
+    def reduce(mapping):
+        mapping["body"]["reduced"] = {"file": str(tmp_path / "held.npz")}
+
+    with pytest.raises(SceneError, match=r"cavities\[0\]\.walls.*nothing changes its volume"):
+        inflatable(reduce, body=held)
+
+
+@pytest.fixture
+def two_blocks(simulate, hollow, tmp_path):
+    """Makes a scene of two hollow blocks, those of given names reduced; and its cavity's walls."""
+
+    def make(reduced, walls_on=("left", "right")):
+        bodies, walls = [], []
+        for name in ("left", "right"):
+            body, surface = hollow(**BLOCK, name=name)
+            body["mesh"]["translation"] = [0.1 * len(bodies), 0.0, 0.0]
+            bodies.append(body)
+            walls.append({"body": name, "file": surface})
+        cavity = {"name": "air", "walls": [wall for wall in walls if wall["body"] in walls_on]}
+        scene = {"gravity": [0.0, 0.0, 0.0], "bodies": bodies, "cavities": [cavity]}
+        if not reduced:
+            return simulate(**scene)
+        built = simulate(**scene).model.bodies
+        for name, entry, body in zip(("left", "right"), bodies, built, strict=True):
+            if name in reduced:
+                entry["reduced"] = {"file": str(tmp_path / f"{name}.npz")}
+                save_whole_basis(tmp_path / f"{name}.npz", body)
+        return simulate(**scene)
+
+    return make
+
+
+def test_one_cavity_inflates_two_reduced_bodies(two_blocks):
+    full, reduced = two_blocks(()), two_blocks(("left", "right"))
+    expected, result = (one.step(CommandSetpoints([8e3], STEP)) for one in (full, reduced))
+    assert expected.status is result.status is Status.OK
+    np.testing.assert_allclose(result.displacements, expected.displacements, rtol=1e-9)
+    assert len(walls_of(full)) == len(walls_of(reduced)) == 16
+    np.testing.assert_allclose(walls_of(reduced), walls_of(full), atol=1e-9 * 0.03)
+
+
+def test_a_cavity_beside_a_reduced_body_is_one_of_nodes(two_blocks):
+    simulation = two_blocks(("right",), walls_on=("left",))
+    assert isinstance(simulation.model.actuators.terms[0], Cavities)
+    assert simulation.step(CommandSetpoints([8e3], STEP)).status is Status.OK
 
 
 def scene_of(tmp_path, change):
