@@ -78,13 +78,22 @@ def by_coordinates(H, free):
     return H[:, np.searchsorted(free, PLACES)].reshape(len(H), -1)
 
 
+def cones(surface, x):
+    """Volumes of the triangles' cones with their tip in the middle, all counted as positive.
+
+    Of a star-shaped cavity it is the volume; a crumpled one may enclose nothing by chance.
+    """
+    points = surface.vertices.positions(x)
+    return np.abs(np.linalg.det((points - points.mean(axis=0))[surface.triangles])).sum() / 6.0
+
+
 @pytest.mark.parametrize("amplitude", [1e-4, 1e-2, 0.1, 1.0])
 def test_volumes_and_rows_are_those_of_the_triangles(reduced, dense_rows, rng, amplitude):
     for _ in range(5):
         q = amplitude * rng.standard_normal(3 * len(PLACES))
         x = on_nodes(reduced.rest, reduced.basis, q)
         volume = reduced.whole.volumes(x)
-        scale = max(reduced.whole.rest_volumes[0], abs(volume[0]))
+        scale = cones(reduced.surface, x)
         assert abs(reduced.term.volumes(state(q)) - volume)[0] < 1e-12 * scale
         h, growth = dense_rows(reduced.whole, x, np.arange(len(x)))
         H, own = dense_rows(reduced.term, state(q), reduced.free)
@@ -160,8 +169,8 @@ def test_a_cavity_without_pressure_adds_no_stiffness(reduced):
 
 def test_a_move_is_valid_as_far_as_that_of_the_triangles(reduced, rng):
     shares = []
-    for amplitude in (1e-3, 0.1, 1.0):
-        q, move = 1e-3 * rng.standard_normal(9), np.full((len(reduced.free), 3), 3.0)
+    for amplitude in (1e-4, 0.1, 100.0):
+        q, move = 1e-4 * rng.standard_normal(9), np.full((len(reduced.free), 3), 3.0)
         dq = amplitude * rng.standard_normal(9)
         move[np.searchsorted(reduced.free, PLACES)] = dq.reshape(-1, 3)
         x = on_nodes(reduced.rest, reduced.basis, q)
