@@ -1,5 +1,5 @@
 """``python -m softrobot_twin``: simulate, explain, workspace, bench, accuracy, choose,
-reduce-vertebrae, demo.
+reduce, reduce-vertebrae, demo.
 """
 
 import argparse
@@ -13,6 +13,7 @@ from softrobot_twin.command_line.commands import (
     add_choose,
     add_demo,
     add_explain,
+    add_reduce,
     add_reduce_vertebrae,
     add_simulate,
     add_workspace,
@@ -40,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
     for add in (add_simulate, add_explain, add_workspace, add_bench, add_accuracy, add_choose,
-                add_reduce_vertebrae, add_demo):
+                add_reduce, add_reduce_vertebrae, add_demo):
         add(commands)
     return parser
 

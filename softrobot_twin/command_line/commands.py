@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,16 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.study.accuracy import accuracy
 from softrobot_twin.study.accuracy_study import Limits
 from softrobot_twin.study.bench import bench
+from softrobot_twin.study.body_training import (
+    ENERGY,
+    FIRST_SNAPSHOTS,
+    FRESH_STATES,
+    SNAPSHOTS,
+    SPARE_MODES,
+    TOLERANCE,
+    TrainingOptions,
+    reduce,
+)
 from softrobot_twin.study.choice import choose
 from softrobot_twin.study.contact_growth import bench_contacts
 from softrobot_twin.study.direct_run import (
@@ -21,6 +32,7 @@ from softrobot_twin.study.direct_run import (
 )
 from softrobot_twin.study.explain import explain
 from softrobot_twin.study.offline_run import simulate
+from softrobot_twin.study.reduction_states import TargetBox
 from softrobot_twin.study.stiffness import print_stiffness
 from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
 from softrobot_twin.study.workspace import workspace
@@ -392,3 +404,130 @@ def add_reduce_vertebrae(commands) -> None:
 
 def _reduce_vertebrae(chosen: argparse.Namespace) -> int:
     return reduce_vertebrae(chosen.scene, chosen.seed, chosen.states, chosen.again)
+
+
+def add_reduce(commands) -> None:
+    """Declares ``reduce``."""
+    parser = add_command(
+        commands, "reduce", _reduce, "make the reduced model of a deformable body",
+        "Bring the full model to states of the actuators' box, or near targets, take modes from "
+        "its displacements (proper orthogonal decomposition) and few weighted quadrature points "
+        "that do the work of all along them (energy-conserving sampling), and write a file that "
+        "the scene names by 'reduced: {file: ...}'. The result is judged at fresh states. What the "
+        "robot will meet must be sampled: loads, tilts, and the whole range of the actuators. "
+        "After Ctrl-C the states so far are in a folder beside the file, and the same command goes "
+        "on from there.")
+    add_scene(parser)
+    parser.add_argument("--body", metavar="NAME", help="body to reduce, where there are several")
+    parser.add_argument("--output", metavar="FILE.npz", type=Path,
+                        help="file to write (default <name of the scene>_reduced.npz beside the "
+                        "mesh)")
+    sampled = parser.add_argument_group("what is sampled")
+    sampled.add_argument("--snapshots", type=positive_count, metavar="N",
+                         help=f"states of the full model (default {SNAPSHOTS}; with --error "
+                         f"{FIRST_SNAPSHOTS} to begin with)")
+    sampled.add_argument("--range", nargs="+", default=(), metavar="COLUMN=LOW:HIGH", dest="ranges",
+                         help="bounds in place of the scene's, with columns of a commands file, "
+                         "such as north_shortening_m=0:0.01")
+    sampled.add_argument("--targets", nargs="+", default=(), type=target_box, metavar="BOX",
+                         help="sample where the inverse brings the effectors, in place of the box "
+                         "of the actuators: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]; it takes "
+                         "fewer modes, and knows nothing beyond")
+    sampled.add_argument("--loads", type=positive, default=0.0, metavar="N",
+                         help="forces up to this [N] in any direction at points, one at a time, in "
+                         "half of the states (default none)")
+    sampled.add_argument("--load-points", nargs="+", action="extend", type=point,
+                         metavar="X,Y,Z",
+                         help="points that --loads act on, at rest [m] (default the effectors); "
+                         "--load-points=-0.01,0,0.1 where the first number is negative")
+    sampled.add_argument("--surface-loads", type=positive_count, metavar="COUNT",
+                         help="so many further points, spread over the surface, where something "
+                         "may touch it")
+    sampled.add_argument("--tilts", type=tilt, default=0.0, metavar="DEGREES",
+                         help="directions of gravity up to this angle from the scene's")
+    sampled.add_argument("--seed", type=count, default=0, metavar="S",
+                         help="seed of all samples (default 0)")
+    size = parser.add_argument_group("how accurate it is")
+    size.add_argument("--error", type=share, metavar="PERCENT",
+                      help="wanted largest error of the effectors at fresh states, such as 1%%, by "
+                      "their displacement: states, modes and points are added where the estimated "
+                      "error is worst until it is met")
+    size.add_argument("--energy", type=float, metavar="SHARE",
+                      help=f"share of the energy that the modes leave out (default {ENERGY:g})")
+    size.add_argument("--modes", type=positive_count, metavar="N",
+                      help="number of modes in place of that, rounded up to a multiple of three")
+    size.add_argument("--spare-modes", type=count, default=SPARE_MODES, metavar="N",
+                      help=f"modes beyond, for the estimate of the error (default {SPARE_MODES})")
+    size.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="SHARE",
+                      help="virtual work that the sampled points leave out "
+                      f"(default {TOLERANCE:g})")
+    size.add_argument("--states", type=count, default=FRESH_STATES, metavar="N",
+                      help=f"fresh states for the error (default {FRESH_STATES}; 0 for none)")
+    parser.add_argument("--workers", type=positive_count, metavar="N",
+                        help="processes on this machine (default: one on each core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="compute states on the Dask cluster of this scheduler instead, such "
+                        "as tcp://10.0.0.1:8786 (needs distributed)")
+
+
+def positive(text: str) -> float:
+    """Parses a finite number above zero."""
+    number = float(text)
+    if not (math.isfinite(number) and number > 0.0):
+        raise argparse.ArgumentTypeError(f"{text} must be above zero")
+    return number
+
+
+def share(text: str) -> float:
+    """Parses a percentage, such as 1%, as a share."""
+    number = positive(text.removesuffix("%")) / 100.0
+    if number > 1.0:
+        raise argparse.ArgumentTypeError(f"{text} must be at most 100 %")
+    return number
+
+
+def tilt(text: str) -> float:
+    """Parses an angle in degrees; gives it in radians."""
+    number = float(text)
+    if not 0.0 < number <= 180.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie above 0 and up to 180 degrees")
+    return math.radians(number)
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """Parses a point [m], such as 0,0,0.1."""
+    values = tuple(map(float, text.split(",")))
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise argparse.ArgumentTypeError(f"{text} must be three numbers, X,Y,Z [m]")
+    return values
+
+
+def target_box(text: str) -> TargetBox:
+    """Parses a box of an effector's targets."""
+    name, _, ranges = text.partition("=")
+    bounds = [tuple(map(float, part.split(":"))) for part in ranges.split(",")]
+    is_box = len(bounds) == 3 and all(len(pair) == 2 and pair[0] <= pair[1] for pair in bounds)
+    if not name or not is_box or not all(math.isfinite(end) for pair in bounds for end in pair):
+        raise argparse.ArgumentTypeError(
+            f"{text} must be NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]"
+        )
+    return TargetBox(name, *zip(*bounds))
+
+
+def _reduce(chosen: argparse.Namespace) -> int:
+    if chosen.scheduler is not None and chosen.workers is not None:
+        raise OptionError("--workers", "has no effect with --scheduler")
+    if not chosen.loads:
+        refuse(chosen, "--loads", "load_points", "surface_loads")
+    if chosen.targets and chosen.ranges:
+        raise OptionError("--range", "has no effect with --targets")
+    if chosen.modes is not None and chosen.energy is not None:
+        raise OptionError("--energy", "has no effect with --modes")
+    enable_interrupts()
+    return reduce(chosen.scene, TrainingOptions(
+        chosen.body, chosen.output, chosen.snapshots, tuple(chosen.ranges), tuple(chosen.targets),
+        chosen.loads, tuple(chosen.load_points or ()), chosen.surface_loads or 0, chosen.tilts,
+        ENERGY if chosen.energy is None else chosen.energy, chosen.modes, chosen.spare_modes,
+        chosen.tolerance, chosen.error, chosen.states, chosen.seed, chosen.workers,
+        chosen.scheduler,
+    ))  # fmt: skip

@@ -22,10 +22,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.matrix3 import cross_matrix
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, set_row, subtract
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import BoundStencils, bind_stencils
+from softrobot_twin.mechanics.stencil import BoundStencils, add_block, bind_stencils
 
 
 # Greatest share of its volume that a cavity loses in one linearization.
@@ -104,20 +105,13 @@ def add_pressure_stiffness(
         pair = 0
         for b in range(width):
             for a in range(b, width):
-                place = offsets[t, pair]
-                if place >= 0 and a != b:
+                if offsets[t, pair] >= 0 and a != b:
                     s = (0.0, 0.0, 0.0)
                     for k in range(3):
                         i, j = (k + 1) % 3, (k + 2) % 3
                         w = weights[t, i, a] * weights[t, j, b] - weights[t, j, a] * weights[t, i, b]
                         s = add_scaled(s, subtract(row(points, triangles[t, k]), o), p * w)
-                    stride = strides[t, pair]
-                    storage[place + 1] += s[2]
-                    storage[place + 2] -= s[1]
-                    storage[place + stride] -= s[2]
-                    storage[place + stride + 2] += s[0]
-                    storage[place + 2 * stride] += s[1]
-                    storage[place + 2 * stride + 1] -= s[0]
+                    add_block(cross_matrix(s), offsets[t, pair], strides[t, pair], storage)
                 pair += 1
 
 

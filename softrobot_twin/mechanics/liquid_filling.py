@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import add_outer, add_scaled_matrix, cross_matrix
+from softrobot_twin.geometry.matrix3 import ZERO, add_outer, add_scaled_matrix, cross_matrix
 from softrobot_twin.geometry.vector3 import (
     add,
     add_scaled,
@@ -29,8 +29,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
 )
 from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
-
-NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+from softrobot_twin.mechanics.stencil import add_block
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -65,7 +64,7 @@ def force_derivative(x, w, i, j):
     """∂f_i/∂x_j of one triangle with vertices x."""
     g_i = scaled(cross(x[(i + 1) % 3], x[(i + 2) % 3]), 1.0 / 24.0)
     g_j = scaled(cross(x[(j + 1) % 3], x[(j + 2) % 3]), 1.0 / 24.0)
-    K = add_outer(add_outer(NOTHING, g_i, w), w, g_j)
+    K = add_outer(add_outer(ZERO, g_i, w), w, g_j)
     if i == j:
         return K
     depth = 0.25 * dot(w, add(x[0], add(x[1], x[2])))
@@ -87,17 +86,14 @@ def add_liquid_stiffness(
         pair = 0
         for b in range(width):
             for a in range(b, width):
-                place = offsets[t, pair]
-                if place >= 0:
-                    K = NOTHING
+                if offsets[t, pair] >= 0:
+                    K = ZERO
                     for i in range(3):
                         for j in range(3):
-                            share = shares[t, i, a] * shares[t, j, b]
+                            share = -shares[t, i, a] * shares[t, j, b]
                             if share != 0.0:
                                 K = add_scaled_matrix(K, force_derivative(x, w, i, j), share)
-                    for n in range(3):
-                        for m in range(3):
-                            storage[place + m + n * strides[t, pair]] -= K[m][n]
+                    add_block(K, offsets[t, pair], strides[t, pair], storage)
                 pair += 1
 
 

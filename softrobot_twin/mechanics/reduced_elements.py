@@ -10,9 +10,11 @@ is evaluated as in whole elements, in the same batches of points. All points wit
 are Galerkin's projection of the full model.
 
 The derivative ∂P/∂F of the corotational law is 2µ on the diagonal, a matrix of rank one and another
-of rank three (`corotational.py`), so K is a constant and two products of few rows. These are in
-single precision: the modes are orthogonal in the stiffness at rest, so K is well conditioned, and
-Newton's method ends where forces are zero, which are in double precision.
+of rank three (`corotational.py`), so K is a constant and two products of few rows.
+
+Where points are sampled, G is rounded to single precision: half the memory is read, and the sampling
+is less exact by orders. Forces remain the exact derivatives of an energy, since sums of F and of
+forces are in double precision; only the products of rows are in single precision too.
 """
 
 from __future__ import annotations
@@ -80,10 +82,12 @@ class PointGradients(NamedTuple):
     Attributes:
         gradients: G of each point [1/m], entries of F row by row, shape (count, 9, mode_count).
         weights: Its volume times its weight [m³], shape (count,).
+        are_all: Whether they are all points of the body, by their own volumes.
     """
 
     gradients: np.ndarray
     weights: np.ndarray
+    are_all: bool = False
 
 
 def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray) -> PointGradients:
@@ -108,7 +112,9 @@ def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray)
         slopes = points.gradients[place[some], q[some]]
         G = np.einsum("paj,paim->pijm", slopes, basis[cells[place[some]]])
         gradients[some] = G.reshape(-1, 9, mode_count)
-    return PointGradients(gradients, points.weights[place, q] * sampled.weights[own])
+    weights = sampled.weights[own]
+    are_all = len(own) == points.weights.size and bool((weights == 1.0).all())
+    return PointGradients(gradients, points.weights[place, q] * weights, are_all)
 
 
 # --- loops over points ---------------------------------------------------------------------------
@@ -272,43 +278,86 @@ def apply_rows(root, weights, rotations, spin_rows, signs, gradients, positive, 
     Args:
         root: √λ of Lamé [√Pa].
         weights, rotations, spin_rows, signs: See `write_spin_rows`.
-        gradients: G point by point, shape (batch_count × BATCH, 9, mode_count).
+        gradients: G, shape (batch_count, 9, BATCH, mode_count).
         positive: Takes the rows that are added, shape (4 point_count, mode_count).
         negative: Takes those that are subtracted, shape (3 point_count, mode_count).
 
     Returns:
         Number of rows of each.
     """
-    added, subtracted, axial = 0, 0, np.empty(9, np.float32)
-    for p in range(len(gradients)):
-        k, e = p // BATCH, p % BATCH
-        if weights[k, e] == 0.0:
-            continue
-        size = root * math.sqrt(weights[k, e])
-        for i in range(9):
-            axial[i] = size * rotations[k, at(i, e)]
-        write_row(axial, gradients, p, positive, added)
-        added += 1
-        for m in range(3):
-            if signs[k, e] > 0.0:
-                write_row(spin_rows[k, e, m], gradients, p, negative, subtracted)
-                subtracted += 1
-            else:
-                write_row(spin_rows[k, e, m], gradients, p, positive, added)
-                added += 1
+    added, subtracted, axial = 0, 0, np.empty(9, gradients.dtype)
+    for k in range(len(weights)):
+        for e in range(BATCH):
+            if weights[k, e] == 0.0:
+                continue
+            size = root * math.sqrt(weights[k, e])
+            for i in range(9):
+                axial[i] = size * rotations[k, at(i, e)]
+            write_row(axial, gradients, k, e, positive, added)
+            added += 1
+            for m in range(3):
+                if signs[k, e] > 0.0:
+                    write_row(spin_rows[k, e, m], gradients, k, e, negative, subtracted)
+                    subtracted += 1
+                else:
+                    write_row(spin_rows[k, e, m], gradients, k, e, positive, added)
+                    added += 1
     return added, subtracted
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def write_row(v, gradients, p, rows, line):
-    """Row number `line`: vᵀ G of point p."""
+def write_row(v, gradients, k, e, rows, line):
+    """Row number `line`: vᵀ G of element e of batch k."""
     v0, v1, v2, v3, v4, v5, v6, v7, v8 = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8]
-    for m in range(gradients.shape[2]):
+    for m in range(gradients.shape[3]):
         rows[line, m] = (
-            v0 * gradients[p, 0, m] + v1 * gradients[p, 1, m] + v2 * gradients[p, 2, m]
-            + v3 * gradients[p, 3, m] + v4 * gradients[p, 4, m] + v5 * gradients[p, 5, m]
-            + v6 * gradients[p, 6, m] + v7 * gradients[p, 7, m] + v8 * gradients[p, 8, m]
+            v0 * gradients[k, 0, e, m] + v1 * gradients[k, 1, e, m] + v2 * gradients[k, 2, e, m]
+            + v3 * gradients[k, 3, e, m] + v4 * gradients[k, 4, e, m] + v5 * gradients[k, 5, e, m]
+            + v6 * gradients[k, 6, e, m] + v7 * gradients[k, 7, e, m] + v8 * gradients[k, 8, e, m]
         )  # fmt: skip
+
+
+FAST = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": True}
+"""Options of sums that vector instructions may take in another order."""
+
+
+@njit(**FAST)
+def deform_points(gradients, coordinates, deformations):
+    """F = 1 + G q of all points; see `find_stresses`.
+
+    Args:
+        gradients: G in the order of the batches, shape (batch_count × 9 × BATCH, mode_count).
+        coordinates: q [m], shape (mode_count,).
+        deformations: Written, shape (batch_count × 9 × BATCH,).
+    """
+    for row in range(len(gradients)):
+        total = 0.0
+        for m in range(len(coordinates)):
+            total += gradients[row, m] * coordinates[m]
+        deformations[row] = total
+    for k in range(len(gradients) // (9 * BATCH)):
+        for i in range(0, 9, 4):
+            for e in range(BATCH):
+                deformations[9 * BATCH * k + at(i, e)] += 1.0
+
+
+@njit(**FAST)
+def sum_forces(gradients, stresses, forces):
+    """Gᵀ w P summed over all points.
+
+    Args:
+        gradients: See `deform_points`.
+        stresses: w P in the same order, shape (batch_count × 9 × BATCH,).
+        forces: Written [N], shape (mode_count,).
+    """
+    forces[:] = 0.0
+    for row in range(0, len(gradients), 4):
+        a, b, c, d = stresses[row], stresses[row + 1], stresses[row + 2], stresses[row + 3]
+        for m in range(len(forces)):
+            forces[m] += (
+                a * gradients[row, m] + b * gradients[row + 1, m]
+                + c * gradients[row + 2, m] + d * gradients[row + 3, m]
+            )  # fmt: skip
 
 
 class ReducedAssembly(NamedTuple):
@@ -373,7 +422,8 @@ class ReducedElements(ForceTerm):
         count, _, modes = sampled.gradients.shape
         self.point_count, self.mode_count = count, modes
         batch_count = max(1, -(-count // BATCH))
-        padded = np.zeros((batch_count * BATCH, 9, modes))
+        precision = float if sampled.are_all else np.float32
+        padded = np.zeros((batch_count * BATCH, 9, modes), precision)
         padded[:count] = sampled.gradients
         weights = np.zeros(batch_count * BATCH)
         weights[:count] = sampled.weights
@@ -382,8 +432,6 @@ class ReducedElements(ForceTerm):
         by_entry = padded.reshape(batch_count, BATCH, 9, modes).transpose(0, 2, 1, 3)
         self._gradients = np.ascontiguousarray(by_entry)
         self._rows = self._gradients.reshape(-1, modes)
-        identity = np.repeat(np.eye(3).ravel(), BATCH)
-        self._rest = np.tile(identity, batch_count)
         shape = (batch_count, 9 * BATCH)
         self._deformations, self._stresses = np.empty(shape), np.empty(shape)
         self._rotations = np.zeros(shape)
@@ -401,15 +449,14 @@ class ReducedElements(ForceTerm):
 
     def _lay_out_spin_rows(self, padded: np.ndarray, weights: np.ndarray) -> None:
         """Allocate what the corotational law needs, and sum its constant part."""
-        count, modes = len(weights), self.mode_count
+        count, modes, precision = len(weights), self.mode_count, padded.dtype
         by_point = padded.reshape(-1, modes)
         scaled = by_point * np.repeat(np.sqrt(2.0 * self.law.shear_modulus * weights), 9)[:, None]
-        self._constant, single = scaled.T @ scaled, np.float32
-        self._by_point = padded.astype(single)
-        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9), single)
+        self._constant = scaled.T @ scaled
+        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9), precision)
         self._signs = np.empty((count // BATCH, BATCH))
-        self._positive = np.empty((4 * count, modes), single)
-        self._negative = np.empty((3 * count, modes), single)
+        self._positive = np.empty((4 * count, modes), precision)
+        self._negative = np.empty((3 * count, modes), precision)
 
     def stencils(self) -> np.ndarray:
         """Unknowns that the points couple: all coordinates, shape (1, mode_count / 3)."""
@@ -426,13 +473,12 @@ class ReducedElements(ForceTerm):
         if are_same(coordinates, self._known_at):
             return
         self._known_at = coordinates
-        np.dot(self._rows, coordinates.ravel(), out=self._deformations.reshape(-1))
-        self._deformations.reshape(-1)[:] += self._rest
+        deform_points(self._rows, coordinates.ravel(), self._deformations.reshape(-1))
         self._inverted_count = self._assembly.find_stresses(
             self.law, self._deformations, self._weights, self._rotations, self._uprights,
             self._stresses,
         )  # fmt: skip
-        np.dot(self._stresses.reshape(-1), self._rows, out=self._forces)
+        sum_forces(self._rows, self._stresses.reshape(-1), self._forces)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces on the coordinates [N]; see `ForceTerm.add_forces`.
@@ -464,7 +510,7 @@ class ReducedElements(ForceTerm):
         )  # fmt: skip
         added, subtracted = apply_rows(
             math.sqrt(max(self.law.lame_lambda, 0.0)), self._weights, self._rotations,
-            self._spin_rows, self._signs, self._by_point, self._positive, self._negative,
+            self._spin_rows, self._signs, self._gradients, self._positive, self._negative,
         )  # fmt: skip
         positive, negative = self._positive[:added], self._negative[:subtracted]
         return self._constant + (np.dot(positive.T, positive) - np.dot(negative.T, negative))
@@ -498,7 +544,8 @@ class ReducedElements(ForceTerm):
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]; see `ForceTerm.energy`."""
         coordinates = writable(positions)[self._nodes].ravel()
-        deformations = (self._rows @ coordinates + self._rest).reshape(self._deformations.shape)
+        deformations = np.empty_like(self._deformations)
+        deform_points(self._rows, coordinates, deformations.reshape(-1))
         return self._assembly.sum_energies(
             self.law, deformations, self._weights, np.zeros_like(self._rotations),
             np.empty_like(self._uprights),

@@ -170,7 +170,10 @@ def _things(layout: Layout, notes: list[str]) -> dict:
 def _surface_of(body: Body, scene: Scene, notes: list[str]):
     """The contact surface of a deformable body: that of its mesh, or one that it carries."""
     entry = body.entry.contact_surface
-    if entry is None and (body.vertebrae is not None or body.reduction is not None):
+    if entry is None and body.reduction is not None:
+        nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
+        return DeformableSurface(body.node_mapping(nodes).nodes[:, 0][triangles.reshape(-1, 3)])
+    if entry is None and body.vertebrae is not None:
         nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
         return CarriedSurface(body.node_mapping(nodes), triangles.reshape(-1, 3))
     if entry is None:

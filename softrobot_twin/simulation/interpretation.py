@@ -109,6 +109,8 @@ class Interpretation:
     def _wanted_stiffness(self, command: FollowTargets) -> np.ndarray | None:
         """Wanted stiffnesses [N/m]; None where none is wanted, or none has a weight."""
         wanted = self._scene_stiffness
+        if command.stiffness is None and not self._weighs_stiffness.any():
+            return None
         if command.stiffness is not None:
             shape = (len(self._model.effectors.effectors), 3)
             wanted = _fitting("stiffness", command.stiffness, shape, True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -199,7 +200,7 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
     _refuse(body, key, scene)
     try:
         changed = changed_since(path, reduction_fingerprints(body))
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise SceneError(
             scene.path, f"{key}.file", str(path), "", f"is no reduced model: {error}"
         ) from None

@@ -47,13 +47,13 @@ class Job(NamedTuple):
     """What a worker needs to compute any sample of a run.
 
     Attributes:
-        make: Makes the function that computes a row from the setpoints of a sample; it is called
-            once in each worker, with `scene` and `content`.
+        make: Makes the function that computes the row of a sample, or whatever else becomes of it,
+            from its array; it is called once in each worker, with `scene` and `content`.
         scene: The scene file; on a cluster all workers must see it under this path.
         content: Fingerprint of the scene and its files, which `make` checks.
     """
 
-    make: Callable[[Path, str], Callable[[np.ndarray], list]]
+    make: Callable[[Path, str], Callable[[np.ndarray], object]]
     scene: Path
     content: str
 
@@ -63,12 +63,12 @@ class SampleOutcome(NamedTuple):
 
     Attributes:
         index: The sample.
-        row: Its row; None where it was lost.
+        row: Its row, or what else the job computes; None where it was lost.
         cause: Why it was lost; else empty.
     """
 
     index: int
-    row: list | None
+    row: object | None
     cause: str = ""
 
 
@@ -80,7 +80,7 @@ class SampleWorkers(Protocol):
 
         Args:
             job: What they share.
-            samples: Index and setpoints of each.
+            samples: Index of each and its array, such as its setpoints.
         """
 
 
@@ -263,7 +263,7 @@ class DaskWorkers:
 _of_thread = threading.local()
 
 
-def compute_on_cluster(job: Job, setpoints: np.ndarray) -> list:
+def compute_on_cluster(job: Job, setpoints: np.ndarray) -> object:
     """Computes one sample on a worker of a cluster, each of whose threads builds the scene once."""
     made = getattr(_of_thread, "made", None)
     if made is None or made[0] != job:

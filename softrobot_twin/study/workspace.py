@@ -25,6 +25,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
@@ -152,6 +153,23 @@ def _read_range(simulation: Simulation, text: str) -> tuple[list[int], tuple[flo
     return places, (low, high)
 
 
+def shifted_sobol(dimension: int, count: int, seed: int) -> np.ndarray:
+    """Sobol's sequence, shifted by a random vector; more points begin with the same ones.
+
+    Args:
+        dimension: Number of coordinates.
+        count: Number of points.
+        seed: Seed of the shift.
+
+    Returns:
+        Points of the unit cube, shape (count, dimension).
+    """
+    shift = np.random.default_rng(seed).random(dimension)
+    exponent = max(1, math.ceil(math.log2(count + 1)))
+    points = qmc.Sobol(dimension, scramble=False).random_base2(exponent)
+    return (points[:count] + shift) % 1.0
+
+
 def sampled_setpoints(
     simulation: Simulation, axes: Sequence[Axis], count: int, seed: int
 ) -> np.ndarray:
@@ -170,10 +188,7 @@ def sampled_setpoints(
     setpoints = np.tile(simulation.rest_setpoints, (count, 1))
     if count < 2:
         return setpoints
-    shift = np.random.default_rng(seed).random(len(axes))
-    exponent = max(1, math.ceil(math.log2(count)))
-    points = qmc.Sobol(len(axes), scramble=False).random_base2(exponent)
-    points = (points[: count - 1] + shift) % 1.0
+    points = shifted_sobol(len(axes), count - 1, seed)
     for sample, point in zip(setpoints[1:], points, strict=True):
         drives = actuators.drives(simulation.rest_setpoints)
         for axis, share in zip(axes, point, strict=True):
@@ -254,7 +269,11 @@ class SampleComputer:
 
 def fingerprint_of(simulation: Simulation) -> str:
     """Hash of a scene and of the content of all files that it names."""
-    scene = simulation.scene
+    return scene_fingerprint(simulation.scene)
+
+
+def scene_fingerprint(scene: Scene) -> str:
+    """Hash of a scene and of the content of all files that it names."""
     entries = "\n".join(f"{key}: {value!r}" for key, _, value in values_below(scene)
                         if not isinstance(value, Path))  # fmt: skip
     found = hashlib.sha256(entries.encode())
@@ -504,10 +523,10 @@ class SampleProgress:
         else:
             self._print()
 
-    def add(self, status: str) -> None:
-        """Count a sample."""
-        self._done += 1
-        self._not_at_rest += status in NOT_AT_REST
+    def add(self, *statuses: str) -> None:
+        """Count samples by their statuses."""
+        self._done += len(statuses)
+        self._not_at_rest += sum(status in NOT_AT_REST for status in statuses)
         note = f"{self._not_at_rest} not at rest" if self._not_at_rest else ""
         if self._bar is not None:
             self._bar.update(self._task, completed=self._done, note=note)
@@ -604,7 +623,7 @@ def _compute(
             if index not in unfinished.rows]  # fmt: skip
     causes: list[tuple[int, str]] = []
     with SampleProgress(title, len(setpoints), len(setpoints) - len(left)) as shown:
-        for index, row, cause in _closed(crew.run(job, left)):
+        for index, row, cause in closed(crew.run(job, left)):
             if row is None:
                 causes.append((index, cause))
                 row = [math.nan] * (len(unfinished.header) - 2) + [LOST]
@@ -613,7 +632,7 @@ def _compute(
     return causes
 
 
-def _closed(outcomes: Iterator[SampleOutcome]) -> Iterator[SampleOutcome]:
+def closed(outcomes: Iterator[SampleOutcome]) -> Iterator[SampleOutcome]:
     """Outcomes; the workers end at once, whatever ends the loop over them."""
     try:
         yield from outcomes

@@ -1,0 +1,625 @@
+"""``python -m softrobot_twin reduce``: makes the reduced model of a body of a scene.
+
+1. The full model is brought to states of the actuators' box, or near targets, perhaps under loads
+   and tilted gravity (`reduction_states.py`).
+2. Modes follow from the displacements, and few weighted quadrature points from the forces along
+   these modes (`reduction_basis.py`).
+3. The reduced model is compared with the full one at fresh states, which served for neither, begun
+   at the pose before as in a live run.
+
+With a wanted error the training grows by need. In each round many candidates are solved by the
+reduced model, with the modes in use and with the spare ones too; where the two differ most, the
+full model is solved and the states are added (greedy sampling; Paul-Dubois-Taine and Amsallem, Int.
+J. Numer. Meth. Engng 102, 2015). Some fresh states judge each round before they are added in turn.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.cell_mesh import points_of
+from softrobot_twin.mechanics.reduced_elements import SampledPoints
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.body_entries import Reduced
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.body_reduction import (
+    BodyReduction,
+    reduction_fingerprints,
+    write_body_reduction,
+)
+from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.reduced_body import without_reductions
+from softrobot_twin.study.output_file import OutputError, output_file
+from softrobot_twin.study.reduction_basis import (
+    Modes,
+    blocks_of,
+    leading,
+    mode_count_of,
+    proper_modes,
+    rest_stiffness,
+    sampled_points,
+)
+from softrobot_twin.study.reduction_states import (
+    FinderMaker,
+    Sampling,
+    StateFinder,
+    States,
+    StateStore,
+    TargetBox,
+    TrainingError,
+    chains,
+    columns_of,
+    find_states,
+    joined,
+    refuse_unreducible,
+    samples_of,
+    spread_of,
+    spread_points,
+    training_scene,
+)
+from softrobot_twin.study.sample_workers import (
+    DaskWorkers,
+    Job,
+    LocalWorkers,
+    SampleWorkers,
+    core_count,
+)
+from softrobot_twin.study.terminal import console, table, terminal_status, warn
+from softrobot_twin.study.workspace import Axis, sampled_axes, scene_fingerprint
+
+# Share of the energy of all displacements that the modes in use leave out.
+ENERGY = 1.0e-6
+# Most modes by energy: more make a step slower than many a full model.
+MOST_MODES = 96
+# Modes beyond those in use, for the estimate of the error.
+SPARE_MODES = 24
+# Error of the virtual work that the sampled points leave, as a share.
+TOLERANCE = 3.0e-3
+# States of a training without a wanted error, and fresh ones that it is judged at.
+SNAPSHOTS, FRESH_STATES = 300, 40
+# Fresh states have seeds of their own: those of the last judgement, and of the rounds.
+FRESH_SEED, ROUND_SEED = 1000, 2000
+# With a wanted error: states to begin with, candidates of a round, how many of the worst are added,
+# fresh ones that judge it, and most rounds.
+FIRST_SNAPSHOTS, CANDIDATES, ADDED, JUDGES, MOST_ROUNDS = 120, 96, 36, 24, 8
+# Where the spare modes take this share of the error away, a round adds so many modes in use.
+MODES_HELP, MORE_MODES = 0.4, 6
+# Else it lowers the tolerance of the sampling by this factor.
+FINER_SAMPLING = 0.6
+# The error of the rounds is this quantile of their fresh states.
+ALL_BUT_FEW = 0.95
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """What is asked of a training.
+
+    Attributes:
+        body: The body; None for the only one.
+        output: File to write; None for one beside the mesh.
+        snapshots: Number of states, that at rest included; None for the default.
+        ranges: Bounds in place of the scene's; see `sampled_axes`.
+        targets: Boxes of targets; none for the box of the actuators.
+        load: Greatest force at a point [N].
+        load_points: Loaded points [m]; none for the effectors.
+        spread_loads: Number of further loaded points, spread over the surface.
+        tilt: Greatest tilt of gravity [rad].
+        energy: Share of the energy that the modes in use leave out.
+        modes: Number of modes in place of that; None for the energy.
+        spare: Number of spare modes.
+        tolerance: Error of the virtual work that sampled points leave.
+        error: Wanted error at fresh states, as a share of the effectors' displacement; None for a
+            training of a given number of states.
+        states: Fresh states that the result is judged at.
+        seed: Seed of all samples.
+        workers: Processes on this machine; None for one on each core.
+        scheduler: Address of a Dask scheduler in place of these.
+    """
+
+    body: str | None = None
+    output: Path | None = None
+    snapshots: int | None = None
+    ranges: tuple[str, ...] = ()
+    targets: tuple[TargetBox, ...] = ()
+    load: float = 0.0
+    load_points: tuple[tuple[float, float, float], ...] = ()
+    spread_loads: int = 0
+    tilt: float = 0.0
+    energy: float = ENERGY
+    modes: int | None = None
+    spare: int = SPARE_MODES
+    tolerance: float = TOLERANCE
+    error: float | None = None
+    states: int = FRESH_STATES
+    seed: int = 0
+    workers: int | None = None
+    scheduler: str | None = None
+
+
+class Judgement(NamedTuple):
+    """The reduced model against the full one at states.
+
+    Attributes:
+        shares: Largest error of an effector at each state, as a share of its displacement from the
+            rest shape; NaN where the reduced model found no equilibrium, shape (count,).
+    """
+
+    shares: np.ndarray
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Median and largest, where there is an equilibrium; NaN without any, shape (2,)."""
+        good = self.shares[np.isfinite(self.shares)]
+        return np.array([np.median(good), good.max()]) if len(good) else np.full(2, np.nan)
+
+    @property
+    def lost(self) -> int:
+        """States at which the reduced model found no equilibrium."""
+        return int(np.count_nonzero(~np.isfinite(self.shares)))
+
+
+class Trained(NamedTuple):
+    """A reduced model in the making.
+
+    Attributes:
+        modes: All modes, in the axes of the world.
+        mode_count: How many are in use.
+        sampled: Points with the modes in use, and the error that they leave.
+        spare_sampled: The same with the spare modes.
+        coordinates: Of the states of the training [m], shape (state_count, all modes).
+    """
+
+    modes: Modes
+    mode_count: int
+    sampled: tuple[SampledPoints, float]
+    spare_sampled: tuple[SampledPoints, float]
+    coordinates: np.ndarray
+
+
+# --- one reduced model ---------------------------------------------------------------------------
+
+
+def train(
+    body: Body, K, states: States, mode_count: int | None, options: TrainingOptions,
+    tolerance: float,
+) -> Trained:  # fmt: skip
+    """Make a reduced model of the states of a full one.
+
+    Args:
+        body: The full body.
+        K: Its stiffness at rest; see `rest_stiffness`.
+        states: The states; all are used that were found.
+        mode_count: Modes in use; None to follow from the energy.
+        options: Says the energy, and the number of spare modes.
+        tolerance: Error of the virtual work that sampled points leave.
+
+    Raises:
+        TrainingError: There are too few states for as many modes.
+    """
+    displacements = states.found().displacements
+    modes = proper_modes(displacements, K, MOST_MODES + options.spare)
+    available = 3 * (modes.basis.shape[2] // 3)
+    count = mode_count or min(mode_count_of(modes.shares, options.energy), MOST_MODES)
+    count = min(3 * -(-count // 3), available)
+    if count < 3:
+        raise TrainingError(
+            f"{len(displacements)} states have {modes.basis.shape[2]} modes: at least 3 are needed"
+        )
+    total = min(count + 3 * -(-options.spare // 3), available)
+    modes = leading(modes, total)
+    coordinates = modes.coordinates(K, displacements)
+    rng = np.random.default_rng(options.seed)
+    used = leading(modes, count)
+    sampled = sampled_points(body, used, coordinates[:, :count], tolerance, rng)
+    # The estimate begins where the spare coordinates are zero.
+    without = coordinates * (np.arange(total) < count)
+    both = np.concatenate([coordinates[::2], without[1::2]])
+    spare_sampled = sampled_points(body, modes, both, tolerance, rng)
+    return Trained(modes, count, sampled, spare_sampled, coordinates)
+
+
+def reduction_of(
+    body: Body, trained: Trained, measured: np.ndarray, training: dict
+) -> BodyReduction:
+    """The reduced model as it is saved, in mesh coordinates."""
+    turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()
+    basis = np.einsum("ji,njm->nim", turn, trained.modes.basis)
+    basis[body.fixed] = 0.0
+    return BodyReduction(
+        basis, trained.mode_count, trained.sampled[0], trained.spare_sampled[0],
+        np.abs(trained.coordinates).max(axis=0), measured, training,
+    )  # fmt: skip
+
+
+def with_all_modes(reduction: BodyReduction) -> BodyReduction:
+    """The same with the spare modes in use."""
+    return reduction._replace(
+        mode_count=reduction.basis.shape[2], sampled=reduction.spare_sampled
+    )
+
+
+def reduced_scene(scene: Scene, body: str, file: Path) -> Scene:
+    """A scene in which a body is reduced by a file."""
+    entry = Reduced(file=file.resolve())
+    bodies = tuple(
+        own.model_copy(update={"reduced": entry}) if own.name == body else own
+        for own in scene.deformables
+    )
+    if scene.body is not None:
+        return scene.model_copy(update={"body": bodies[0]})
+    return scene.model_copy(update={"bodies": bodies})
+
+
+# --- a run ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Training:
+    """A run of the command: what it samples, and what it has found.
+
+    Attributes:
+        scene: The full scene.
+        options: What is asked.
+        sampling: Loads and tilts.
+        simulation: The training scene; its state is not used.
+        body: The full body.
+        axes: Box of the actuators.
+        crew: Computes states.
+        job: What these share.
+        store: Keeps them.
+        causes: Why states were lost.
+    """
+
+    scene: Scene
+    options: TrainingOptions
+    sampling: Sampling
+    simulation: Simulation
+    body: Body
+    axes: tuple[Axis, ...]
+    crew: SampleWorkers
+    job: Job
+    store: StateStore
+    causes: list[str] = field(default_factory=list)
+
+    def samples(self, count: int, seed: int) -> np.ndarray:
+        """Fresh samples; see `samples_of`."""
+        return samples_of(
+            self.simulation, self.axes, self.sampling, self.options.targets, count, seed
+        )
+
+    def states(self, title: str, samples: np.ndarray) -> States:
+        """States of the full model.
+
+        Args:
+            title: What the progress is called.
+            samples: That at rest first, shape (count, width).
+
+        Raises:
+            TrainingError: There are none.
+        """
+        tours = chains(samples, spread_of(samples))
+        found, causes = find_states(
+            title, self.crew, self.job, [samples[tour] for tour in tours], self.store
+        )
+        self.causes += causes
+        if not found or not any(part.is_found.any() for part in found):
+            raise TrainingError(f"{self.scene.path}: no state of the full model was found")
+        return joined(found)
+
+    def finder(self, reduction: BodyReduction, name: str) -> StateFinder:
+        """Finds states of a reduced model, which is saved beside those of the full one."""
+        file = self.store.path / f"{name}.reduced"
+        with open(file, "wb") as stream:
+            write_body_reduction(stream, reduction, reduction_fingerprints(self.body))
+        scene = reduced_scene(self.scene, self.body.name, file)
+        return StateFinder(training_scene(scene, self.sampling), "")
+
+    def solve(self, reduction: BodyReduction, name: str, samples: np.ndarray) -> States:
+        """States of a reduced model, each begun at the one before it."""
+        finder = self.finder(reduction, name)
+        return joined([finder(samples[tour]) for tour in chains(samples, spread_of(samples))])
+
+    def judge(self, reduction: BodyReduction, name: str, truth: States) -> Judgement:
+        """A reduced model against states of the full one, at the same setpoints and loads."""
+        truth = truth.found()
+        held = truth.held(columns_of(self.simulation))
+        tours = chains(held, spread_of(held))
+        finder = self.finder(reduction, name)
+        own = joined([finder(held[tour]) for tour in tours])
+        return Judgement(self.shares(own.effectors, truth.effectors[np.concatenate(tours)]))
+
+    def shares(self, effectors: np.ndarray, truth: np.ndarray) -> np.ndarray:
+        """Largest distance of effectors from where they should be, by their displacement.
+
+        Args:
+            effectors: Positions [m], shape (count, effector_count, 3).
+            truth: Where they should be [m], same shape.
+        """
+        self.simulation.reset()
+        rest = self.simulation.effector_positions()
+        errors = np.linalg.norm(effectors - truth, axis=2)
+        return (errors / np.linalg.norm(truth - rest, axis=2)).max(axis=1)
+
+
+def begin_training(path: Path, options: TrainingOptions, output: Path | None = None) -> Training:
+    """Read a scene, refuse what cannot be reduced, and take up an interrupted run.
+
+    Args:
+        path: Scene file.
+        options: What is asked.
+        output: File to write; None for that of the options.
+    """
+    scene = without_reductions(load_scene(path))
+    names = [body.name for body in scene.deformables]
+    name = options.body or (names[0] if len(names) == 1 else None)
+    if name not in names:
+        raise TrainingError(
+            f"{path}: --body names one of {', '.join(names)}" if names
+            else f"{path}: there is no deformable body"
+        )  # fmt: skip
+    if not scene.effectors:
+        raise TrainingError(f"{path}: there are no effectors, whose error could be told")
+    with terminal_status("building the scene"):
+        plain = Simulation(training_scene(scene, Sampling(name)), with_warnings=False)
+        body = next(own for own in plain.model.bodies if own.name == name)
+        refuse_unreducible(scene, body)
+        sampling = _sampling(scene, body, options)
+        simulation = plain
+        if sampling.load_points:
+            simulation = Simulation(training_scene(scene, sampling), with_warnings=False)
+    for box in options.targets:
+        if box.effector not in simulation.effector_names:
+            raise TrainingError(f"--targets: {path} has no effector {box.effector}")
+    axes = () if options.targets else sampled_axes(simulation, options.ranges)
+    content = scene_fingerprint(scene)
+    run = {"scene": content, "body": name, "loaded points": sampling.load_points}
+    crew = LocalWorkers(options.workers or core_count())
+    if options.scheduler is not None:
+        crew = DaskWorkers(options.scheduler)
+    job = Job(FinderMaker(sampling), Path(path).resolve(), content)
+    store = StateStore(output or output_path(scene, body, options), run)
+    return Training(scene, options, sampling, simulation, body, axes, crew, job, store)
+
+
+def _sampling(scene: Scene, body: Body, options: TrainingOptions) -> Sampling:
+    points: list = []
+    if options.load:
+        points = [(tuple(map(float, point)),) for point in options.load_points]
+        if options.spread_loads:
+            points += [(tuple(map(float, point)),)
+                       for point in spread_points(body, options.spread_loads)]  # fmt: skip
+        if not points:
+            points = [effector.points for effector in scene.effectors
+                      if effector.body in (None, body.name)]  # fmt: skip
+        if not points:
+            raise TrainingError(
+                f"--load: no effector is on {body.name}; name points by --load-points"
+            )
+    if options.tilt and not any(scene.gravity):
+        raise TrainingError("--tilts: the scene has no gravity that could be tilted")
+    if options.tilt and any(cavity.liquid_density for cavity in scene.cavities):
+        raise TrainingError("--tilts: of liquids in cavities is not built")
+    return Sampling(body.name, options.load, tuple(points), options.tilt)
+
+
+def output_path(scene: Scene, body: Body, options: TrainingOptions) -> Path:
+    """The file that is written: beside the mesh, by the name of the scene and, of several, the
+    body."""
+    if options.output is not None:
+        return options.output
+    name = scene.name if len(scene.deformables) == 1 else f"{scene.name}_{body.name}"
+    return scene.file_path(body.entry.mesh.file).parent / f"{name}_reduced.npz"
+
+
+class Round(NamedTuple):
+    """A round of a training with a wanted error.
+
+    Attributes:
+        states: Number of states it was trained with.
+        modes: Modes in use.
+        points: Sampled points.
+        judgement: At fresh states.
+        estimate: Largest estimated error of the candidates, as a share.
+    """
+
+    states: int
+    modes: int
+    points: int
+    judgement: Judgement
+    estimate: float
+
+
+def train_by_need(training: Training) -> tuple[Trained, States, list[Round], bool]:
+    """Add states, modes and points until the wanted error is met at fresh states.
+
+    Returns:
+        The reduced model, the states of its training, the rounds, and whether the error is met.
+    """
+    options, body = training.options, training.body
+    K, tolerance, mode_count = rest_stiffness(body), options.tolerance, options.modes
+    first = training.samples(options.snapshots or FIRST_SNAPSHOTS, options.seed)
+    states, rounds = training.states("first states", first), []
+    for number in range(1, MOST_ROUNDS + 1):
+        trained = train(body, K, states, mode_count, options, tolerance)
+        reduction = reduction_of(body, trained, np.full(2, np.nan), {})
+        seed = options.seed + ROUND_SEED + 2 * number
+        fresh = training.states(f"round {number}: fresh states", training.samples(JUDGES, seed))
+        judged = training.judge(reduction, "in_use", fresh)
+        better = training.judge(with_all_modes(reduction), "all", fresh)
+        candidates = training.samples(CANDIDATES, seed + 1)
+        asked, estimates = _estimates(training, reduction, candidates)
+        rounds.append(Round(
+            int(states.is_found.sum()), trained.mode_count, len(trained.sampled[0].cells), judged,
+            float(np.max(estimates[np.isfinite(estimates)], initial=0.0)),
+        ))  # fmt: skip
+        _tell_round(number, rounds[-1])
+        if not judged.lost and judged.measured[1] <= options.error:
+            return trained, states, rounds, True
+        if number == MOST_ROUNDS:
+            break
+        worst = np.argsort(-np.nan_to_num(estimates, nan=np.inf, posinf=np.inf))[:ADDED]
+        added = np.concatenate([asked[:1], asked[np.sort(worst[worst > 0])]])
+        more = training.states(f"round {number}: where the estimate is worst", added)
+        states = joined([states, fresh, more])
+        if _typical(better) <= (1.0 - MODES_HELP) * _typical(judged):
+            mode_count = min(trained.mode_count + MORE_MODES, MOST_MODES)
+        else:
+            tolerance *= FINER_SAMPLING
+            mode_count = trained.mode_count
+    return trained, states, rounds, False
+
+
+def _typical(judgement: Judgement) -> float:
+    good = judgement.shares[np.isfinite(judgement.shares)]
+    return float(np.quantile(good, ALL_BUT_FEW)) if len(good) else np.inf
+
+
+def _estimates(
+    training: Training, reduction: BodyReduction, candidates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples that hold the actuators where the reduced model has them, and its estimated errors.
+
+    Returns:
+        Samples, that at rest first, and the difference that the spare modes make, as a share; NaN
+        where one of the two has no equilibrium.
+    """
+    found = training.solve(reduction, "in_use", candidates)
+    held = found.held(columns_of(training.simulation))
+    # Where the reduced model is lost, the full one is asked for the sample itself.
+    held = np.where(found.is_found[:, None], held, found.samples)
+    finder = training.finder(with_all_modes(reduction), "all")
+    all_modes = finder(held)
+    return held, training.shares(found.effectors, all_modes.effectors)
+
+
+def _tell_round(number: int, done: Round) -> None:
+    median, largest = 100.0 * done.judgement.measured
+    lost = f", {done.judgement.lost} lost" if done.judgement.lost else ""
+    console().print(
+        f"round {number}: {done.states} states, {done.modes} modes, {done.points} points: error at "
+        f"fresh states {median:.3f} % (median), {largest:.3f} % (largest){lost}; estimated at "
+        f"candidates up to {100.0 * done.estimate:.3f} %"
+    )
+
+
+def train_once(training: Training) -> tuple[Trained, States]:
+    """Train with a given number of states."""
+    options = training.options
+    samples = training.samples(options.snapshots or SNAPSHOTS, options.seed)
+    states = training.states(f"{training.scene.name}: states of the full model", samples)
+    with terminal_status("modes and sampled points"):
+        K = rest_stiffness(training.body)
+        trained = train(training.body, K, states, options.modes, options, options.tolerance)
+    return trained, states
+
+
+def reduce(path: Path, options: TrainingOptions) -> int:
+    """Make the reduced model of a body, and judge it.
+
+    Args:
+        path: Scene file.
+        options: What is asked.
+
+    Returns:
+        Exit code: 1 where states were lost, or a wanted error is not met.
+
+    Raises:
+        SoftRobotTwinError: The scene, an option or a file cannot be used.
+    """
+    begin = time.perf_counter()
+    training = begin_training(path, options)
+    output = output_path(training.scene, training.body, options)
+    try:
+        rounds, is_met = [], True
+        if options.error is not None:
+            trained, states, rounds, is_met = train_by_need(training)
+        else:
+            trained, states = train_once(training)
+        training_time = time.perf_counter() - begin
+        made = _said(path, options, trained, states, training_time)
+        reduction = reduction_of(training.body, trained, np.full(2, np.nan), made)
+        judgement = None
+        if options.states:
+            samples = training.samples(options.states, options.seed + FRESH_SEED)
+            fresh = training.states("fresh states", samples)
+            judgement = training.judge(reduction, "in_use", fresh)
+            reduction = reduction._replace(measured=judgement.measured)
+    except KeyboardInterrupt:
+        warn(f"{training.store.count()} chains of states are in {training.store.path}; the same "
+             "command goes on from there")  # fmt: skip
+        raise
+    _save(output, reduction, training.body)
+    training.store.remove()
+    for cause in training.causes:
+        warn(cause)
+    _print_result(training, trained, states, judgement, output, time.perf_counter() - begin)
+    if not is_met:
+        warn(f"the wanted error of {100.0 * options.error:g} % is not met after {len(rounds)} "
+             "rounds")  # fmt: skip
+    lost = bool(training.causes) or (judgement is not None and judgement.lost > 0)
+    return 0 if is_met and not lost else 1
+
+
+def _save(output: Path, reduction: BodyReduction, body: Body) -> None:
+    try:
+        with output_file(output) as partial, open(partial, "wb") as stream:
+            write_body_reduction(stream, reduction, reduction_fingerprints(body))
+    except SoftRobotTwinError:
+        raise
+    except OSError as error:
+        raise OutputError(output, error.strerror or str(error)) from error
+
+
+def _said(
+    path: Path, options: TrainingOptions, trained: Trained, states: States, seconds: float
+) -> dict:
+    """How a reduced model was made, for its file."""
+    return {
+        "scene": Path(path).name, "seed": options.seed, "states": int(states.is_found.sum()),
+        "states not found": int((~states.is_found).sum()), "modes": trained.mode_count,
+        "energy left out": float(trained.modes.shares[trained.mode_count]),
+        "points": len(trained.sampled[0].cells), "sampling error": trained.sampled[1],
+        "points with spare modes": len(trained.spare_sampled[0].cells),
+        "sampling error with spare modes": trained.spare_sampled[1],
+        "load [N]": options.load, "tilt [rad]": options.tilt,
+        "targets": [list(box) for box in options.targets], "ranges": list(options.ranges),
+        "wanted error": options.error, "time [s]": seconds,
+    }  # fmt: skip
+
+
+def _print_result(
+    training: Training, trained: Trained, states: States, judgement: Judgement | None,
+    output: Path, seconds: float,
+) -> None:  # fmt: skip
+    body, out = training.body, console()
+    rows = table(f"{body.name} of {training.scene.name}, reduced", "", "full model", "reduced")
+    found = int(states.is_found.sum())
+    freedoms = 3 * int(np.count_nonzero(~body.fixed))
+    rows.add_row("states of the training", f"{found} of {len(states.is_found)}", "")
+    rows.add_row("unknowns", f"{freedoms}", f"{trained.mode_count}")
+    rows.add_row("quadrature points", f"{point_count(body)}", f"{len(trained.sampled[0].cells)}")
+    rows.add_row("energy that the modes leave out", "",
+                 f"{trained.modes.shares[trained.mode_count]:.1e}")
+    rows.add_row("virtual work that the points leave out", "", f"{100 * trained.sampled[1]:.2f} %")
+    rows.add_row("spare modes, points with them", "",
+                 f"{trained.modes.basis.shape[2] - trained.mode_count}, "
+                 f"{len(trained.spare_sampled[0].cells)}")
+    if judgement is not None:
+        median, largest = 100.0 * judgement.measured
+        rows.add_row(f"error of the effectors at {len(judgement.shares)} fresh states", "",
+                     f"{median:.3f} % (median), {largest:.3f} % (largest)"
+                     + (f", {judgement.lost} not found" if judgement.lost else ""))
+    out.print(rows)
+    out.print(f"saved in {output}, {1e-6 * output.stat().st_size:.1f} MB, {seconds:.0f} s in all")
+
+
+def point_count(body: Body) -> int:
+    """Number of quadrature points of a body."""
+    return sum(points_of(block.mesh).weights.size for block, _ in blocks_of(body))

@@ -1,0 +1,593 @@
+"""States of a full model that a reduction is trained and judged on.
+
+A state is an equilibrium: of actuators within their bounds, or of those that bring the effectors
+near targets; perhaps under a load at a point, and under a tilted gravity. States are visited on
+tours, each near the one before it, which takes few linearizations. A tour is cut into chains. Each
+chain begins at rest, so that its states do not depend on any other chain, on the number of workers,
+or on whether the run was interrupted.
+
+The file contains, in this order: what is sampled, the tours, how a chain is computed, what a
+stopped run leaves behind.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shutil
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import SceneError, SoftRobotTwinError
+from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.schema import Touch
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
+from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.reduced_body import without_reductions
+from softrobot_twin.simulation.touches import Touched
+from softrobot_twin.study.equilibrium import ANY_TIME
+from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
+from softrobot_twin.study.sample_workers import Job, SampleWorkers
+from softrobot_twin.study.vertebrae_reduction import full_scene
+from softrobot_twin.study.workspace import (
+    LOST,
+    Axis,
+    SampleProgress,
+    closed,
+    scene_fingerprint,
+    shifted_sobol,
+)
+
+# Linearizations of a step, and most steps to an equilibrium.
+ITERATIONS, MOST_STEPS = 4, 15
+# Parts of the way to the first state of a chain, and to one that a whole step did not reach.
+FIRST_WAY, FINE_WAY = 4, 12
+# Steps towards targets before the actuators are held, and the distance from a target that is near
+# enough for a state, as a share of the robot's size.
+MOST_FOLLOWS, NEAR = 4, 0.01
+# States of a chain: what a lost worker costs.
+CHAIN_LENGTH = 12
+
+
+class TrainingError(SoftRobotTwinError):
+    """A body cannot be reduced as it is asked for."""
+
+
+# --- what is sampled -----------------------------------------------------------------------------
+
+
+class TargetBox(NamedTuple):
+    """Where the targets of an effector lie.
+
+    Attributes:
+        effector: Its name.
+        low: Least coordinates [m].
+        high: Greatest [m].
+    """
+
+    effector: str
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+class Sampling(NamedTuple):
+    """What is sampled, beside the box of the actuators.
+
+    Attributes:
+        body: Name of the body that is reduced.
+        load: Greatest force at a point [N]; zero for none.
+        load_points: Points that are loaded, each the mean of some points at rest [m].
+        tilt: Greatest angle of gravity from its direction in the scene [rad].
+    """
+
+    body: str
+    load: float = 0.0
+    load_points: tuple[tuple[tuple[float, float, float], ...], ...] = ()
+    tilt: float = 0.0
+
+
+class Columns(NamedTuple):
+    """Places of a sample's values: setpoints, targets, forces, gravity.
+
+    Attributes:
+        actuator_count: Number of setpoints.
+        effector_count: Number of targets; NaN where the setpoints hold.
+        load_count: Number of forces.
+    """
+
+    actuator_count: int
+    effector_count: int
+    load_count: int
+
+    @property
+    def width(self) -> int:
+        """Number of values of a sample."""
+        return self.actuator_count + 3 * (self.effector_count + self.load_count + 1)
+
+    def split(self, sample: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Setpoints, targets (effector_count, 3), forces (load_count, 3) and gravity (3,).
+
+        They are views; several samples have their axis first.
+        """
+        ends = np.cumsum([self.actuator_count, 3 * self.effector_count, 3 * self.load_count])
+        setpoints, targets, forces, gravity = np.split(sample, ends, axis=-1)
+        points = (*sample.shape[:-1], -1, 3)
+        return setpoints, targets.reshape(points), forces.reshape(points), gravity
+
+
+def columns_of(simulation: Simulation) -> Columns:
+    """Columns of the samples of a training scene."""
+    return Columns(
+        len(simulation.actuator_names), len(simulation.effector_names), len(simulation.touch_names)
+    )
+
+
+def training_scene(scene: Scene, sampling: Sampling) -> Scene:
+    """The scene in statics without rates and contact, with the loaded points as its touches.
+
+    Args:
+        scene: The scene.
+        sampling: What is sampled.
+    """
+    solver = scene.solver.model_copy(update={
+        "newton_iterations": ITERATIONS,
+        "residual_tolerance": 1.0e-3 * scene.solver.residual_tolerance,
+    })  # fmt: skip
+    touches = tuple(
+        Touch(name=f"load_{index}", body=sampling.body, points=points,
+              while_touched="follow_targets")
+        for index, points in enumerate(sampling.load_points)
+    )  # fmt: skip
+    return full_scene(scene).model_copy(update={"solver": solver, "touches": touches})
+
+
+def spread_points(body: Body, count: int) -> np.ndarray:
+    """Points of a body's surface far from each other, none of them fixed [m], shape (count, 3).
+
+    Each is the one furthest from those before it; the first is furthest from the fixed nodes.
+    """
+    nodes = np.unique(body.mesh.surface_triangles)
+    places = body.mesh.node_positions
+    free = places[nodes[~body.fixed[nodes]]]
+    known = places[body.fixed] if body.fixed.any() else places.mean(axis=0)[None]
+    distance = np.min([np.linalg.norm(free - point, axis=1) for point in known], axis=0)
+    chosen = []
+    for _ in range(min(count, len(free))):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(free - free[chosen[-1]], axis=1))
+    return free[chosen]
+
+
+def samples_of(
+    simulation: Simulation, axes: Sequence[Axis], sampling: Sampling,
+    boxes: Sequence[TargetBox], count: int, seed: int,
+) -> np.ndarray:  # fmt: skip
+    """Samples on a shifted Sobol sequence, that at rest first; more begin with the same ones.
+
+    Every second one is without a load.
+
+    Args:
+        simulation: The training scene.
+        axes: Box of the actuators; used where there are no boxes of targets.
+        sampling: Loads and tilts.
+        boxes: Boxes of targets, in which targets are sampled in place of setpoints.
+        count: Number of samples.
+        seed: Seed of the shift.
+
+    Returns:
+        See `Columns`, shape (count, width).
+    """
+    columns = columns_of(simulation)
+    own = 3 * len(boxes) if boxes else len(axes)
+    points = shifted_sobol(own + 5, count - 1, seed)
+    samples = np.zeros((count, columns.width))
+    setpoints, targets, forces, gravity = columns.split(samples)
+    setpoints[:], targets[:] = simulation.rest_setpoints, np.nan
+    gravity[:] = simulation.scene.gravity
+    if boxes:
+        names = simulation.effector_names
+        for place, box in enumerate(boxes):
+            shares = points[:, 3 * place : 3 * place + 3]
+            low, high = np.array(box.low), np.array(box.high)
+            targets[1:, names.index(box.effector)] = low + shares * (high - low)
+    else:
+        for sample, shares in zip(setpoints[1:], points[:, :own], strict=True):
+            drives = simulation.actuators.drives(simulation.rest_setpoints)
+            for axis, share in zip(axes, shares, strict=True):
+                drives[list(axis.places)] = axis.low + share * (axis.high - axis.low)
+            sample[:] = simulation.actuators.setpoints(drives)
+    if sampling.load:
+        loaded = np.arange(2, count, 2)
+        which = (loaded // 2) % columns.load_count
+        vectors = _directions(points[loaded - 1, own : own + 2])
+        sizes = sampling.load * points[loaded - 1, own + 2]
+        forces[loaded, which] = sizes[:, None] * vectors
+    if sampling.tilt:
+        gravity[1:] = _tilted(gravity[0], sampling.tilt, points[:, own + 3 : own + 5])
+    return samples
+
+
+def _directions(shares: np.ndarray) -> np.ndarray:
+    """Directions, uniform over the sphere, of points of the unit square, shape (count, 3)."""
+    height, turn = 2.0 * shares[:, 0] - 1.0, 2.0 * np.pi * shares[:, 1]
+    flat = np.sqrt(1.0 - height**2)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+
+
+def _tilted(gravity: np.ndarray, tilt: float, shares: np.ndarray) -> np.ndarray:
+    """Gravity tilted by angles up to `tilt`, uniform over that cap, shape (count, 3)."""
+    size = np.linalg.norm(gravity)
+    axis = gravity / size
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    other = np.cross(axis, side)
+    along = 1.0 - shares[:, 0] * (1.0 - math.cos(tilt))
+    across, turn = np.sqrt(1.0 - along**2), 2.0 * np.pi * shares[:, 1]
+    return size * (
+        along[:, None] * axis + (across * np.cos(turn))[:, None] * side
+        + (across * np.sin(turn))[:, None] * other
+    )  # fmt: skip
+
+
+# --- tours ---------------------------------------------------------------------------------------
+
+
+def chains(samples: np.ndarray, scales: np.ndarray, length: int = CHAIN_LENGTH) -> list[np.ndarray]:
+    """Samples in chains, each near the one before it.
+
+    Args:
+        samples: That at rest first, shape (count, width).
+        scales: What a value of each column is divided by in distances, shape (width,).
+        length: Most samples of a chain.
+
+    Returns:
+        Indices of the samples of each chain.
+    """
+    places = np.nan_to_num(samples) / scales
+    left, order = np.arange(1, len(samples)), [0]
+    while len(left):
+        squares = ((places[left] - places[order[-1]]) ** 2).sum(axis=1)
+        nearest = int(np.argmin(squares))
+        order.append(int(left[nearest]))
+        left = np.delete(left, nearest)
+    count = -(-len(order) // length)
+    return np.array_split(np.array(order), count)
+
+
+def spread_of(samples: np.ndarray) -> np.ndarray:
+    """Width of each column; one where all values are the same, shape (width,)."""
+    wide = np.ptp(np.nan_to_num(samples[1:] if len(samples) > 1 else samples), axis=0)
+    return np.where(wide > 0.0, wide, 1.0)
+
+
+# --- a chain -------------------------------------------------------------------------------------
+
+
+class States(NamedTuple):
+    """States of some samples.
+
+    Attributes:
+        samples: What was asked, see `Columns`, shape (count, width).
+        is_found: Whether there is an equilibrium, shape (count,); the rest is NaN where not.
+        displacements: Of the body's nodes from rest [m], in the world, single precision,
+            shape (count, node_count, 3).
+        setpoints: Of the actuators, shape (count, actuator_count).
+        efforts: Of the actuators, same shape.
+        effectors: Positions of the effectors [m], shape (count, effector_count, 3).
+        iterations: Linearizations that each took, shape (count,).
+    """
+
+    samples: np.ndarray
+    is_found: np.ndarray
+    displacements: np.ndarray
+    setpoints: np.ndarray
+    efforts: np.ndarray
+    effectors: np.ndarray
+    iterations: np.ndarray
+
+    def found(self) -> States:
+        """Those with an equilibrium."""
+        return States(*(field[self.is_found] for field in self))
+
+    def held(self, columns: Columns) -> np.ndarray:
+        """Samples that hold the actuators where they are in these states, without targets."""
+        samples = self.samples.copy()
+        setpoints, targets, _, _ = columns.split(samples)
+        setpoints[:], targets[:] = self.setpoints, np.nan
+        return samples
+
+
+def joined(parts: Sequence[States]) -> States:
+    """States of several chains, one after the other."""
+    return States(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
+
+class StateFinder:
+    """Finds the states of chains by one simulation, which each chain begins at rest."""
+
+    def __init__(self, scene: Scene, body: str):
+        """Build the scene.
+
+        Args:
+            scene: A training scene.
+            body: Name of the body of which displacements are told; empty for none.
+        """
+        self.simulation = Simulation(scene, with_warnings=False)
+        model = self.simulation.model
+        self._columns = columns_of(self.simulation)
+        self._nodes = slice(0, 0)
+        for own in model.bodies:
+            if own.name == body:
+                self._nodes = slice(own.first_node, own.first_node + own.mesh.node_count)
+        terms = (term.on_points for term in model.forces)
+        self._weight = next((term for term in terms if isinstance(term, Gravity)), None)
+        self._gravity = np.array(scene.gravity, float)
+        if self._weight is not None:
+            self._unit_weights = _unit_weights(self.simulation, self._weight.weights)
+        self._iterations = 0
+
+    def __call__(self, chain: np.ndarray) -> States:
+        """States of the samples of a chain, shape (count, width)."""
+        simulation, rest = self.simulation, self.simulation.model.nodes.rest_positions
+        self._begin()
+        found, rows, way = [], [], FIRST_WAY
+        for sample in chain:
+            self._iterations = 0
+            is_found = self._find(sample, way) or self._find_anew(sample)
+            state = simulation.state
+            shift = state.positions[self._nodes] - rest[self._nodes]
+            row = [
+                shift.astype(np.float32), state.setpoints, state.efforts,
+                simulation.effector_positions(),
+            ]  # fmt: skip
+            found.append(is_found)
+            rows.append([np.where(is_found, value, np.nan).astype(value.dtype) for value in row])
+            rows[-1].append(self._iterations)
+            if not is_found:
+                self._begin()
+            way = 1 if is_found else FIRST_WAY
+        displacements, setpoints, efforts, effectors, iterations = map(np.array, zip(*rows))
+        return States(
+            chain.copy(), np.array(found), displacements, setpoints, efforts, effectors, iterations
+        )
+
+    def _begin(self) -> None:
+        """Go back to rest, under the gravity of the scene."""
+        self.simulation.reset()
+        self._load(np.zeros((0, 3)), np.array(self.simulation.scene.gravity, float))
+
+    def _find_anew(self, sample: np.ndarray) -> bool:
+        self._begin()
+        return self._find(sample, FINE_WAY)
+
+    def _find(self, sample: np.ndarray, way: int) -> bool:
+        """Go to a sample in so many parts; whether the equilibrium is reached."""
+        setpoints, targets, forces, gravity = self._columns.split(sample)
+        begin = self.simulation.state
+        loads = forces if begin.touches is None else begin.touches.forces
+        weight, start = self._gravity.copy(), self.simulation.effector_positions()
+        for share in np.arange(1, way + 1) / way:
+            self._load(loads + share * (forces - loads), weight + share * (gravity - weight))
+            wanted = begin.setpoints + share * (setpoints - begin.setpoints)
+            if np.isfinite(targets).any():
+                wanted = self._follow(start + share * (targets - start))
+            if wanted is None or not self._balance(wanted, share == 1.0):
+                return False
+        return True
+
+    def _load(self, forces: np.ndarray, gravity: np.ndarray) -> None:
+        self._touched = None
+        if len(forces):
+            self._touched = Touched(forces, np.full_like(forces, np.nan))
+        if self._weight is not None:
+            self._gravity = gravity
+            self._weight.weights[:] = np.tensordot(gravity, self._unit_weights, 1)
+
+    def _step(self, command):
+        result = self.simulation.step(command, touched=self._touched)
+        self._iterations += result.report.iterations
+        return result
+
+    def _follow(self, wanted: np.ndarray) -> np.ndarray | None:
+        """Setpoints that bring the effectors near targets, or some of the way; NaN for free ones.
+        """
+        simulation = self.simulation
+        near = NEAR * simulation.model.nodes.size
+        for _ in range(MOST_FOLLOWS):
+            result = self._step(FollowTargets(wanted, ANY_TIME))
+            if result.status.is_failure:
+                return None
+            if np.nanmax(np.abs(simulation.effector_positions() - wanted)) <= near:
+                break
+        return simulation.state.setpoints.copy()
+
+    def _balance(self, setpoints: np.ndarray, is_last: bool) -> bool:
+        """Whether the actuators are held in an equilibrium; on the way one step is enough."""
+        tolerance = self.simulation.scene.solver.residual_tolerance
+        for _ in range(MOST_STEPS):
+            result = self._step(CommandSetpoints(setpoints, ANY_TIME))
+            if result.status.is_failure:
+                return False
+            if not is_last or (result.report.residual <= tolerance
+                               and not result.report.inverted_count):
+                return True
+        return False
+
+
+def _unit_weights(simulation: Simulation, weights: np.ndarray) -> np.ndarray:
+    """Weights under a gravity of one along each axis, shape (3, free_node_count, 3).
+
+    Args:
+        simulation: The scene.
+        weights: Those under its gravity [N], shape (free_node_count, 3).
+    """
+    gravity, nodes = np.array(simulation.scene.gravity, float), simulation.model.nodes
+    masses = weights @ gravity / (gravity @ gravity)
+    units = masses[None, :, None] * np.eye(3)[:, None, :]
+    for body in simulation.model.bodies:
+        if body.reduction is not None:
+            own = nodes.free_index[body.reduction.coordinate_nodes]
+            for unit, axis in zip(units, np.eye(3), strict=True):
+                unit[own] = body.reduction.weights_of(body, axis)
+    return units
+
+
+class FinderMaker(NamedTuple):
+    """Makes the `StateFinder` of a scene file in a worker.
+
+    Attributes:
+        sampling: What is sampled.
+    """
+
+    sampling: Sampling
+
+    def __call__(self, scene: Path, content: str) -> StateFinder:
+        """Build the scene; see `Job`.
+
+        Raises:
+            TrainingError: It is not that of the fingerprint.
+        """
+        read = without_reductions(load_scene(scene))
+        if scene_fingerprint(read) != content:
+            raise TrainingError(
+                f"{scene}: is not the scene of this run, or one of its files is not"
+            )
+        return StateFinder(training_scene(read, self.sampling), self.sampling.body)
+
+
+# --- what a stopped run leaves behind ------------------------------------------------------------
+
+_RUN = "run.json"
+
+
+class StateStore:
+    """States of a run on disk, a file for each chain, in a folder beside the file it will write.
+
+    A chain's file is named by a digest of its samples: another command on the same scene finds the
+    chains that it has in common with this one.
+
+    Attributes:
+        path: The folder.
+    """
+
+    def __init__(self, output: Path, run: dict[str, object]):
+        """Take the folder that an earlier call of the same run left, or make it.
+
+        Args:
+            output: File that the run will write.
+            run: What identifies it, by name.
+
+        Raises:
+            TrainingError: The folder is of another run.
+            OutputError: It cannot be read or written.
+        """
+        self.path = output.with_name(output.name + BROKEN_OFF)
+        try:
+            if (self.path / _RUN).is_file():
+                self._check(json.loads((self.path / _RUN).read_text(encoding="utf-8")), run)
+                return
+            self.path.mkdir(parents=True, exist_ok=True)
+            with output_file(self.path / _RUN) as partial:
+                partial.write_text(json.dumps(run), encoding="utf-8")
+        except (OSError, ValueError) as error:
+            raise OutputError(self.path, getattr(error, "strerror", None) or str(error)) from error
+
+    def _check(self, before: dict, run: dict[str, object]) -> None:
+        for name, value in run.items():
+            # JSON has no tuples.
+            if before.get(name) != json.loads(json.dumps(value)):
+                raise TrainingError(
+                    f"{self.path}: is of a run with another {name}; remove it to begin anew, or "
+                    "take another --output"
+                )
+
+    def _file(self, chain: np.ndarray) -> Path:
+        return self.path / f"{hashlib.sha256(chain.tobytes()).hexdigest()[:24]}.npz"
+
+    def find(self, chain: np.ndarray) -> States | None:
+        """The states of a chain; None where they are not there, or cannot be read."""
+        file = self._file(chain)
+        if not file.is_file():
+            return None
+        try:
+            with np.load(file) as saved:
+                return States(*(saved[name] for name in States._fields))
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            return None
+
+    def add(self, chain: np.ndarray, states: States) -> None:
+        """Save the states of a chain; its file is there whole or not at all."""
+        with output_file(self._file(chain)) as partial, open(partial, "wb") as stream:
+            np.savez(stream, **states._asdict())
+
+    def count(self) -> int:
+        """Number of chains that are saved."""
+        return len(list(self.path.glob("*.npz")))
+
+    def remove(self) -> None:
+        """Remove the folder: the run is done."""
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
+def find_states(
+    title: str, crew: SampleWorkers, job: Job, asked: Sequence[np.ndarray], store: StateStore
+) -> tuple[list[States], list[str]]:
+    """States of chains: those of the store, the others computed and saved.
+
+    Args:
+        title: What the progress is called.
+        crew: Computes them.
+        job: What all chains share.
+        asked: Samples of each chain, shape (count, width).
+        store: Keeps them.
+
+    Returns:
+        The states of all chains that were not lost, in their order; and why others were lost.
+    """
+    known = [store.find(chain) for chain in asked]
+    left = [(index, chain) for index, chain in enumerate(asked) if known[index] is None]
+    total = sum(map(len, asked))
+    causes: list[str] = []
+    with SampleProgress(title, total, total - sum(len(chain) for _, chain in left)) as shown:
+        outcomes: Iterator = closed(crew.run(job, left))
+        for index, states, cause in outcomes:
+            if states is None:
+                causes.append(f"{len(asked[index])} states are lost: {cause}")
+                statuses = [LOST] * len(asked[index])
+            else:
+                known[index] = states
+                store.add(asked[index], states)
+                statuses = ["ok" if found else "not_converged" for found in states.is_found]
+            shown.add(*statuses)
+    return [states for states in known if states is not None], causes
+
+
+def refuse_unreducible(scene: Scene, body: Body) -> None:
+    """Refuse a body that cannot be reduced.
+
+    Raises:
+        SceneError: It names why.
+    """
+
+    def refuse(key: str, value: object, reason: str):
+        raise SceneError(scene.path, f"{body.key}.{key}", value, "", reason)
+
+    if body.vertebrae is not None or body.entry.vertebrae is not None:
+        refuse("vertebrae", body.name, "is reduced to vertebrae: it has no basis of modes")
+    if body.entry.volume == "patches":
+        refuse("volume", "patches", "of a reduced body is not built: use elements")
+    if body.riding:
+        refuse("attached", ", ".join(sorted(body.riding)),
+               "nodes attached to rigid bodies are not built for a reduced body")
+    for part in body.materials:
+        key = part.key.removeprefix(f"{body.key}.")
+        if part.viscosity:
+            refuse(f"{key}.viscosity", body.name, "is not built for a reduced body")
+        if part.softening:
+            refuse(f"{key}.softening", body.name, "is not built for a reduced body")

@@ -1,0 +1,254 @@
+"""States that a reduction is trained on: what is sampled, equilibria of chains, and their files."""
+
+import math
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene import load_scene
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.study import reduction_states
+from softrobot_twin.study.reduction_states import (
+    Columns,
+    FinderMaker,
+    Sampling,
+    StateFinder,
+    StateStore,
+    TargetBox,
+    TrainingError,
+    chains,
+    columns_of,
+    find_states,
+    refuse_unreducible,
+    samples_of,
+    spread_of,
+    spread_points,
+    training_scene,
+)
+from softrobot_twin.study.sample_workers import Job, SampleOutcome
+from softrobot_twin.study.workspace import sampled_axes, scene_fingerprint
+
+TIP = (0.01, 0.01, 0.10)
+SAMPLING = Sampling("body", 0.05, ((TIP,), ((0.0, 0.0, 0.06),)), math.radians(30.0))
+
+
+@pytest.fixture(scope="module")
+def finder(column):
+    return StateFinder(training_scene(load_scene(column), SAMPLING), "body")
+
+
+def samples(finder, count, seed=0, boxes=(), sampling=SAMPLING):
+    axes = sampled_axes(finder.simulation)
+    return samples_of(finder.simulation, axes, sampling, boxes, count, seed)
+
+
+def test_samples_begin_at_rest_and_more_begin_with_the_same(finder):
+    few, many = samples(finder, 20), samples(finder, 90)
+    np.testing.assert_array_equal(few, many[:20])
+    setpoints, targets, forces, gravity = columns_of(finder.simulation).split(few[0])
+    np.testing.assert_array_equal(setpoints, finder.simulation.rest_setpoints)
+    assert np.isnan(targets).all() and not forces.any() and gravity.tolist() == [0.0, 0.0, -9.81]
+    assert (samples(finder, 20, seed=1)[1:] != few[1:]).any()
+
+
+def test_half_of_the_samples_is_loaded_at_one_point_each(finder):
+    _, _, forces, _ = columns_of(finder.simulation).split(samples(finder, 201))
+    sizes = np.linalg.norm(forces, axis=2)
+    assert sizes.max() <= 0.05 and sizes.max() > 0.04
+    assert ((sizes > 0.0).sum(axis=1) <= 1).all()
+    assert (sizes > 0.0).sum(axis=0).tolist() == [50, 50]
+    # All directions: their mean is far shorter than one of them.
+    directions = forces[sizes > 0.0] / sizes[sizes > 0.0][:, None]
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.2
+
+
+def test_gravity_is_tilted_up_to_the_angle_and_keeps_its_size(finder):
+    *_, gravity = columns_of(finder.simulation).split(samples(finder, 201))
+    np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 9.81)
+    angles = np.degrees(np.arccos(np.clip(-gravity[:, 2] / 9.81, -1.0, 1.0)))
+    assert 28.0 < angles.max() <= 30.0 + 1e-9 and angles[0] == 0.0
+    turn = np.arctan2(gravity[1:, 1], gravity[1:, 0])
+    assert np.histogram(turn, 4, (-np.pi, np.pi))[0].min() > 30
+
+
+def test_targets_are_sampled_in_their_box(finder):
+    box = TargetBox("tip", (0.0, 0.0, 0.09), (0.02, 0.02, 0.1))
+    _, targets, _, _ = columns_of(finder.simulation).split(samples(finder, 80, boxes=[box]))
+    assert np.isnan(targets[0]).all()
+    assert (targets[1:, 0] >= box.low).all() and (targets[1:, 0] <= box.high).all()
+    assert np.ptp(targets[1:, 0], axis=0).min() > 0.009
+
+
+def test_chains_visit_every_sample_once_by_short_ways(finder):
+    drawn = samples(finder, 100)
+    spread = spread_of(drawn)
+    tours = chains(drawn, spread, 12)
+    order = np.concatenate(tours)
+    assert sorted(order) == list(range(100)) and order[0] == 0
+    assert max(map(len, tours)) <= 12 and len(tours) == 9
+    places = np.nan_to_num(drawn) / spread
+
+    def way(order):
+        return np.linalg.norm(np.diff(places[order], axis=0), axis=1).sum()
+
+    assert way(order) < 0.7 * way(np.arange(100))
+
+
+def test_a_state_is_an_equilibrium_of_the_scene(column):
+    found = StateFinder(training_scene(load_scene(column), Sampling("body")), "body")
+    drawn = samples(found, 4, sampling=Sampling("body"))
+    states = found(drawn)
+    assert states.is_found.all() and states.iterations.min() >= 1
+    simulation = Simulation.from_scene_file(column)
+    for _ in range(40):
+        result = simulation.step(CommandSetpoints(states.setpoints[3], 1e6))
+    assert result.report.residual < 1e-6
+    shift = simulation.state.positions - simulation.model.nodes.rest_positions
+    np.testing.assert_allclose(states.displacements[3], shift, atol=1e-8)
+    np.testing.assert_allclose(states.effectors[3], simulation.effector_positions(), atol=1e-8)
+    np.testing.assert_allclose(states.efforts[3], simulation.state.efforts, atol=1e-5)
+
+
+def test_a_chain_does_not_depend_on_the_one_before_it(finder):
+    drawn = samples(finder, 7)
+    alone = finder(drawn[:4])
+    finder(drawn[4:])
+    again = finder(drawn[:4])
+    for name, first, second in zip(alone._fields, alone, again, strict=True):
+        np.testing.assert_array_equal(first, second, err_msg=name)
+
+
+def test_a_load_and_a_tilt_move_the_tip_their_way(finder):
+    columns = columns_of(finder.simulation)
+    drawn = np.repeat(samples(finder, 1), 3, axis=0)
+    _, _, forces, gravity = columns.split(drawn)
+    forces[1, 0] = [0.02, 0.0, 0.0]
+    gravity[2] = [0.0, 9.81, 0.0]
+    at_rest, loaded, tilted = finder(drawn).effectors[:, 0]
+    assert loaded[0] - at_rest[0] > 4 * abs(loaded[1] - at_rest[1])
+    assert tilted[1] - at_rest[1] > 4 * abs(tilted[0] - at_rest[0])
+    # A plain scene with that gravity sags as far.
+    scene = finder.simulation.scene.model_copy(update={"gravity": (0.0, 9.81, 0.0)})
+    plain = Simulation(scene, with_warnings=False)
+    for _ in range(20):
+        plain.step(CommandSetpoints(plain.rest_setpoints, 1e6))
+    np.testing.assert_allclose(plain.effector_positions()[0], tilted, atol=1e-8)
+
+
+def test_a_state_of_a_target_has_the_effector_near_it(finder):
+    near = reduction_states.NEAR * finder.simulation.model.nodes.size
+    drawn = np.repeat(samples(finder, 1), 2, axis=0)
+    _, targets, _, _ = columns_of(finder.simulation).split(drawn)
+    targets[1, 0] = [0.016, 0.012, 0.098]
+    states = finder(drawn)
+    assert states.is_found.all()
+    assert np.linalg.norm(states.effectors[1, 0] - targets[1, 0]) <= 2.0 * near
+    # Held there, the same equilibrium is found without the target.
+    held = finder(states.held(columns_of(finder.simulation)))
+    np.testing.assert_allclose(held.effectors, states.effectors, atol=1e-7)
+
+
+def test_a_state_that_is_not_found_is_told_and_the_chain_goes_on(finder):
+    drawn = samples(finder, 4)
+    _, _, forces, _ = columns_of(finder.simulation).split(drawn)
+    forces[1, 0] = [1e5, 0.0, 0.0]
+    states = finder(drawn)
+    assert states.is_found.tolist() == [True, False, True, True]
+    assert np.isnan(states.displacements[1]).all() and np.isnan(states.setpoints[1]).all()
+    assert len(states.found().samples) == 3
+
+
+def test_spread_points_lie_on_the_free_surface_far_from_each_other(column):
+    (body,) = lay_out(load_scene(column), []).bodies
+    points = spread_points(body, 6)
+    assert points.shape == (6, 3) and points[0, 2] == pytest.approx(0.1)
+    assert (points[:, 2] > 0.001).all()
+    apart = np.linalg.norm(points[:, None] - points, axis=2)[~np.eye(6, dtype=bool)]
+    assert apart.min() > 0.015
+
+
+def chain_of(value, columns=Columns(2, 1, 0)):
+    return np.full((3, columns.width), float(value))
+
+
+class Counted:
+    """Computes chains in place of processes, and counts them; fails at some values."""
+
+    def __init__(self, failing=()):
+        self.computed, self._failing = [], failing
+
+    def run(self, job, left):
+        for index, chain in left:
+            self.computed.append(chain[0, 0])
+            is_lost = chain[0, 0] in self._failing
+            states = reduction_states.States(
+                chain, np.array([True, True, False]), np.zeros((3, 5, 3), np.float32),
+                chain[:, :2], chain[:, :2], chain[:, 2:5].reshape(3, 1, 3), np.arange(3),
+            )  # fmt: skip
+            yield SampleOutcome(index, None if is_lost else states, "no power" if is_lost else "")
+
+
+def test_chains_of_a_stopped_run_are_not_computed_again(tmp_path):
+    run, asked = {"scene": "this", "points": ((0.0, 1.0),)}, [chain_of(k) for k in range(4)]
+    store = StateStore(tmp_path / "r.npz", run)
+    crew = Counted(failing=(2.0,))
+    found, causes = find_states("first", crew, None, asked, store)
+    assert len(found) == 3 and causes == ["3 states are lost: no power"]
+    assert store.count() == 3
+    # One file is broken: it was being written when the power failed.
+    broken = next(store.path.glob("*.npz"))
+    broken.write_bytes(broken.read_bytes()[:100])
+    again = Counted()
+    found, causes = find_states("again", again, None, asked, StateStore(tmp_path / "r.npz", run))
+    assert len(again.computed) == 2 and 2.0 in again.computed and not causes
+    assert [states.samples[0, 0] for states in found] == [0.0, 1.0, 2.0, 3.0]
+    store.remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_chains_of_another_run_are_refused_by_name(tmp_path):
+    StateStore(tmp_path / "r.npz", {"scene": "this", "body": "a"})
+    with pytest.raises(TrainingError, match="r.npz.part: is of a run with another body"):
+        StateStore(tmp_path / "r.npz", {"scene": "this", "body": "b"})
+
+
+def test_a_worker_refuses_another_scene(column, tmp_path):
+    shutil.copytree(column.parent, tmp_path / "copy")
+    content = scene_fingerprint(load_scene(column))
+    maker = FinderMaker(Sampling("body"))
+    assert maker(tmp_path / "copy" / column.name, content).simulation.effector_names == ("tip",)
+    mesh = tmp_path / "copy" / "column.vtk"
+    mesh.write_bytes(mesh.read_bytes() + b"\n")
+    with pytest.raises(TrainingError, match="is not the scene of this run"):
+        maker(tmp_path / "copy" / column.name, content)
+
+
+def test_jobs_of_the_same_sampling_are_the_same(column):
+    """A worker of a cluster builds its scene once for equal jobs."""
+    jobs = [Job(FinderMaker(Sampling("body", 0.1, ((TIP,),))), column, "x") for _ in range(2)]
+    assert jobs[0] == jobs[1]
+    assert jobs[0] != Job(FinderMaker(Sampling("body", 0.2, ((TIP,),))), column, "x")
+
+
+@pytest.mark.parametrize("key, value, told", [
+    ("volume", "patches", "body.volume"), ("viscosity", [{"share": 0.2, "time": 1.0}],
+                                           "body.material.viscosity"),
+])  # fmt: skip
+def test_what_is_not_built_is_refused_by_name(column, key, value, told):
+    mapping = yaml.safe_load(column.read_text())
+    mapping["body"]["material"]["law"] = "neo_hookean"
+    if key == "volume":
+        mapping["body"]["volume"] = value
+    else:
+        mapping["body"]["material"] |= {key: value}
+        mapping["integration"] = "dynamic"
+    scene = column.parent / f"{key}.yaml"
+    scene.write_text(yaml.safe_dump(mapping))
+    read = load_scene(scene)
+    (body,) = lay_out(read, []).bodies
+    with pytest.raises(SceneError, match=f"{told}.* is not built|{told}.*not built"):
+        refuse_unreducible(read, body)
