@@ -259,8 +259,8 @@ class BodyVolumes:
 
     The last state is stored, and reused as long as the coordinates are the same to the bit.
 
-    The coefficients are summed when the term is bound, or evaluated without: to find the points that
-    a scene needs, terms are built that are neither.
+    The coefficients are summed when the term is bound, or evaluated without: to find the points
+    that a scene needs, terms are built that are neither.
 
     Attributes:
         rows: Row of each cavity whose walls move, shape (cavity_count,).
