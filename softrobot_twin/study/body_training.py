@@ -75,7 +75,7 @@ from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.study.workspace import Axis, sampled_axes, scene_fingerprint
 
 # Share of the energy of all displacements that the modes in use leave out.
-ENERGY = 1.0e-6
+ENERGY = 3.0e-6
 # Most modes by energy: more make a step slower than many a full model.
 MOST_MODES = 96
 # Modes beyond those in use, for the estimate of the error.
