@@ -306,24 +306,33 @@ class Training:
         boxes = [box.widened(margin) for box in self.options.targets]
         return samples_of(self.simulation, self.axes, self.sampling, boxes, count, seed)
 
-    def states(self, title: str, samples: np.ndarray) -> States:
-        """States of the full model.
+    def fresh_samples(self) -> np.ndarray:
+        """Samples of the last judgement."""
+        return self.samples(self.options.states, self.options.seed + FRESH_SEED)
+
+    def states(self, title: str, *groups: np.ndarray) -> list[States]:
+        """States of the full model, of all groups of samples in one run of the workers.
 
         Args:
             title: What the progress is called.
-            samples: That at rest first, shape (count, width).
+            groups: Samples, that at rest first, shape (count, width).
 
         Raises:
-            TrainingError: There are none.
+            TrainingError: A group has no state at all.
         """
-        tours = chains(samples, spread_of(samples))
+        asked = [[samples[tour] for tour in chains(samples, spread_of(samples))]
+                 for samples in groups]  # fmt: skip
         found, causes = find_states(
-            title, self.crew, self.job, [samples[tour] for tour in tours], self.store
+            title, self.crew, self.job, [chain for own in asked for chain in own], self.store
         )
         self.causes += causes
-        if not found or not any(part.is_found.any() for part in found):
-            raise TrainingError(f"{self.scene.path}: no state of the full model was found")
-        return joined(found)
+        made, rest = [], iter(found)
+        for own in asked:
+            parts = [states for states in [next(rest) for _ in own] if states is not None]
+            if not any(part.is_found.any() for part in parts):
+                raise TrainingError(f"{self.scene.path}: no state of the full model was found")
+            made.append(joined(parts))
+        return made
 
     def finder(self, reduction: BodyReduction, name: str) -> StateFinder:
         """Finds states of a reduced model, which is saved beside those of the full one."""
@@ -469,14 +478,12 @@ def train_by_need(training: Training) -> tuple[Trained, States, list[Round], boo
     options, body = training.options, training.body
     K, tolerance, mode_count = rest_stiffness(body), options.tolerance, options.modes
     first = training.samples(options.snapshots or FIRST_SNAPSHOTS, options.seed, MARGIN)
-    states, rounds = training.states("first states", first), []
+    seed, rounds = options.seed + ROUND_SEED, []
+    states, fresh = training.states("first states", first, training.samples(JUDGES, seed))
     for number in range(1, MOST_ROUNDS + 1):
         trained = train(body, K, states, mode_count, options, tolerance)
         reduction = reduction_of(body, trained, np.full(2, np.nan), {})
-        seed = options.seed + ROUND_SEED + 2 * number
-        fresh = training.states(f"round {number}: fresh states", training.samples(JUDGES, seed))
         judged = training.judge(reduction, "in_use", fresh)
-        better = training.judge(with_all_modes(reduction), "all", fresh)
         candidates = training.samples(CANDIDATES, seed + 1, MARGIN)
         asked, estimates = _estimates(training, reduction, candidates)
         rounds.append(Round(
@@ -489,16 +496,26 @@ def train_by_need(training: Training) -> tuple[Trained, States, list[Round], boo
             return trained, states, rounds, True
         if number == MOST_ROUNDS:
             break
-        worst = np.argsort(-np.nan_to_num(estimates, nan=np.inf, posinf=np.inf))[:ADDED]
-        added = np.concatenate([asked[:1], asked[np.sort(worst[worst > 0])]])
-        more = training.states(f"round {number}: where the estimate is worst", added)
-        states = joined([states, fresh, more])
+        better = training.judge(with_all_modes(reduction), "all", fresh)
         if _typical(better.shares) <= (1.0 - MODES_HELP) * _typical(judged.shares):
             mode_count = min(trained.mode_count + MORE_MODES, MOST_MODES)
         else:
-            tolerance *= FINER_SAMPLING
-            mode_count = trained.mode_count
+            mode_count, tolerance = trained.mode_count, FINER_SAMPLING * tolerance
+        seed += 2
+        more, next_fresh = training.states(
+            f"round {number + 1}: states where the estimate is worst, and fresh ones",
+            _worst(asked, estimates), training.samples(JUDGES, seed),
+        )  # fmt: skip
+        states, fresh = joined([states, fresh, more]), next_fresh
     return trained, states, rounds, False
+
+
+def _worst(asked: np.ndarray, estimates: np.ndarray) -> np.ndarray:
+    """The samples of the largest estimates, those that are unknown first; that at rest before all.
+    """
+    order = np.argsort(-np.nan_to_num(estimates, nan=np.inf, posinf=np.inf), kind="stable")
+    worst = order[order > 0][:ADDED]
+    return np.concatenate([asked[:1], asked[np.sort(worst)]])
 
 
 def _typical(shares: np.ndarray) -> float:
@@ -538,8 +555,10 @@ def _tell_round(number: int, done: Round) -> None:
 def train_once(training: Training) -> tuple[Trained, States]:
     """Train with a given number of states."""
     options = training.options
-    samples = training.samples(options.snapshots or SNAPSHOTS, options.seed, MARGIN)
-    states = training.states(f"{training.scene.name}: states of the full model", samples)
+    groups = [training.samples(options.snapshots or SNAPSHOTS, options.seed, MARGIN)]
+    if options.states:
+        groups.append(training.fresh_samples())  # in the same run of the workers
+    states = training.states(f"{training.scene.name}: states of the full model", *groups)[0]
     with terminal_status("modes and sampled points"):
         K = rest_stiffness(training.body)
         trained = train(training.body, K, states, options.modes, options, options.tolerance)
@@ -573,8 +592,7 @@ def reduce(path: Path, options: TrainingOptions) -> int:
         reduction = reduction_of(training.body, trained, np.full(2, np.nan), made)
         judgement = None
         if options.states:
-            samples = training.samples(options.states, options.seed + FRESH_SEED)
-            fresh = training.states("fresh states", samples)
+            (fresh,) = training.states("fresh states", training.fresh_samples())
             judgement = training.judge(reduction, "in_use", fresh)
             reduction = reduction._replace(measured=judgement.measured)
     except KeyboardInterrupt:

@@ -84,7 +84,7 @@ def test_two_processes_train_the_same(trained, column, call, tmp_path):
     assert done.code == 0, done.errors
     assert equal(trained, tmp_path / "r.npz")
     assert "48 of 48" in done.output and "8 fresh states" in done.output
-    assert "48/48 samples" in done.errors
+    assert "56/56 samples" in done.errors
 
 
 def test_the_scene_that_names_the_file_trains_it_again(trained, column, call, tmp_path):
