@@ -481,11 +481,12 @@ def train_by_need(training: Training) -> tuple[Trained, States, list[Round], boo
     seed, rounds = options.seed + ROUND_SEED, []
     states, fresh = training.states("first states", first, training.samples(JUDGES, seed))
     for number in range(1, MOST_ROUNDS + 1):
-        trained = train(body, K, states, mode_count, options, tolerance)
-        reduction = reduction_of(body, trained, np.full(2, np.nan), {})
-        judged = training.judge(reduction, "in_use", fresh)
-        candidates = training.samples(CANDIDATES, seed + 1, MARGIN)
-        asked, estimates = _estimates(training, reduction, candidates)
+        with terminal_status(f"round {number}: modes, points, and the error at candidates"):
+            trained = train(body, K, states, mode_count, options, tolerance)
+            reduction = reduction_of(body, trained, np.full(2, np.nan), {})
+            judged = training.judge(reduction, "in_use", fresh)
+            candidates = training.samples(CANDIDATES, seed + 1, MARGIN)
+            asked, estimates = _estimates(training, reduction, candidates)
         rounds.append(Round(
             int(states.is_found.sum()), trained.mode_count, len(trained.sampled[0].cells), judged,
             _typical(estimates),
@@ -593,7 +594,8 @@ def reduce(path: Path, options: TrainingOptions) -> int:
         judgement = None
         if options.states:
             (fresh,) = training.states("fresh states", training.fresh_samples())
-            judgement = training.judge(reduction, "in_use", fresh)
+            with terminal_status("error at fresh states"):
+                judgement = training.judge(reduction, "in_use", fresh)
             reduction = reduction._replace(measured=judgement.measured)
     except KeyboardInterrupt:
         warn(f"{training.store.count()} chains of states are in {training.store.path}; the same "

@@ -534,7 +534,7 @@ class StateStore:
 
     def count(self) -> int:
         """Number of chains that are saved."""
-        return len(list(self.path.glob("*.npz")))
+        return len(list(self.path.glob("[!.]*.npz")))
 
     def remove(self) -> None:
         """Remove the folder: the run is done."""
