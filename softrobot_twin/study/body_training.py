@@ -93,6 +93,8 @@ FIRST_SNAPSHOTS, CANDIDATES, ADDED, JUDGES, MOST_ROUNDS = 120, 96, 36, 24, 8
 MODES_HELP, MORE_MODES = 0.4, 6
 # Else it lowers the tolerance of the sampling by this factor.
 FINER_SAMPLING = 0.6
+# Least displacement that an error is a share of, by the effector's largest one.
+LEAST_DISPLACEMENT = 0.1
 # The error of the rounds is this quantile of their fresh states.
 ALL_BUT_FEW = 0.95
 
@@ -147,10 +149,12 @@ class Judgement(NamedTuple):
     """The reduced model against the full one at states.
 
     Attributes:
-        shares: Largest error of an effector at each state, as a share of its displacement from the
-            rest shape; NaN where the reduced model found no equilibrium, shape (count,).
+        errors: Largest distance of an effector from where it should be at each state [m]; NaN where
+            the reduced model found no equilibrium, shape (count,).
+        shares: The same as a share of its displacement; see `Training.displacements`.
     """
 
+    errors: np.ndarray
     shares: np.ndarray
 
     @property
@@ -333,19 +337,31 @@ class Training:
         tours = chains(held, spread_of(held))
         finder = self.finder(reduction, name)
         own = joined([finder(held[tour]) for tour in tours])
-        return Judgement(self.shares(own.effectors, truth.effectors[np.concatenate(tours)]))
+        return self.compared(own.effectors, truth.effectors[np.concatenate(tours)])
 
-    def shares(self, effectors: np.ndarray, truth: np.ndarray) -> np.ndarray:
-        """Largest distance of effectors from where they should be, by their displacement.
+    def compared(self, effectors: np.ndarray, truth: np.ndarray) -> Judgement:
+        """Effectors against where they should be.
 
         Args:
             effectors: Positions [m], shape (count, effector_count, 3).
             truth: Where they should be [m], same shape.
         """
-        self.simulation.reset()
-        rest = self.simulation.effector_positions()
         errors = np.linalg.norm(effectors - truth, axis=2)
-        return (errors / np.linalg.norm(truth - rest, axis=2)).max(axis=1)
+        return Judgement(errors.max(axis=1), (errors / self.displacements(truth)).max(axis=1))
+
+    def displacements(self, effectors: np.ndarray) -> np.ndarray:
+        """Displacement of effectors from the rest shape, by which errors are judged [m].
+
+        Where an effector passes its place at rest, actuators balance each other and the body is
+        deformed all the same: at least a share of its largest displacement counts.
+
+        Args:
+            effectors: Positions [m], shape (count, effector_count, 3).
+        """
+        self.simulation.reset()
+        moved = np.linalg.norm(effectors - self.simulation.effector_positions(), axis=2)
+        largest = np.nanmax(moved, axis=0, initial=0.0)
+        return np.maximum(moved, LEAST_DISPLACEMENT * largest)
 
 
 def begin_training(path: Path, options: TrainingOptions, output: Path | None = None) -> Training:
@@ -496,7 +512,7 @@ def _estimates(
     held = np.where(found.is_found[:, None], held, found.samples)
     finder = training.finder(with_all_modes(reduction), "all")
     all_modes = finder(held)
-    return held, training.shares(found.effectors, all_modes.effectors)
+    return held, training.compared(found.effectors, all_modes.effectors).shares
 
 
 def _tell_round(number: int, done: Round) -> None:
@@ -614,7 +630,8 @@ def _print_result(
     if judgement is not None:
         median, largest = 100.0 * judgement.measured
         rows.add_row(f"error of the effectors at {len(judgement.shares)} fresh states", "",
-                     f"{median:.3f} % (median), {largest:.3f} % (largest)"
+                     f"{median:.3f} % (median), {largest:.3f} % (largest), "
+                     f"{1e3 * np.nanmax(judgement.errors, initial=0.0):.3f} mm (largest)"
                      + (f", {judgement.lost} not found" if judgement.lost else ""))
     out.print(rows)
     out.print(f"saved in {output}, {1e-6 * output.stat().st_size:.1f} MB, {seconds:.0f} s in all")
