@@ -23,6 +23,9 @@ SAMPLED = "sampled_range"
 # Ending of the name that tells that a body is strained beyond the range of its law, such as
 # ``finger.strain_range``.
 STRAINED = "strain_range"
+# Tells that the state is unstable where the commanded efforts are held, as hardware without a position
+# loop would: a little more effort leads far away.
+UNSTABLE = "unstable_at_efforts"
 
 
 class Status(Enum):

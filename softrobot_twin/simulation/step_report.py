@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.actuation import INVERSION, Actuation, ContactLoads
-from softrobot_twin.simulation.command import Command, FollowTargets, Hold
+from softrobot_twin.simulation.command import Command, CommandEfforts, FollowTargets, Hold
 from softrobot_twin.simulation.contact_forces import contact_forces
 from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.linearized import Linearized
@@ -19,6 +19,7 @@ from softrobot_twin.simulation.result import (
     RATE,
     SAMPLED,
     STRAINED,
+    UNSTABLE,
     Status,
     StepReport,
     StepResult,
@@ -131,6 +132,8 @@ class StepResults:
         watched = [watch.outside(outcome.positions) for watch in self._strain_watches]
         strains = tuple(outside for outside in watched if outside is not None)
         active = (*active, *dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in strains))
+        if isinstance(command, CommandEfforts) and newton.projected_tangent:
+            active = (*active, UNSTABLE)
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
