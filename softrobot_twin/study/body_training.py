@@ -1,7 +1,7 @@
 """``python -m softrobot_twin reduce``: makes the reduced model of a body of a scene.
 
 1. The full model is brought to states of the actuators' box, or near targets, perhaps under loads
-   and tilted gravity (`reduction_states.py`).
+   and tilted gravity, or along a path of targets in contact (`reduction_states.py`).
 2. Modes follow from the displacements, and few weighted quadrature points from the forces along
    these modes (`reduction_basis.py`).
 3. The reduced model is compared with the full one at fresh states, which served for neither, begun
@@ -35,6 +35,7 @@ from softrobot_twin.simulation.body_reduction import (
     write_body_reduction,
 )
 from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.input_tables import read_targets
 from softrobot_twin.simulation.reduced_body import without_reductions
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.reduction_basis import (
@@ -53,12 +54,15 @@ from softrobot_twin.study.reduction_states import (
     States,
     StateStore,
     TargetBox,
+    TargetWay,
     TrainingError,
     chains,
     columns_of,
     find_states,
     joined,
+    passes,
     refuse_unreducible,
+    samples_along,
     samples_of,
     spread_of,
     spread_points,
@@ -84,6 +88,8 @@ SPARE_MODES = 24
 TOLERANCE = 3.0e-3
 # States of a training without a wanted error, and fresh ones that it is judged at.
 SNAPSHOTS, FRESH_STATES = 300, 40
+# Greatest shift of a pass of a path of targets [m].
+AROUND = 0.005
 # Fresh states have seeds of their own: those of the last judgement, and of the rounds.
 FRESH_SEED, ROUND_SEED = 1000, 2000
 # Boxes of targets are this share of their width wider at each side in the training: at the border
@@ -112,6 +118,8 @@ class TrainingOptions:
         snapshots: Number of states, that at rest included; None for the default.
         ranges: Bounds in place of the scene's; see `sampled_axes`.
         targets: Boxes of targets; none for the box of the actuators.
+        along: File with a path of targets in place of both; the scene keeps its contact then.
+        around: Greatest shift of a pass of this path along each axis [m].
         load: Greatest force at a point [N].
         load_points: Loaded points [m]; none for the effectors.
         spread_loads: Number of further loaded points, spread over the surface.
@@ -146,6 +154,8 @@ class TrainingOptions:
     seed: int = 0
     workers: int | None = None
     scheduler: str | None = None
+    along: Path | None = None
+    around: float = AROUND
 
 
 class Judgement(NamedTuple):
@@ -282,6 +292,7 @@ class Training:
         job: What these share.
         store: Keeps them.
         causes: Why states were lost.
+        way: The path of targets along which states are sampled; None without.
     """
 
     scene: Scene
@@ -294,21 +305,30 @@ class Training:
     job: Job
     store: StateStore
     causes: list[str] = field(default_factory=list)
+    way: TargetWay | None = None
 
     def samples(self, count: int, seed: int, margin: float = 0.0) -> np.ndarray:
-        """Samples, that at rest first; see `samples_of`.
+        """Samples, that at rest first; see `samples_of` and `samples_along`.
 
         Args:
             count: Their number.
             seed: Their seed.
             margin: Share of its width by which a box of targets is wider at each side.
         """
+        if self.way is not None:
+            return samples_along(self.simulation, self.way, count, seed)
         boxes = [box.widened(margin) for box in self.options.targets]
         return samples_of(self.simulation, self.axes, self.sampling, boxes, count, seed)
 
     def fresh_samples(self) -> np.ndarray:
         """Samples of the last judgement."""
         return self.samples(self.options.states, self.options.seed + FRESH_SEED)
+
+    def tours(self, samples: np.ndarray) -> list[np.ndarray]:
+        """Indices of the samples of each chain, shape (count, width): passes along a path."""
+        if self.way is not None:
+            return passes(len(samples))
+        return chains(samples, spread_of(samples))
 
     def states(self, title: str, *groups: np.ndarray) -> list[States]:
         """States of the full model, of all groups of samples in one run of the workers.
@@ -320,8 +340,7 @@ class Training:
         Raises:
             TrainingError: A group has no state at all.
         """
-        asked = [[samples[tour] for tour in chains(samples, spread_of(samples))]
-                 for samples in groups]  # fmt: skip
+        asked = [[samples[tour] for tour in self.tours(samples)] for samples in groups]
         found, causes = find_states(
             title, self.crew, self.job, [chain for own in asked for chain in own], self.store
         )
@@ -345,13 +364,19 @@ class Training:
     def solve(self, reduction: BodyReduction, name: str, samples: np.ndarray) -> States:
         """States of a reduced model, each begun at the one before it."""
         finder = self.finder(reduction, name)
-        return joined([finder(samples[tour]) for tour in chains(samples, spread_of(samples))])
+        return joined([finder(samples[tour]) for tour in self.tours(samples)])
 
     def judge(self, reduction: BodyReduction, name: str, truth: States) -> Judgement:
         """A reduced model against states of the full one, at the same setpoints and loads."""
-        truth = truth.found()
-        held = truth.held(columns_of(self.simulation))
-        tours = chains(held, spread_of(held))
+        columns = columns_of(self.simulation)
+        if self.way is not None:
+            held = truth.held(columns)
+            tours = [tour[truth.is_found[tour]] for tour in passes(len(held))]
+            tours = [tour for tour in tours if len(tour)]
+        else:
+            truth = truth.found()
+            held = truth.held(columns)
+            tours = chains(held, spread_of(held))
         finder = self.finder(reduction, name)
         own = joined([finder(held[tour]) for tour in tours])
         return self.compared(own.effectors, truth.effectors[np.concatenate(tours)])
@@ -404,21 +429,33 @@ def begin_training(path: Path, options: TrainingOptions, output: Path | None = N
         body = next(own for own in plain.model.bodies if own.name == name)
         refuse_unreducible(scene, body)
         sampling = _sampling(scene, body, options)
+        way = None if options.along is None else _way(scene, plain, options)
         simulation = plain
-        if sampling.load_points:
+        if sampling.load_points or sampling.in_contact:
             simulation = Simulation(training_scene(scene, sampling), with_warnings=False)
     for box in options.targets:
         if box.effector not in simulation.effector_names:
             raise TrainingError(f"--targets: {path} has no effector {box.effector}")
-    axes = () if options.targets else sampled_axes(simulation, options.ranges)
+    by_targets = options.targets or way is not None
+    axes = () if by_targets else sampled_axes(simulation, options.ranges)
     content = scene_fingerprint(scene)
-    run = {"scene": content, "body": name, "loaded points": sampling.load_points}
+    run = {"scene": content, "body": name, "loaded points": sampling.load_points,
+           "contact": sampling.in_contact}  # fmt: skip
     crew = LocalWorkers(options.workers or core_count())
     if options.scheduler is not None:
         crew = DaskWorkers(options.scheduler)
     job = Job(FinderMaker(sampling), Path(path).resolve(), content)
     store = StateStore(output or output_path(scene, body, options), run)
-    return Training(scene, options, sampling, simulation, body, axes, crew, job, store)
+    return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way)
+
+
+def _way(scene: Scene, simulation: Simulation, options: TrainingOptions) -> TargetWay:
+    """The path of targets of a file."""
+    kinds = simulation.actuators.kind_of
+    table = read_targets(options.along, simulation.effector_names, kinds)
+    if table.kind != "targets":
+        raise TrainingError(f"--along: {options.along} has no targets of effectors, but {table.kind}")
+    return TargetWay(table.times, table.values, options.around)
 
 
 def _sampling(scene: Scene, body: Body, options: TrainingOptions) -> Sampling:
@@ -439,7 +476,8 @@ def _sampling(scene: Scene, body: Body, options: TrainingOptions) -> Sampling:
         raise TrainingError("--tilts: the scene has no gravity that could be tilted")
     if options.tilt and any(cavity.liquid_density for cavity in scene.cavities):
         raise TrainingError("--tilts: of liquids in cavities is not built")
-    return Sampling(body.name, options.load, tuple(points), options.tilt)
+    in_contact = options.along is not None and scene.contact is not None
+    return Sampling(body.name, options.load, tuple(points), options.tilt, in_contact)
 
 
 def output_path(scene: Scene, body: Body, options: TrainingOptions) -> Path:
@@ -636,6 +674,8 @@ def _said(
         "sampling error with spare modes": trained.spare_sampled[1],
         "load [N]": options.load, "tilt [rad]": options.tilt,
         "targets": [list(box) for box in options.targets], "ranges": list(options.ranges),
+        "along": None if options.along is None else options.along.name,
+        "around [m]": options.around,
         "wanted error": options.error, "time [s]": seconds,
     }  # fmt: skip
 
