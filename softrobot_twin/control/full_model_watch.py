@@ -71,11 +71,12 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
     """
     from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.full_model_error import FullModelError
+    from softrobot_twin.simulation.reduced_body import without_fallback
 
     scene = read_message(requests)
     if scene is None:
         return
-    judge = FullModelError(Simulation(scene, with_warnings=False))
+    judge = FullModelError(Simulation(without_fallback(scene), with_warnings=False))
     reply(READY)
     while (state := read_message(requests)) is not None:
         begin = perf_counter()

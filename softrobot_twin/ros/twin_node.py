@@ -655,7 +655,7 @@ class TwinNode(TickingNode):
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
         self._watch_mesh_error(now)
-        if self._full_model is not None:
+        if self._full_model is not None and not self.loop.simulation.falls_back:
             self._full_model.offer(self.loop.simulation, False, now)
         message = DiagnosticArray(status=self._diagnostics.statuses(now))
         message.header.stamp = self.get_clock().now().to_msg()

@@ -28,7 +28,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.reduced_body import with_reduced_entries
+from softrobot_twin.simulation.reduced_body import with_reduced_entries, without_fallback
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.simulation.vertebrae_watch import ReductionState
@@ -90,7 +90,7 @@ def _range_of(body: Body) -> CoordinateRange:
 def with_spare_modes(scene: Scene) -> Scene:
     """The scene with the spare modes of its reduced bodies in use, and one linearization a step."""
     solver = scene.solver.model_copy(update={"newton_iterations": 1})
-    extended = with_reduced_entries(scene, {"spare_modes": True})
+    extended = with_reduced_entries(without_fallback(scene), {"spare_modes": True})
     return extended.model_copy(update={"solver": solver})
 
 
