@@ -635,7 +635,8 @@ class TwinNode(TickingNode):
         for index, publisher in self._stiffness.items():
             if reached is not None:
                 publisher.publish(vector_message(reached[index], header))
-        if self._markers is not None:
+        # A cloud takes a tenth of a millisecond to make.
+        if self._markers is not None and self._markers.get_subscription_count():
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
         for index, publisher in enumerate(self._touches):
