@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.control.full_model_watch import FullModelWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
@@ -103,11 +104,13 @@ class TwinDiagnostics:
         mesh_error: Estimate of the discretization error, or None.
         node: The node that runs the loop, for its name, priority, clocks and topics; None for a
             loop without a node.
+        full_model: Compares reduced bodies with the full model, or None.
     """
 
     def __init__(
         self, loop: TwinLoop, clock: TickClock, window: DiagnosticsWindow, feed: ViewFeed | None,
         mesh_error: MeshErrorWatch | None = None, node: TwinNode | None = None,
+        full_model: FullModelWatch | None = None,
     ):
         self._loop, self._clock, self._window, self._feed = loop, clock, window, feed
         self._node = node
@@ -115,7 +118,7 @@ class TwinDiagnostics:
         self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
         self._last_counts: dict[str, int] = {}
         self._late = 0
-        self._mesh_error = mesh_error
+        self._mesh_error, self._full_model = mesh_error, full_model
 
     @property
     def discretization_error(self) -> float:
@@ -225,6 +228,7 @@ class TwinDiagnostics:
                        f"{name}_reduction_error_percent": 100.0 * state.share,
                        f"{name}_measured_error_percent": 100.0 * state.measured_median,
                        f"{name}_measured_error_worst_percent": 100.0 * state.measured_worst}
+        values |= self._of_full_model()
         for key, outside in window.strains.items():
             values |= {f"{key}_least_strain_percent": 100.0 * outside.least,
                        f"{key}_greatest_strain_percent": 100.0 * outside.greatest}
@@ -263,6 +267,16 @@ class TwinDiagnostics:
                 "quadratic_step_ms": better.step_time * _MILLI,
             }
         return values
+
+    def _of_full_model(self) -> dict[str, object]:
+        """Distance of the effectors from those of the full model, or why it is not known."""
+        watch = self._full_model
+        if watch is None:
+            return {}
+        state = "compared" if watch.answers else "waiting for idle time"
+        return {"full_model": watch.cause or state} | {
+            f"{name}_full_model_error_mm": error * _MILLI for name, error in watch.newest.items()
+        }
 
     def _of_touches(self):
         inputs, newest = self._loop.touches, self._window.newest

@@ -24,6 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.full_model_watch import FullModelWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
@@ -350,6 +351,7 @@ class TwinNode(TickingNode):
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
+    _full_model: FullModelWatch | None = None
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
@@ -366,6 +368,8 @@ class TwinNode(TickingNode):
             self.get_logger().warning(note)
         if values["mesh_error"]:
             self._mesh_error = MeshErrorWatch(simulation)
+        if values["reduction_error"] and simulation.has_reduced_bodies:
+            self._full_model = FullModelWatch(simulation)
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
             self._velocity_effector(simulation), str(values["frame_id"]),
@@ -383,7 +387,8 @@ class TwinNode(TickingNode):
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
         self._diagnostics = TwinDiagnostics(
-            self.loop, self.tick_clock, self._window, self._feed, self._mesh_error, self
+            self.loop, self.tick_clock, self._window, self._feed, self._mesh_error, self,
+            self._full_model,
         )
         self._open_outputs()
         self._open_inputs()
@@ -651,6 +656,8 @@ class TwinNode(TickingNode):
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
         self._watch_mesh_error(now)
+        if self._full_model is not None and not self.loop.simulation.falls_back:
+            self._full_model.offer(self.loop.simulation, False, now)
         message = DiagnosticArray(status=self._diagnostics.statuses(now))
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_out.publish(message)
@@ -733,6 +740,8 @@ class TwinNode(TickingNode):
         """
         if self._mesh_error is not None:
             self._mesh_error.close()
+        if self._full_model is not None:
+            self._full_model.close()
         if self._feed is not None:
             self._feed.close()
         super().destroy_node()

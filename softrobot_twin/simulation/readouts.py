@@ -21,8 +21,8 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.reduction_error import (
     ReductionErrors,
-    coordinate_ranges,
     has_spare_modes,
+    reduced_bodies,
     reduced_states,
     with_spare_modes,
 )
@@ -159,6 +159,11 @@ class Readouts:
         """
         return 3 * self.model.nodes.free_node_count
 
+    @property
+    def has_reduced_bodies(self) -> bool:
+        """Whether a body has the coordinates of a basis as its unknowns."""
+        return bool(reduced_bodies(self.model))
+
     def reduction_state(self) -> dict[str, ReductionState]:
         """How far each reduced body can be believed now, by its name.
 
@@ -168,7 +173,7 @@ class Readouts:
             name: reduction_state(self.model, name, self.state.positions)
             for name in self.model.superelements
         }
-        if coordinate_ranges(self.model):
+        if self.has_reduced_bodies:
             states |= reduced_states(self.model, self.state, self.reduction_errors())
         return states
 

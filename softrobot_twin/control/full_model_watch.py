@@ -1,0 +1,88 @@
+"""The error of a running twin's reduced bodies, by its full model in a process of lowest priority.
+
+The process holds the scene with all nodes. It gets states of the twin, places its nodes by the
+coordinates of the reduced bodies, and answers how far the effectors move to the balance of the full
+model (`simulation/full_model_error.py`); see `idle_process.py`.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import TYPE_CHECKING, BinaryIO
+
+from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, read_message, run
+
+# The other process lowers its priority before numpy is imported.
+if TYPE_CHECKING:
+    from softrobot_twin.simulation import Simulation
+
+READY = "ready"
+"""Kind of the first reply: the full model is built."""
+_PROGRAM = "from softrobot_twin.control.full_model_watch import main; main({})"
+
+
+class FullModelWatch(IdleWatch):
+    """Requests errors of reduced bodies and keeps the newest.
+
+    Attributes:
+        is_ready: Whether the full model is built.
+        newest: Largest distance of an effector from where the full model has it, by the name of
+            each reduced body [m]; NaN where the full model found no balance; empty before the
+            first answer, and when there are no more.
+        linearizations: Linearizations of the full model that the newest took.
+    """
+
+    def __init__(self, simulation: Simulation, yields: bool = True):
+        """Starts the process.
+
+        Args:
+            simulation: The twin's simulation, some of whose bodies are reduced.
+            yields: Whether the process has the lowest priority.
+        """
+        self.is_ready = False
+        self.newest: dict[str, float] = {}
+        self.linearizations = 0
+        super().__init__(_PROGRAM.format(yields), simulation.scene)
+
+    def request_of(self, simulation: Simulation, forces_given: bool) -> object:
+        """The state itself: coordinates, setpoints and efforts; see `IdleWatch`."""
+        return simulation.state
+
+    def take(self, kind: str, content: list) -> None:
+        """Keeps an answer; see `IdleWatch`."""
+        if kind == READY:
+            self.is_ready = True
+        else:
+            self.newest, self.linearizations = content
+
+    def end(self, cause: str) -> None:
+        """Records that there will be no more answers."""
+        super().end(cause)
+        self.newest = {}
+
+
+def serve(requests: BinaryIO, reply: Replies) -> None:
+    """Answers until the other end closes.
+
+    Args:
+        requests: The scene, then a `State` each.
+        reply: Takes ``(READY,)``, then ``(STATE, errors by body [m], linearizations, duration [s])``
+            for each state.
+    """
+    from softrobot_twin.simulation import Simulation
+    from softrobot_twin.simulation.full_model_error import FullModelError
+    from softrobot_twin.simulation.reduced_body import without_fallback
+
+    scene = read_message(requests)
+    if scene is None:
+        return
+    judge = FullModelError(Simulation(without_fallback(scene), with_warnings=False))
+    reply(READY)
+    while (state := read_message(requests)) is not None:
+        begin = perf_counter()
+        reply(STATE, judge.errors(state), judge.linearizations, perf_counter() - begin)
+
+
+def main(yields: bool = True) -> None:
+    """The other process; see `run`."""
+    run(serve, yields)
