@@ -188,6 +188,12 @@ class Nodes:
         points = CarriedPoints(self.free_node_count, self.kinds)
         return points if points.count else None
 
+    @property
+    def coordinate_nodes(self) -> np.ndarray:
+        """Free nodes that are no points, but coordinates of reduced bodies, shape (count,)."""
+        own = [getattr(kind, "coordinate_nodes", np.empty(0, np.int64)) for kind in self.kinds]
+        return np.concatenate([np.empty(0, np.int64), *own])
+
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
         """Move the nodes.
 

@@ -68,7 +68,7 @@ class ReducedPoints:
         self._unknowns = np.asarray(unknowns, np.int64)
         self._points = slice(first_point, first_point + len(rest))
         self._rest, self._modes = np.asarray(rest, float), np.ascontiguousarray(modes, float)
-        self._rows = self._modes.reshape(3 * len(rest), -1)
+        self._rows = self._modes.reshape(3 * len(rest), self._modes.shape[2])
         self.carried_unknowns = np.tile(self._unknowns, (len(rest), 1))
         self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
 

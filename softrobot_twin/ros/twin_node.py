@@ -374,6 +374,7 @@ class TwinNode(TickingNode):
         for note in self.loop.cavities.notes:
             self.get_logger().warning(note)
         simulation.warm_up()
+        simulation.reduction_state()  # builds what the diagnostics read
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
         self._window = DiagnosticsWindow()
@@ -629,7 +630,8 @@ class TwinNode(TickingNode):
         for index, publisher in self._stiffness.items():
             if reached is not None:
                 publisher.publish(vector_message(reached[index], header))
-        if self._markers is not None:
+        # A cloud takes a tenth of a millisecond to make.
+        if self._markers is not None and self._markers.get_subscription_count():
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
         for index, publisher in enumerate(self._touches):

@@ -34,7 +34,25 @@ COMMAND = "python -m softrobot_twin reduce"
 
 def without_reductions(scene: Scene) -> Scene:
     """The same scene with all nodes of its reduced bodies as unknowns."""
-    bodies = tuple(body.model_copy(update={"reduced": None}) for body in scene.deformables)
+    return _with_entries(scene, {
+        body.name: None for body in scene.deformables if body.reduced is not None
+    })  # fmt: skip
+
+
+def with_reduced_entries(scene: Scene, changes: dict) -> Scene:
+    """The same scene with some keys of `reduced` of its reduced bodies changed."""
+    return _with_entries(scene, {
+        body.name: body.reduced.model_copy(update=changes)
+        for body in scene.deformables if body.reduced is not None
+    })  # fmt: skip
+
+
+def _with_entries(scene: Scene, reduced: dict) -> Scene:
+    """The same scene with other entries `reduced` of some bodies, by their names."""
+    bodies = tuple(
+        body.model_copy(update={"reduced": reduced[body.name]}) if body.name in reduced else body
+        for body in scene.deformables
+    )
     if scene.body is not None:
         return scene.model_copy(update={"body": bodies[0]})
     return scene.model_copy(update={"bodies": bodies})
@@ -225,6 +243,8 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
             scene.path, f"{key}.file", str(path), "", f"{reason}; run: {COMMAND} {scene.path}"
         )
     reduction = read_body_reduction(path)
+    if body.entry.reduced.spare_modes:
+        reduction = reduction.with_spare_modes()
     turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()
     used = reduction.basis[:, :, : reduction.mode_count]
     return ReducedNodes(reduction, np.einsum("ij,njm->nim", turn, used), body.mesh.node_positions)

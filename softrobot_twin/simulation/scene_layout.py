@@ -30,7 +30,7 @@ from softrobot_twin.scene.body_entries import (
 )
 from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.beam_bodies import BeamBody, BeamNet
-from softrobot_twin.simulation.cavity_walls import cavity_wall
+from softrobot_twin.simulation.cavity_walls import cavity_wall, check_walls_of_reduced
 from softrobot_twin.simulation.deformable_body import (
     Body,
     build_body,
@@ -469,6 +469,7 @@ def lay_out(
         SceneError: An entry does not fit.
     """
     check_files(scene)
+    check_walls_of_reduced(scene)
     net = BeamNet(scene) if scene.beams else None
     guided = {entry.name for entry in scene.rigid_bodies if entry.motion == "guided"}
     held_bodies = set() if net is None else net.reached(guided)

@@ -81,6 +81,12 @@ class TargetBox(NamedTuple):
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
+    def widened(self, share: float) -> TargetBox:
+        """The box, wider at each side by a share of its width."""
+        low, high = np.array(self.low), np.array(self.high)
+        wider = share * (high - low)
+        return TargetBox(self.effector, tuple(low - wider), tuple(high + wider))
+
 
 class Sampling(NamedTuple):
     """What is sampled, beside the box of the actuators.

@@ -248,3 +248,4 @@ def test_a_file_that_is_no_reduction_is_refused(small, tmp_path):
         mapping["body"]["reduced"]["file"] = str(path)
         with pytest.raises(SceneError, match="is no reduced model"):
             Simulation(scene_from_mapping(mapping, SCENE_FILE), with_warnings=False)
+
