@@ -222,6 +222,7 @@ class TwinDiagnostics:
         for name, state in reduced.items():
             values |= {f"{name}_sampled_range": state.range,
                        f"{name}_reduction_error_mm": state.error * _MILLI,
+                       f"{name}_reduction_error_percent": 100.0 * state.share,
                        f"{name}_measured_error_percent": 100.0 * state.measured_median,
                        f"{name}_measured_error_worst_percent": 100.0 * state.measured_worst}
         for key, outside in window.strains.items():
@@ -235,7 +236,7 @@ class TwinDiagnostics:
         outside = [name for name, state in reduced.items() if state.range > 1.0]
         if outside and level == OK:
             names = ", ".join(outside)
-            return WARN, f"{names}: outside of the range that superelements were sampled in", values
+            return WARN, f"{names}: outside of the range that they were reduced in", values
         if window.strains and level == OK:
             words = "; ".join(outside.in_words() for outside in window.strains.values())
             return WARN, words, values

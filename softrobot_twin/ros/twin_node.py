@@ -374,6 +374,7 @@ class TwinNode(TickingNode):
         for note in self.loop.cavities.notes:
             self.get_logger().warning(note)
         simulation.warm_up()
+        simulation.reduction_state()  # builds what the diagnostics read
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
         self._window = DiagnosticsWindow()

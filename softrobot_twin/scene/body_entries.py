@@ -428,6 +428,9 @@ class Reduced(Entry):
 
     file: Path
     """File of the reduced model, relative to the scene file."""
+    spare_modes: bool = False
+    """Whether the spare modes of the file are in use, too: more exact and slower, and without a live
+    estimate of the error, which is made by them."""
 
 
 class Damping(Entry):

@@ -39,7 +39,7 @@ from softrobot_twin.simulation.deformable_body import (
     placed_in_world,
 )
 from softrobot_twin.simulation.frame_part import FramePart
-from softrobot_twin.simulation.reduced_body import ReducedNodes, reduced_nodes
+from softrobot_twin.simulation.reduced_body import ReducedNodes, on_platform, reduced_nodes
 from softrobot_twin.simulation.scene_files import check_files
 from softrobot_twin.simulation.vertebrae import Wall, reduced_body
 
@@ -485,7 +485,6 @@ def lay_out(
     if any(body.entry.vertebrae is not None for body in bodies):
         bodies = _reduced(bodies, scene)
     with_nodes = [body for body in bodies if body.vertebrae is None]
-    reduced = [body.reduction for body in bodies if body.reduction is not None]
     positions = [body.mesh.node_positions if body.reduction is None else body.reduction.rest_nodes()
                  for body in with_nodes]  # fmt: skip
     fixed = [body.fixed if body.reduction is None else body.reduction.are_points()
@@ -500,6 +499,8 @@ def lay_out(
         fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
         first_node += len(entry.points)
     rigid = build_rigid_parts(scene, bodies, net, first_node, notes)
+    bodies = [on_platform(body, rigid) for body in bodies]
+    reduced = [body.reduction for body in bodies if body.reduction is not None]
     _note_unused_contact_surfaces(bodies, scene, notes)
     first_node += 4 * len(rigid)
     for index, body in enumerate(bodies):

@@ -14,6 +14,7 @@ from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.reduction_error import coordinate_ranges
 from softrobot_twin.simulation.result import (
     RATE,
     SAMPLED,
@@ -79,6 +80,7 @@ class StepResults:
         """
         self._model, self._newton = model, newton
         self._strain_watches = model.strain_watches
+        self._coordinate_ranges = coordinate_ranges(model)
         self._inverse = inverse
 
     def of_step(
@@ -124,6 +126,8 @@ class StepResults:
             actuation, newton.inverted_count, outcome.balance, met, active, following
         )
         ranges = {name: s.ranges.max() for name, s in model.superelements.items()}
+        for coordinates in self._coordinate_ranges:
+            ranges[coordinates.name] = coordinates.share(outcome.positions)
         active = (*active, *(f"{name}.{SAMPLED}" for name, share in ranges.items() if share > 1.0))
         watched = [watch.outside(outcome.positions) for watch in self._strain_watches]
         strains = tuple(outside for outside in watched if outside is not None)

@@ -55,8 +55,8 @@ README = """\
 Reduced controller {version} of {name}, law {law}; made by: {command} SCENE --export FILE
 Steps by some lines of numpy: docs/reduced_controller.md of softrobot_twin. SI units.
 A state is the coordinates q [m], the drives of the actuators and their efforts. A drive is what an
-actuator holds: the shortening of a cable [m], the growth of a cavity [m3], or where
-is_effort_driven its effort, the gauge pressure [Pa]. setpoint = setpoint_rest + setpoint_sign * drive.
+actuator holds: the shortening of a cable [m], the growth of a cavity [m3], or where it
+is_effort_driven the gauge pressure [Pa]. setpoint = setpoint_rest + setpoint_sign * drive.
   {modes} coordinates, {points} sampled points, F = 1 + gradients q
   actuators: {actuators}
   effectors: {effectors}
@@ -100,8 +100,9 @@ def reduce_and_export(path: Path, options: TrainingOptions, output: Path) -> int
     arrays = export_controller(scene, output)
     modes, points, actuators = (len(arrays[name]) for name in ("load", "weights", "actuators"))
     console().print(
-        f"exported to {output}, {1e-6 * output.stat().st_size:.1f} MB: {modes} coordinates, {points} "
-        f"points, {actuators} actuators; the lines of numpy that step it: docs/reduced_controller.md"
+        f"exported to {output}, {1e-6 * output.stat().st_size:.1f} MB: {modes} coordinates, "
+        f"{points} points, {actuators} actuators; the lines of numpy that step it: "
+        "docs/reduced_controller.md"
     )
     return code
 
@@ -240,7 +241,8 @@ def _elastic_arrays(scene: Scene, body: Body) -> dict[str, np.ndarray]:
 def _check_laws(scene: Scene, body: Body) -> None:
     for part in body.materials:
         if part.law not in LAWS:
-            raise _refused(scene, f"{part.key}.law", part.law, "a law other than " + " and ".join(LAWS))
+            words = f"a law other than {' and '.join(LAWS)}"
+            raise _refused(scene, f"{part.key}.law", part.law, words)
         if part.law != body.materials[0].law:
             raise _refused(scene, f"{part.key}.law", part.law, "a body of materials of two laws")
 

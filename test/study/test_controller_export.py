@@ -304,7 +304,7 @@ def test_the_file_says_what_it_is(diamond):
     with np.load(diamond[0], allow_pickle=False) as saved:
         readme = str(saved["readme"])
         assert saved["gradients"].dtype == np.float32
-    for words in ("diamond", "corotational", "15 coordinates", "north", "tip", "reduced_controller"):
+    for words in ("diamond", "corotational", "15 coordinates", "north", "tip", "controller.md"):
         assert words in readme
 
 
@@ -323,7 +323,8 @@ def test_a_reduced_scene_is_exported_without_training(diamond, call, tmp_path, m
 
 @pytest.mark.parametrize("change, key", [
     ({"contact": {"between": [{"pair": ["body", "ball"]}]},
-      "obstacles": [{"name": "ball", "sphere": {"centre": [0, 0, 1], "radius": 0.1}}]}, "contact"),
+      "obstacles": [{"name": "ball", "sphere": {"centre": [0, 0, 1], "radius": 0.1}}]},
+     "contact"),
     ({"integration": "dynamic"}, "integration"),
     ({"touches": [{"name": "side", "points": [[0.01, 0.01, 0.1]]}]}, "touches"),
     ({"friction": 0.1}, r"cables\[0\].friction"),
