@@ -182,7 +182,7 @@ def test_a_cable_that_others_slacken_pulls_with_nothing(page, diamond):
     pair.settle(drives=np.array([0.02, 0.0, 0.02, 0.0]))
     pair.settle(drives=np.array([0.03, 0.0, 0.03, 0.0]))
     pair.assert_same()
-    assert (pair.state[2][[1, 3]] == 0.0).all() and pair.state[2][0] > 1.0
+    assert pair.state[2][[1, 3]].max() < 1e-12 and pair.state[2][0] > 1.0  # N
 
 
 def test_targets_lead_to_the_same_lengths(page, diamond):
