@@ -25,6 +25,7 @@ from softrobot_twin.study.body_training import (
 )
 from softrobot_twin.study.choice import choose
 from softrobot_twin.study.contact_growth import bench_contacts
+from softrobot_twin.study.controller_export import reduce_and_export
 from softrobot_twin.study.direct_run import (
     DEFAULT_RATE,
     Picture,
@@ -423,6 +424,10 @@ def add_reduce(commands) -> None:
     parser.add_argument("--output", metavar="FILE.npz", type=Path,
                         help="file to write (default <name of the scene>_reduced.npz beside the "
                         "mesh)")
+    parser.add_argument("--export", metavar="ROBOT.npz", type=Path,
+                        help="write a file with all that steps the reduced robot without a mesh "
+                        "library, see docs/reduced_controller.md; a scene whose body is reduced "
+                        "already is not trained again unless another option asks for it")
     sampled = parser.add_argument_group("what is sampled")
     sampled.add_argument("--snapshots", type=positive_count, metavar="N",
                          help=f"states of the full model (default {SNAPSHOTS}; with --error "
@@ -538,10 +543,13 @@ def _reduce(chosen: argparse.Namespace) -> int:
     if chosen.modes is not None and chosen.energy is not None:
         raise OptionError("--energy", "has no effect with --modes")
     enable_interrupts()
-    return reduce(chosen.scene, TrainingOptions(
+    options = TrainingOptions(
         chosen.body, chosen.output, chosen.snapshots, tuple(chosen.ranges), tuple(chosen.targets),
         chosen.loads, tuple(chosen.load_points or ()), chosen.surface_loads or 0, chosen.tilts,
         ENERGY if chosen.energy is None else chosen.energy, chosen.modes, chosen.spare_modes,
         chosen.tolerance, chosen.error, chosen.states, chosen.seed, chosen.workers,
         chosen.scheduler, chosen.along, chosen.around or AROUND,
-    ))  # fmt: skip
+    )  # fmt: skip
+    if chosen.export is not None:
+        return reduce_and_export(chosen.scene, options, chosen.export)
+    return reduce(chosen.scene, options)
