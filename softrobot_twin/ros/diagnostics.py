@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
-from softrobot_twin.control.full_model_watch import FullModelWatch
+from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
@@ -104,13 +104,13 @@ class TwinDiagnostics:
         mesh_error: Estimate of the discretization error, or None.
         node: The node that runs the loop, for its name, priority, clocks and topics; None for a
             loop without a node.
-        full_model: Compares reduced bodies with the full model, or None.
+        reduction: Estimates errors of reduced bodies, or None.
     """
 
     def __init__(
         self, loop: TwinLoop, clock: TickClock, window: DiagnosticsWindow, feed: ViewFeed | None,
         mesh_error: MeshErrorWatch | None = None, node: TwinNode | None = None,
-        full_model: FullModelWatch | None = None,
+        reduction: ReductionErrorWatch | None = None,
     ):
         self._loop, self._clock, self._window, self._feed = loop, clock, window, feed
         self._node = node
@@ -118,7 +118,7 @@ class TwinDiagnostics:
         self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
         self._last_counts: dict[str, int] = {}
         self._late = 0
-        self._mesh_error, self._full_model = mesh_error, full_model
+        self._mesh_error, self._reduction = mesh_error, reduction
 
     @property
     def discretization_error(self) -> float:
@@ -221,7 +221,10 @@ class TwinDiagnostics:
             "projected": window.projected,
             "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
-        reduced = simulation.reduction_state()
+        reduced = simulation.reduction_state(with_errors=False)
+        if self._reduction is not None and not simulation.falls_back:
+            for name, state in self._reduction.states.items():
+                reduced[name] = state._replace(range=reduced[name].range)
         for name, state in reduced.items():
             values |= {f"{name}_sampled_range": state.range,
                        f"{name}_reduction_error_mm": state.error * _MILLI,
@@ -270,7 +273,7 @@ class TwinDiagnostics:
 
     def _of_full_model(self) -> dict[str, object]:
         """Distance of the effectors from those of the full model, or why it is not known."""
-        watch = self._full_model
+        watch = self._reduction
         if watch is None:
             return {}
         state = "compared" if watch.answers else "waiting for idle time"

@@ -11,7 +11,7 @@ the reduced model is within some per cent these are two linearizations, of which
 4 % of the truth; at twice the training range of a strongly bent Diamond two to a dozen.
 
 A linearization of the full model takes hundreds of times as long as a step of the reduced one: this
-is for the slack of a loop (`control/full_model_watch.py`) or for studies.
+is for the slack of a loop (`control/reduction_error_watch.py`) or for studies.
 """
 
 from __future__ import annotations
