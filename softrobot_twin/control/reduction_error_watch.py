@@ -16,6 +16,7 @@ from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, read_
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
+    from softrobot_twin.simulation.full_model_error import FullError
     from softrobot_twin.simulation.vertebrae_watch import ReductionState
 
 READY = "ready"
@@ -30,9 +31,8 @@ class ReductionErrorWatch(IdleWatch):
         is_ready: Whether the models are built.
         states: How far each body can be believed, by the spare modes, in the newest judged state;
             empty as `newest`.
-        newest: Largest distance of an effector from where the full model has it, by the name of
-            each reduced body [m]; NaN where the full model found no balance; empty before the
-            first answer, and when there are no more.
+        newest: Error of each reduced body by the full model; NaN where that found no balance; empty
+            before the first answer, and when there are no more.
         linearizations: Linearizations of the full model that the newest took.
     """
 
@@ -45,7 +45,7 @@ class ReductionErrorWatch(IdleWatch):
         """
         self.is_ready = False
         self.states: dict[str, ReductionState] = {}
-        self.newest: dict[str, float] = {}
+        self.newest: dict[str, FullError] = {}
         self.linearizations = 0
         super().__init__(_PROGRAM.format(yields), simulation.scene)
 
@@ -71,7 +71,7 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
 
     Args:
         requests: The scene, then a `State` each.
-        reply: Takes ``(READY,)``, then ``(STATE, states by body, errors by body [m], linearizations,
+        reply: Takes ``(READY,)``, then ``(STATE, states by body, errors by body, linearizations,
             duration [s])`` for each state; the errors and linearizations are those of the full model.
     """
     from softrobot_twin.simulation import Simulation

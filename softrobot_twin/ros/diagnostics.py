@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 
 _MILLI = 1.0e3
+# An error of a reduced body is a warning above both of these: by the displacement of the effector,
+# and by the size of the scene.
+_LARGE_SHARE, _LARGE_BY_SIZE = 0.05, 0.001
 
 
 _EXCEEDED = ".force_limit_exceeded"
@@ -240,17 +243,18 @@ class TwinDiagnostics:
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
         if window.overloaded and level == OK:
             return WARN, f"overload: {window.overloaded} ticks without time to linearize", values
-        outside = [name for name, state in reduced.items() if state.range > 1.0]
-        if outside and level == OK:
-            names = ", ".join(outside)
-            return WARN, f"{names}: outside of the range that they were reduced in", values
+        outside = ", ".join(name for name, state in reduced.items() if state.range > 1.0)
+        doubts = [f"{outside}: outside of the range of its reduction"] if outside else []
+        doubts += [wrong] if (wrong := self._wrong_bodies()) else []
+        if doubts and level == OK:
+            return WARN, "; ".join(doubts), values
         if window.strains and level == OK:
             words = "; ".join(outside.in_words() for outside in window.strains.values())
             return WARN, words, values
         message = window.worst.value
         if window.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
             message += f": residual {window.residual_max:.2g} N"
-        return level, message, values
+        return level, "; ".join([message, *doubts]), values
 
     def _of_mesh(self) -> dict[str, object]:
         """Estimated error of the mesh at rest [%], or the reason why it is not estimated."""
@@ -277,9 +281,23 @@ class TwinDiagnostics:
         if watch is None:
             return {}
         state = "compared" if watch.answers else "waiting for idle time"
-        return {"full_model": watch.cause or state} | {
-            f"{name}_full_model_error_mm": error * _MILLI for name, error in watch.newest.items()
-        }
+        values: dict[str, object] = {"full_model": watch.cause or state}
+        for name, error in watch.newest.items():
+            values |= {f"{name}_full_model_error_mm": error.distance * _MILLI,
+                       f"{name}_full_model_error_percent": 100.0 * error.share}
+        return values
+
+    def _wrong_bodies(self) -> str:
+        """Reduced bodies that the full model finds far from where it has them, in words."""
+        if self._reduction is None or self._loop.simulation.falls_back:
+            return ""
+        least = _LARGE_BY_SIZE * self._loop.simulation.model.nodes.size
+        return "; ".join(
+            f"{name}: {error.distance * _MILLI:.2g} mm ({100.0 * error.share:.0f} % of the "
+            "displacement) from the full model"
+            for name, error in self._reduction.newest.items()
+            if error.distance > least and error.share > _LARGE_SHARE
+        )
 
     def _of_touches(self):
         inputs, newest = self._loop.touches, self._window.newest
