@@ -11,12 +11,12 @@ the reduced model is within some per cent these are two linearizations, of which
 4 % of the truth; at twice the training range of a strongly bent Diamond two to a dozen.
 
 A linearization of the full model takes hundreds of times as long as a step of the reduced one: this
-is for the slack of a loop (`control/full_model_watch.py`) or for studies.
+is for the slack of a loop (`control/reduction_error_watch.py`) or for studies.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from softrobot_twin.simulation.reduction_error import (
     largest_on_each_body,
     present_touches,
     reduced_bodies,
+    shares_of_displacement,
 )
 from softrobot_twin.simulation.state import State
 
@@ -44,6 +45,18 @@ def full_scene(scene: Scene) -> Scene:
     """The scene with all nodes of its reduced bodies as unknowns, one linearization a step."""
     solver = scene.solver.model_copy(update={"newton_iterations": 1})
     return without_reductions(scene).model_copy(update={"solver": solver})
+
+
+class FullError(NamedTuple):
+    """The error of a reduced body, seen by the full model.
+
+    Attributes:
+        distance: The largest distance of an effector on it from where the full model has it [m].
+        share: The largest by the displacement of the effector from rest.
+    """
+
+    distance: float
+    share: float
 
 
 class FullModelError:
@@ -107,6 +120,9 @@ class FullModelError:
                 break
         return moves
 
-    def errors(self, state: State) -> dict[str, float]:
-        """The largest of them on each reduced body [m], by its name; see `moves`."""
-        return largest_on_each_body(self.model, self.moves(state))
+    def errors(self, state: State) -> dict[str, FullError]:
+        """Error of each reduced body, by its name; see `moves`."""
+        moves = self.moves(state)
+        shares = shares_of_displacement(self.model, moves, state)
+        moves, shares = (largest_on_each_body(self.model, found) for found in (moves, shares))
+        return {name: FullError(moves[name], shares[name]) for name in moves}

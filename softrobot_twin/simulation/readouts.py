@@ -164,17 +164,22 @@ class Readouts:
         """Whether a body has the coordinates of a basis as its unknowns."""
         return bool(reduced_bodies(self.model))
 
-    def reduction_state(self) -> dict[str, ReductionState]:
+    def reduction_state(self, with_errors: bool = True) -> dict[str, ReductionState]:
         """How far each reduced body can be believed now, by its name.
 
-        At the first call the simulation with spare modes is built: call it once before a loop.
+        At the first call with errors the simulation with spare modes is built.
+
+        Args:
+            with_errors: Whether errors of bodies in the coordinates of a basis are estimated, which
+                takes the time of a step with the spare modes; else they are NaN.
         """
         states = {
             name: reduction_state(self.model, name, self.state.positions)
             for name in self.model.superelements
         }
         if self.has_reduced_bodies:
-            states |= reduced_states(self.model, self.state, self.reduction_errors())
+            errors = self.reduction_errors() if with_errors else None
+            states |= reduced_states(self.model, self.state, errors)
         return states
 
     def reduction_errors(self) -> ReductionErrors | None:

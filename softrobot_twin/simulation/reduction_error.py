@@ -122,7 +122,6 @@ class ReductionErrors:
             extended: The one of the scene that `with_spare_modes` makes of its scene.
         """
         self.extended, self._model = extended, simulation.model
-        self._rest = simulation.model.nodes.rest_positions
         self._inserted = np.empty(0, np.int64)
         for own, more in zip(simulation.model.bodies, extended.model.bodies, strict=True):
             if own.reduction is not None:
@@ -160,14 +159,21 @@ class ReductionErrors:
         before = effectors.positions(state.positions)
         return np.linalg.norm(result.effector_positions - before, axis=1)
 
-    def shares(self, moves: np.ndarray, state: State) -> np.ndarray:
-        """The same by the displacement of each effector from rest, shape (effector_count,)."""
-        effectors = self._model.effectors
-        if effectors is None:
-            return moves
-        places = effectors.positions(state.positions) - effectors.positions(self._rest)
-        distances = np.linalg.norm(places, axis=1)
-        return np.divide(moves, distances, out=np.full_like(moves, np.nan), where=distances > 0.0)
+
+def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.ndarray:
+    """Distances by the displacement of each effector from rest; NaN where it is at rest.
+
+    Args:
+        model: The scene.
+        moves: A distance of each effector [m], shape (effector_count,).
+        state: Its state.
+    """
+    effectors = model.effectors
+    if effectors is None:
+        return moves
+    places = effectors.positions(state.positions)
+    distances = np.linalg.norm(places - effectors.positions(model.nodes.rest_positions), axis=1)
+    return np.divide(moves, distances, out=np.full_like(moves, np.nan), where=distances > 0.0)
 
 
 def reduced_states(
@@ -183,7 +189,7 @@ def reduced_states(
     moves = shares = np.full(len(model.scene.effectors), np.nan)
     if errors is not None:
         moves = errors.moves(state)
-        shares = errors.shares(moves, state)
+        shares = shares_of_displacement(model, moves, state)
     moves, shares = (largest_on_each_body(model, values) for values in (moves, shares))
     return {
         body.name: ReductionState(

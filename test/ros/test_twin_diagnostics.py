@@ -268,10 +268,10 @@ def test_without_the_estimate_the_status_reports_it(world, make_twin, diagnostic
 
 def test_the_errors_of_a_reduced_body_are_reported(
         world, make_twin, diagnostics, monkeypatch, half_trained):
-    from softrobot_twin.control import full_model_watch
+    from softrobot_twin.control import reduction_error_watch
 
-    program = full_model_watch._PROGRAM.format(False)
-    monkeypatch.setattr(full_model_watch, "_PROGRAM", program)
+    program = reduction_error_watch._PROGRAM.format(False)
+    monkeypatch.setattr(reduction_error_watch, "_PROGRAM", program)
     make_twin(scene_file=str(half_trained))
     world.until(lambda: diagnostics.messages, 60.0)
     solver = diagnostics(

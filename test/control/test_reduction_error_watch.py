@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from softrobot_twin.control.full_model_watch import FullModelWatch
+from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.idle_process import framed
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
@@ -27,7 +27,7 @@ def bent(half_trained):
 @pytest.fixture
 def watch(bent):
     # A process of the lowest priority might never run on a busy machine.
-    started = FullModelWatch(bent, yields=False)
+    started = ReductionErrorWatch(bent, yields=False)
     yield started
     started.close()
 
@@ -46,16 +46,19 @@ def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(be
     offer_until(watch, bent, lambda: watch.answers == 1)
     assert watch.is_ready and watch.cause == ""
     judge = FullModelError(bent)
-    assert watch.newest == pytest.approx(judge.errors(bent.state), rel=1e-6)
+    for name, error in judge.errors(bent.state).items():
+        assert watch.newest[name] == pytest.approx(error, rel=1e-6)
+    for name, state in bent.reduction_state().items():
+        assert watch.states[name] == pytest.approx(state, rel=1e-6, nan_ok=True)
     assert watch.linearizations == judge.linearizations >= 2
     watch._unsent += framed("no state")
     offer_until(watch, bent, lambda: watch.cause)
     assert watch.cause.startswith("it failed: AttributeError: ")
-    assert watch.newest == {}
+    assert watch.newest == watch.states == {}
 
 
 def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(bent):
-    watch = FullModelWatch(bent)
+    watch = ReductionErrorWatch(bent)
     offer_until(watch, bent, lambda: os.sched_getscheduler(watch._process.pid) == os.SCHED_IDLE)
     watch.close()
     assert watch._process.returncode is not None

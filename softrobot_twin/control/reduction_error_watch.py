@@ -1,8 +1,9 @@
-"""The error of a running twin's reduced bodies, by its full model in a process of lowest priority.
+"""The errors of a running twin's reduced bodies, estimated by a process of lowest priority.
 
-The process holds the scene with all nodes. It gets states of the twin, places its nodes by the
-coordinates of the reduced bodies, and answers how far the effectors move to the balance of the full
-model (`simulation/full_model_error.py`); see `idle_process.py`.
+The process holds the scene with the modes in use, with the spare ones too, and with all nodes. It
+gets states of the twin, and answers both estimates: by the spare modes (`simulation/
+reduction_error.py`), and by the full model, whose nodes it places by the coordinates of the bodies
+(`simulation/full_model_error.py`). The tick computes none of this; see `idle_process.py`.
 """
 
 from __future__ import annotations
@@ -15,20 +16,23 @@ from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, read_
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
+    from softrobot_twin.simulation.full_model_error import FullError
+    from softrobot_twin.simulation.vertebrae_watch import ReductionState
 
 READY = "ready"
-"""Kind of the first reply: the full model is built."""
-_PROGRAM = "from softrobot_twin.control.full_model_watch import main; main({})"
+"""Kind of the first reply: the models are built."""
+_PROGRAM = "from softrobot_twin.control.reduction_error_watch import main; main({})"
 
 
-class FullModelWatch(IdleWatch):
+class ReductionErrorWatch(IdleWatch):
     """Requests errors of reduced bodies and keeps the newest.
 
     Attributes:
-        is_ready: Whether the full model is built.
-        newest: Largest distance of an effector from where the full model has it, by the name of
-            each reduced body [m]; NaN where the full model found no balance; empty before the
-            first answer, and when there are no more.
+        is_ready: Whether the models are built.
+        states: How far each body can be believed, by the spare modes, in the newest judged state;
+            empty as `newest`.
+        newest: Error of each reduced body by the full model; NaN where that found no balance; empty
+            before the first answer, and when there are no more.
         linearizations: Linearizations of the full model that the newest took.
     """
 
@@ -40,7 +44,8 @@ class FullModelWatch(IdleWatch):
             yields: Whether the process has the lowest priority.
         """
         self.is_ready = False
-        self.newest: dict[str, float] = {}
+        self.states: dict[str, ReductionState] = {}
+        self.newest: dict[str, FullError] = {}
         self.linearizations = 0
         super().__init__(_PROGRAM.format(yields), simulation.scene)
 
@@ -53,12 +58,12 @@ class FullModelWatch(IdleWatch):
         if kind == READY:
             self.is_ready = True
         else:
-            self.newest, self.linearizations = content
+            self.states, self.newest, self.linearizations = content
 
     def end(self, cause: str) -> None:
         """Records that there will be no more answers."""
         super().end(cause)
-        self.newest = {}
+        self.states, self.newest = {}, {}
 
 
 def serve(requests: BinaryIO, reply: Replies) -> None:
@@ -66,8 +71,8 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
 
     Args:
         requests: The scene, then a `State` each.
-        reply: Takes ``(READY,)``, then ``(STATE, errors by body [m], linearizations, duration [s])``
-            for each state.
+        reply: Takes ``(READY,)``, then ``(STATE, states by body, errors by body, linearizations,
+            duration [s])`` for each state; the errors and linearizations are those of the full model.
     """
     from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.full_model_error import FullModelError
@@ -76,11 +81,14 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
     scene = read_message(requests)
     if scene is None:
         return
-    judge = FullModelError(Simulation(without_fallback(scene), with_warnings=False))
+    simulation = Simulation(without_fallback(scene), with_warnings=False)
+    judge = FullModelError(simulation)
     reply(READY)
     while (state := read_message(requests)) is not None:
         begin = perf_counter()
-        reply(STATE, judge.errors(state), judge.linearizations, perf_counter() - begin)
+        simulation.restore(state)
+        states, errors = simulation.reduction_state(), judge.errors(state)
+        reply(STATE, states, errors, judge.linearizations, perf_counter() - begin)
 
 
 def main(yields: bool = True) -> None:
