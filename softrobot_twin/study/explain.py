@@ -21,6 +21,7 @@ from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.beam_bodies import BeamBody
 from softrobot_twin.simulation.cavity_actuator import wall_details
 from softrobot_twin.simulation.body_materials import MaterialPart
+from softrobot_twin.simulation.full_model_error import FullModelError
 from softrobot_twin.simulation.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.unit_checks import are_held, expected_sag
@@ -297,6 +298,30 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
         warn(error.in_words())
     else:
         console().print(error.in_words())
+
+
+def print_reduction_errors(simulation: Simulation, largest_range: float) -> None:
+    """Prints how far reduced bodies can be believed after a run; nothing without them.
+
+    Args:
+        simulation: The simulation, where the run ended.
+        largest_range: Largest share of the trained range in the run.
+    """
+    if not simulation.has_reduced_bodies or simulation.falls_back:
+        return
+    with terminal_status("comparing with the full model"):
+        by_spare_modes = simulation.reduction_state()
+        by_full_model = FullModelError(simulation).errors(simulation.state)
+    for name, full in by_full_model.items():
+        error = by_spare_modes[name].error
+        spare = f", by its spare modes {1e3 * error:.3g} mm" if error == error else ""
+        console().print(
+            f"{name}: at the last pose the reduced model is {1e3 * full.distance:.3g} mm from the full "
+            f"one, {_percent(full.share)} of the displacement{spare}"
+        )
+    if largest_range > 1.0:
+        warn(f"the run left the range of the training, up to {largest_range:.1f} times of it: train "
+             "where the robot goes, see docs/reduced_models.md")  # fmt: skip
 
 
 def _by_load(error: MeshError) -> Table:
