@@ -126,3 +126,24 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
     np.testing.assert_allclose(fallback._other.surface_positions(), surface, atol=1e-12)
     back = fallback._reduced_state(better)
     np.testing.assert_allclose(back.positions, simulation.state.positions, atol=1e-12)
+
+
+def test_in_contact_the_full_model_tells_the_error_too(half_trained):
+    mapping = yaml.safe_load(half_trained.read_text())
+    mapping["obstacles"] = [
+        {"name": "ball", "sphere": {"centre": [0.004, 0.002, 0.139], "radius": 0.01}}]  # fmt: skip
+    mapping["contact"] = {"between": [{"pair": ["body", "ball"]}], "alarm_distance": 0.01,
+                          "contact_distance": 0.0005}  # fmt: skip
+    mapping["solver"] = {"newton_iterations": 20, "residual_tolerance": 1.0e-8}
+    scene = scene_from_mapping(mapping, half_trained)
+    reduced = Simulation(scene, with_warnings=False)
+    full = Simulation(without_reductions(scene), with_warnings=False)
+    for shortening in (0.002, 0.004, 0.006, 0.008, 0.008):
+        for simulation in (full, reduced):
+            lengths = simulation.rest_setpoints - shortening
+            result = simulation.step(CommandSetpoints(lengths, ANY_TIME))
+    assert result.report.contact_count == 1
+    true = np.linalg.norm(reduced.effector_positions() - full.effector_positions())
+    judge = FullModelError(reduced)
+    assert judge.errors(reduced.state)["body"].distance == pytest.approx(true, rel=0.1)
+    assert 0.0 < reduced.reduction_state()["body"].error < true
