@@ -136,8 +136,8 @@ class ReductionErrors:
         """A state of the judged simulation, with spare coordinates of zero."""
         positions = np.insert(state.positions, self._inserted, 0.0, axis=0)
         return State(
-            positions, state.setpoints, state.efforts, state.step_count, state.time, state.velocities,
-            None, state.slips, state.touches, state.history,
+            positions, state.setpoints, state.efforts, state.step_count, state.time,
+            state.velocities, None, state.slips, state.touches, state.history,
         )  # fmt: skip
 
     def moves(self, state: State) -> np.ndarray:

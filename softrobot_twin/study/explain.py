@@ -316,12 +316,12 @@ def print_reduction_errors(simulation: Simulation, largest_range: float) -> None
         error = by_spare_modes[name].error
         spare = f", by its spare modes {1e3 * error:.3g} mm" if error == error else ""
         console().print(
-            f"{name}: at the last pose the reduced model is {1e3 * full.distance:.3g} mm from the full "
-            f"one, {_percent(full.share)} of the displacement{spare}"
+            f"{name}: at the last pose the reduced model is {1e3 * full.distance:.3g} mm from the "
+            f"full one, {_percent(full.share)} of the displacement{spare}"
         )
     if largest_range > 1.0:
-        warn(f"the run left the range of the training, up to {largest_range:.1f} times of it: train "
-             "where the robot goes, see docs/reduced_models.md")  # fmt: skip
+        warn(f"the run left the range of the training, up to {largest_range:.1f} times of it: "
+             "train where the robot goes, see docs/reduced_models.md")  # fmt: skip
 
 
 def _by_load(error: MeshError) -> Table:
@@ -519,6 +519,11 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
             f"{key}.reduced", f"{nodes.mode_count} modes of {entry.reduced.file}, "
             f"{len(kept.sampled.cells)} quadrature points stand for all",
             f"{nodes.mode_count} unknowns, {_measured_error(kept.measured)}"))
+        if entry.reduced.fallback is not None:
+            to = {"enrich": "the spare modes", "full_model": "all nodes"}[entry.reduced.fallback]
+            listed.append(Effect(
+                f"{key}.reduced.fallback", f"{entry.reduced.fallback}, above an error of "
+                f"{number(1e3 * entry.reduced.error)} mm", f"a second model with {to}"))
     listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
                for name, nodes in body.riding.items()]
     damping = entry.damping
