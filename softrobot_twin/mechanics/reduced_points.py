@@ -69,6 +69,9 @@ class ReducedPoints:
         self._points = slice(first_point, first_point + len(rest))
         self._rest, self._modes = np.asarray(rest, float), np.ascontiguousarray(modes, float)
         self._rows = self._modes.reshape(3 * len(rest), self._modes.shape[2])
+        # Half as wide, for what is only compared with limits.
+        self._rough_rows = self._rows.astype(np.float32)
+        self._measured, self._longest = np.zeros(self._rows.shape[1]), 0.0
         self.carried_unknowns = np.tile(self._unknowns, (len(rest), 1))
         self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
 
@@ -95,7 +98,12 @@ class ReducedPoints:
         """Longest displacement of a point; forces on coordinates are those on free nodes."""
         if are_forces or not len(self._rest):
             return 0.0
-        return longest_row((self._rows @ vectors[self._unknowns].ravel()).reshape(-1, 3))
+        move = vectors[self._unknowns].ravel()
+        # A step asks for the same move several times; all points are a large product.
+        if not np.array_equal(move, self._measured):
+            self._longest = longest_row((self._rough_rows @ move.astype(np.float32)).reshape(-1, 3))
+            self._measured = move
+        return float(self._longest)
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write D = Φ of every point; see `UnknownKind.write_derivatives`."""
