@@ -42,6 +42,7 @@ from softrobot_twin.study.accuracy_study import (
 )
 from softrobot_twin.study.body_training import (
     FRESH_SEED,
+    MARGIN,
     SNAPSHOTS,
     Training,
     TrainingOptions,
@@ -247,15 +248,15 @@ def make_trial(
     write_training_scene(scene, original, level)
     training = begin_training(scene, replace(options, output=file, workers=1))
     try:
-        samples = training.samples(options.snapshots or SNAPSHOTS, options.seed)
-        training.states("trial: states", samples)  # kept, so that their time is told apart
+        samples = training.samples(options.snapshots or SNAPSHOTS, options.seed, MARGIN)
+        asked = training.fresh_samples(max(2, options.states), FRESH_SEED)
+        # Kept, so that their time is told apart.
+        _, fresh = training.states("trial: states", samples, asked)
         solved = time.perf_counter()
         trained, states = train_once(training)
         sampling = time.perf_counter() - solved
         reduction = reduction_of(training.body, trained, np.full(2, np.nan), {})
         write_body_reduction(file, reduction, reduction_fingerprints(training.body))
-        samples = training.samples(max(2, options.states), options.seed + FRESH_SEED)
-        fresh = training.states("trial: fresh states", samples)
         error = _error(training, reduction, fresh.found())
     finally:
         shutil.rmtree(training.store.path, ignore_errors=True)
