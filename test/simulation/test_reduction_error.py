@@ -80,7 +80,8 @@ def test_inside_of_its_training_a_body_is_not_named(pair):
     true, estimate, ranges, share, _, named = judged(pair, TRAINED * np.random.default_rng(
         4).random((20, 4)))  # fmt: skip
     assert not named.any() and (ranges < 1.0).all()
-    assert 0.5 < np.median(estimate / true) < 2.0
+    ratio = estimate / true
+    assert np.mean((ratio > 0.5) & (ratio < 2.0)) >= 0.9
     assert np.median(share) < 0.005
 
 
