@@ -14,6 +14,7 @@ from softrobot_twin.study.accuracy import accuracy
 from softrobot_twin.study.accuracy_study import Limits
 from softrobot_twin.study.bench import bench
 from softrobot_twin.study.body_training import (
+    AROUND,
     ENERGY,
     FIRST_SNAPSHOTS,
     FRESH_STATES,
@@ -25,6 +26,7 @@ from softrobot_twin.study.body_training import (
 )
 from softrobot_twin.study.choice import choose
 from softrobot_twin.study.contact_growth import bench_contacts
+from softrobot_twin.study.controller_export import reduce_and_export
 from softrobot_twin.study.direct_run import (
     DEFAULT_RATE,
     Picture,
@@ -455,6 +457,10 @@ def add_reduce(commands) -> None:
     parser.add_argument("--output", metavar="FILE.npz", type=Path,
                         help="file to write (default <name of the scene>_reduced.npz beside the "
                         "mesh)")
+    parser.add_argument("--export", metavar="ROBOT.npz", type=Path,
+                        help="write a file with all that steps the reduced robot without a mesh "
+                        "library, see docs/reduced_controller.md; a scene whose body is reduced "
+                        "already is not trained again unless another option asks for it")
     sampled = parser.add_argument_group("what is sampled")
     sampled.add_argument("--snapshots", type=positive_count, metavar="N",
                          help=f"states of the full model (default {SNAPSHOTS}; with --error "
@@ -466,6 +472,12 @@ def add_reduce(commands) -> None:
                          help="sample where the inverse brings the effectors, in place of the box "
                          "of the actuators: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]; it takes "
                          "fewer modes, and knows nothing beyond")
+    sampled.add_argument("--along", type=Path, metavar="TARGETS.csv",
+                         help="sample along a path of targets instead, in the contact of the "
+                         "scene: what presses on the body is trained as it will be met")
+    sampled.add_argument("--around", type=positive, metavar="M",
+                         help="each pass of that path is shifted as a whole, by up to this along "
+                         f"each axis [m] (default {AROUND:g})")
     sampled.add_argument("--loads", type=positive, default=0.0, metavar="N",
                          help="forces up to this [N] in any direction at points, one at a time, in "
                          "half of the states (default none)")
@@ -554,13 +566,23 @@ def _reduce(chosen: argparse.Namespace) -> int:
         refuse(chosen, "--loads", "load_points", "surface_loads")
     if chosen.targets and chosen.ranges:
         raise OptionError("--range", "has no effect with --targets")
+    if chosen.along is None:
+        refuse(chosen, "--along", "around")
+    else:
+        for option in ("targets", "ranges", "loads", "tilts", "error"):
+            if getattr(chosen, option):
+                name = "--range" if option == "ranges" else f"--{option}"
+                raise OptionError(name, "has no effect with --along")
     if chosen.modes is not None and chosen.energy is not None:
         raise OptionError("--energy", "has no effect with --modes")
     enable_interrupts()
-    return reduce(chosen.scene, TrainingOptions(
+    options = TrainingOptions(
         chosen.body, chosen.output, chosen.snapshots, tuple(chosen.ranges), tuple(chosen.targets),
         chosen.loads, tuple(chosen.load_points or ()), chosen.surface_loads or 0, chosen.tilts,
         ENERGY if chosen.energy is None else chosen.energy, chosen.modes, chosen.spare_modes,
         chosen.tolerance, chosen.error, chosen.states, chosen.seed, chosen.workers,
-        chosen.scheduler,
-    ))  # fmt: skip
+        chosen.scheduler, chosen.along, chosen.around or AROUND,
+    )  # fmt: skip
+    if chosen.export is not None:
+        return reduce_and_export(chosen.scene, options, chosen.export)
+    return reduce(chosen.scene, options)

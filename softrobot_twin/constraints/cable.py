@@ -228,6 +228,7 @@ class Cables(ConstantRows):
         self._points, self._folded = None, None
         if points is not None and (self._free >= points.free_count).any():
             self._points, self._folded = points, FoldedSegments(points, self._free, self._coefficients)
+            self._carriers = points.own_of(self._free)
         vectors = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
         lengths = np.linalg.norm(vectors + self._constants, axis=1)
         self._least = NO_LENGTH * self._scale(lengths, rest_positions)
@@ -296,9 +297,11 @@ class Cables(ConstantRows):
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """Largest share of a move before a segment reverses its direction; see `ConstraintTerm`."""
+        if self._points is not None:
+            move = self._points.point_moves(positions, move, self._carriers)
         return share_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, self._free, move if self._points is None else self._points.point_moves(positions, move),
+            self._rounding, self._free, move,
         )  # fmt: skip
 
     def add_stiffness(

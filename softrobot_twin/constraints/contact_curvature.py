@@ -13,6 +13,10 @@ forth from step to step. It is positive semidefinite, and its blocks are among t
 element. The other part, -λ c_k c_m D_xx, may make A indefinite; only `is_whole` takes it. The part
 c_k D_xx u_i of V is left out where the shape moves, since what moves along with it does not roll,
 and where `with_sliding` is False.
+
+The corners a, b, c of a facet of a reduced body are points x = x₀ + D q of its coordinates. Only of
+facets that press the stiffness K is folded, Eᵀ K E with E = [D_a; D_b; D_c], into the one block of
+the coordinates.
 """
 
 from __future__ import annotations
@@ -21,6 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+
+from softrobot_twin.mechanics.kinematics import CarriedPoints
 
 # A facet along a straight side would be infinitely stiff: its curvature is at least this share of
 # the curvature across. A greater share makes facets that are nearly along the side tilt too far:
@@ -186,6 +192,70 @@ def add_facets(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def fold_facet(stiffness, points, derivatives, half, offsets, strides, storage):
+    """Add Eᵀ K E of one facet to the system matrix, E = [D_a; D_b; D_c].
+
+    Args:
+        stiffness: K [N/m], shape (9, 9).
+        points: Carried point of each corner, -1 where there is none, shape (3,).
+        derivatives: D of all carried points, shape (point_count, width, 3, 3).
+        half: Work array for K E, shape (9, 3 width).
+        offsets: Place of each block of two coordinate nodes, -1 above the diagonal, shape
+            (width, width).
+        strides: Distance of its columns, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
+    width = derivatives.shape[1]
+    for r in range(9):
+        for j in range(width):
+            for b in range(3):
+                total = 0.0
+                for k in range(3):
+                    if points[k] >= 0:
+                        for i in range(3):
+                            total += stiffness[r, 3 * k + i] * derivatives[points[k], j, i, b]
+                half[r, 3 * j + b] = total
+    for j in range(width):
+        for m in range(width):
+            if offsets[j, m] < 0:
+                continue
+            for b in range(3):
+                place = offsets[j, m] + b * strides[j, m]
+                for a in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        if points[k] >= 0:
+                            for i in range(3):
+                                D = derivatives[points[k], j, i, a]
+                                total += D * half[3 * k + i, 3 * m + b]
+                    storage[place + a] += total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fold_facets(
+    x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
+    is_straight, has_round_ends, slides, whole, first_point, free_index, derivatives, half,
+    offsets, strides, work, storage,
+):  # fmt: skip
+    """Add the stiffness of all facets of a reduced body that press on the shape of one pair."""
+    curvature, points = np.zeros((3, 3)), np.zeros(3, np.int64)
+    for c in range(count):
+        force, normal = forces[rows_per_contact * c], directions[c, 0]
+        if which[c] != pair or not force > 0.0:
+            continue
+        if not write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
+            continue
+        corners = write_facet_stiffness(
+            x, nodes[c, :3], coefficients[c, :3], curvature, normal, force, slides, whole, work
+        )
+        if corners:
+            for k in range(3):
+                n = nodes[c, k]
+                points[k] = free_index[n] - first_point if n >= 0 else -1
+            fold_facet(work, points, derivatives, half, offsets, strides, storage)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_rows(
     nodes, coefficients, directions, stiffness, node_count, keys, offsets, strides, storage
 ):
@@ -241,6 +311,19 @@ class RoundPair(NamedTuple):
         return self.carrier.pose(positions)[1] @ self.axis
 
 
+class CoordinateBlocks(NamedTuple):
+    """Places in the storage of the blocks of a reduced body's coordinates.
+
+    Attributes:
+        offsets: Of the block of each two coordinate nodes, -1 above the diagonal, shape
+            (width, width).
+        strides: Distance of its columns, same shape.
+    """
+
+    offsets: np.ndarray
+    strides: np.ndarray
+
+
 class ContactCurvature:
     """Stiffness of all facets that press on round shapes.
 
@@ -251,16 +334,23 @@ class ContactCurvature:
         is_whole: With sliding, leave nothing out.
     """
 
-    def __init__(self, pairs: tuple[RoundPair, ...], free_index: np.ndarray):
+    def __init__(
+        self, pairs: tuple[RoundPair, ...], free_index: np.ndarray,
+        carried: CarriedPoints | None = None,
+    ):  # fmt: skip
         """Take the pairs.
 
         Args:
             pairs: Pairs of a deformable surface and a round shape.
-            free_index: Unknown of each node, -1 where it has none, shape (node_count,).
+            free_index: Unknown or carried point of each node, -1 where it has none, shape
+                (node_count,).
+            carried: The carried points of the scene; None without any.
         """
         self._pairs = pairs
-        self._free_index = free_index
+        self._free_index, self._carried = free_index, carried
+        self._blocks: dict[int, CoordinateBlocks] = {}
         self._work = np.zeros((9, 9))
+        self._half = np.zeros((9, 0 if carried is None else 3 * carried.unknowns.shape[1]))
         self.with_sliding = self.is_whole = False
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
@@ -270,7 +360,13 @@ class ContactCurvature:
             elimination_rank: Place of each unknown in the elimination order.
             slots: The factorization's `slots`.
         """
-        triangles = np.unique(np.concatenate([pair.triangles for pair in self._pairs]), axis=0)
+        self._unknown_count = len(elimination_rank)
+        reduced = [pair for pair in self._pairs if self._is_reduced(pair)]
+        self._blocks = {
+            pair.index: self._coordinate_blocks(pair, elimination_rank, slots) for pair in reduced
+        }
+        plain = [pair.triangles for pair in self._pairs if pair.index not in self._blocks]
+        triangles = np.unique(np.concatenate([np.empty((0, 3), np.int64), *plain]), axis=0)
         count = len(self._free_index)
         edges = [np.sort(triangles[:, c], axis=1) for c in ([0, 1], [1, 2], [2, 0])]
         low, high = np.concatenate([*edges, np.tile(np.unique(triangles)[:, None], 2)]).T
@@ -286,13 +382,34 @@ class ContactCurvature:
         self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
         self._strides = np.zeros(len(self._keys), dtype=np.int64)
         self._offsets[free], self._strides[free] = slots(rows, columns)
-        self._unknown_count = len(elimination_rank)
         # Nothing is left to be compiled at the first touch: where nothing touches, it adds nothing.
-        self._add_pair(
-            self._pairs[0], np.zeros((1, 3)), np.zeros(3), np.zeros(0, np.int64),
-            np.zeros((0, 8), np.int64), np.zeros((0, 8)), np.zeros((0, 3, 3)), np.zeros(0), 1, 0,
-            np.zeros(1),
-        )  # fmt: skip
+        for pair in self._pairs:
+            self._add_pair(
+                pair, np.zeros((1, 3)), np.zeros(3), np.zeros(0, np.int64),
+                np.zeros((0, 8), np.int64), np.zeros((0, 8)), np.zeros((0, 3, 3)), np.zeros(0), 1,
+                0, np.zeros(1),
+            )  # fmt: skip
+
+    def _is_reduced(self, pair: RoundPair) -> bool:
+        """Whether all corners of a surface are points of the coordinates of one reduced body."""
+        points = self._free_index[np.unique(pair.triangles)] - self._unknown_count
+        if self._carried is None or not len(points) or points.min() < 0:
+            return False
+        unknowns = self._carried.unknowns[points]
+        # Nodes that ride on a rigid body turn with it: their derivatives are not constant.
+        constant = ~np.isin(unknowns, self._carried.turning_unknowns).any()
+        return bool(constant and (unknowns == unknowns[0]).all())
+
+    def _coordinate_blocks(self, pair: RoundPair, rank: np.ndarray, slots) -> CoordinateBlocks:
+        """Look up where the blocks of the coordinates of a pair's body go."""
+        point = self._free_index[pair.triangles[0, 0]] - self._unknown_count
+        unknowns = self._carried.unknowns[point]
+        rows, columns = np.meshgrid(unknowns, unknowns, indexing="ij")
+        lower = (rows >= 0) & (columns >= 0)
+        lower &= rank[rows] >= rank[columns]
+        offsets, strides = np.full(lower.shape, -1, np.int64), np.zeros(lower.shape, np.int64)
+        offsets[lower], strides[lower] = slots(rows[lower], columns[lower])
+        return CoordinateBlocks(offsets, strides)
 
     def add(
         self, contacts, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray
@@ -342,6 +459,16 @@ class ContactCurvature:
         self, pair, positions, axis, which, nodes, coefficients, directions, forces,
         rows_per_contact, count, storage,
     ) -> None:  # fmt: skip
+        blocks = self._blocks.get(pair.index)
+        if blocks is not None:
+            fold_facets(
+                positions, pair.index, which, nodes, coefficients, directions, forces,
+                rows_per_contact, count, pair.radius, axis, pair.axis is not None,
+                pair.has_round_ends, self.with_sliding and pair.stands, self.is_whole,
+                self._unknown_count, self._free_index, self._carried.derivatives, self._half,
+                *blocks, self._work, storage,
+            )  # fmt: skip
+            return
         add_facets(
             positions, pair.index, which, nodes, coefficients, directions, forces,
             rows_per_contact, count, pair.radius, axis, pair.axis is not None,

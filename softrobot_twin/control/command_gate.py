@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.simulation.limits import ActuatorLimits
 
@@ -66,6 +67,34 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
     return Tolerances(SETPOINT_SHARE * travel, EFFORT_SHARE * limits.effort_scale)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def keeps_all_limits(
+    setpoints, efforts, before, lowest, highest, reach, effort_min, effort_max, beyond,
+    beyond_effort,
+):  # fmt: skip
+    """Whether a command is finite, and within limits of setpoints, rates and efforts.
+
+    Where it is not, `CommandGate` finds out which limit of which actuator it violates.
+
+    Args:
+        setpoints, efforts: The command, shape (actuator_count,).
+        before: Setpoints of the last command.
+        lowest, highest: Limits of setpoints.
+        reach: Greatest moves in the time since the last command.
+        effort_min, effort_max: Limits of efforts.
+        beyond, beyond_effort: Tolerances of setpoints and efforts.
+    """
+    for i in range(len(setpoints)):
+        x, effort, slack = setpoints[i], efforts[i], beyond[i]
+        if not (np.isfinite(x) and np.isfinite(effort)):
+            return False
+        if x < lowest[i] - slack or x > highest[i] + slack or abs(x - before[i]) > reach[i] + slack:
+            return False
+        if effort < effort_min[i] - beyond_effort[i] or effort > effort_max[i] + beyond_effort[i]:
+            return False
+    return True
+
+
 class CommandGate:
     """Passes a command that is within all limits; replaces any other by the last valid one.
 
@@ -101,7 +130,7 @@ class CommandGate:
 
     def within(self, setpoints: np.ndarray) -> np.ndarray:
         """The nearest setpoints inside the limits, shape (actuator_count,)."""
-        return np.clip(setpoints, self._lowest, self._highest)
+        return np.minimum(np.maximum(setpoints, self._lowest), self._highest)
 
     @property
     def is_outside(self) -> bool:
@@ -156,19 +185,26 @@ class CommandGate:
 
     def _copy(self, setpoints: np.ndarray, efforts: np.ndarray) -> ActuatorCommand:
         limits, setpoints = self._limits, np.array(setpoints, dtype=float)
-        efforts = np.clip(np.asarray(efforts, dtype=float), limits.effort_min, limits.effort_max)
+        efforts = np.maximum(np.asarray(efforts, dtype=float), limits.effort_min)
+        efforts = np.minimum(efforts, limits.effort_max)
         return ActuatorCommand(setpoints, np.where(limits.is_effort_driven, setpoints, efforts))
 
     def _reachable(self, setpoints: np.ndarray, time_step: float) -> np.ndarray:
         """The setpoints nearest to the given ones that limits and rates allow."""
         before, reach = self.last.setpoints, self.reach(time_step)
-        return np.clip(self.within(setpoints), before - reach, before + reach)
+        return np.minimum(np.maximum(self.within(setpoints), before - reach), before + reach)
 
     def _violations(self, setpoints, efforts, time_step: float) -> tuple[str, ...]:
         shape = (len(self._names),)
         if np.shape(setpoints) != shape or np.shape(efforts) != shape:
             return ("wrong_size",)
         beyond, beyond_effort = self.tolerances
+        if keeps_all_limits(
+            np.asarray(setpoints, float), np.asarray(efforts, float), self.last.setpoints,
+            self._lowest, self._highest, self.reach(time_step), self._limits.effort_min,
+            self._limits.effort_max, beyond, beyond_effort,
+        ):  # fmt: skip
+            return ()
         moved = np.abs(setpoints - self.last.setpoints)
         too_fast = moved > self.reach(time_step) + beyond
         limits, grows = self._limits, self._limits.signs > 0.0

@@ -391,9 +391,11 @@ class MarkerInput:
         """Compares measured with predicted positions of the same moment [m], (marker_count, 3)."""
         vectors = measured - predicted
         visible = np.isfinite(vectors).all(axis=1)
-        count = int(visible.sum())
+        count = int(np.count_nonzero(visible))
+        if not count:
+            return Misfit(vectors, math.nan, 0)
         squares = np.einsum("ij,ij->i", vectors[visible], vectors[visible])
-        return Misfit(vectors, float(np.sqrt(squares.mean())) if count else math.nan, count)
+        return Misfit(vectors, float(np.sqrt(squares.mean())), count)
 
 
 # --- actuators -----------------------------------------------------------------------------------

@@ -77,6 +77,9 @@ class MarkerHistory:
         if not self._count:
             raise LookupError("there is no tick yet")
         capacity = len(self._times)
+        newest = (self._count - 1) % capacity
+        if time > self._times[newest]:
+            return self._markers[newest].copy()
         filled = min(self._count, capacity)
         order = np.arange(self._count - filled, self._count) % capacity
         times = self._times[order]

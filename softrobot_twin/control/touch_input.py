@@ -116,6 +116,8 @@ class TouchInput:
 
     def read(self, now: float) -> Touched | None:
         """The touches at a time on the clock of `Arrival.time` [s]; None where nothing touches."""
+        if not len(self._newest):
+            return None
         touching = ~np.isnan(self._forces).all(axis=1) | ~np.isnan(self._places).all(axis=1)
         late = touching & (now - self._newest > self._timeout)
         if late.any():

@@ -16,6 +16,7 @@ nodes of a mesh.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -138,6 +139,44 @@ def sphere_volumes(areas: np.ndarray) -> np.ndarray:
     return areas**1.5 / (6.0 * np.sqrt(np.pi))
 
 
+def surface_area(points: np.ndarray, triangles: np.ndarray) -> float:
+    """Area of some triangles [m²].
+
+    Args:
+        points: Vertices [m], shape (vertex_count, 3).
+        triangles: Vertices of each, shape (triangle_count, 3).
+    """
+    return float(_triangle_areas(points, triangles).sum())
+
+
+def _triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def share_of_volumes(
+    volumes_at: Callable[[float], np.ndarray], sphere_volumes: np.ndarray
+) -> float:
+    """Share of a move in which no cavity loses most of its volume, or grows by a multiple of it.
+
+    So no volume becomes negative, and none runs away where no equilibrium exists.
+
+    Args:
+        volumes_at: Volume of each cavity [m³] after a share of the move, shape (count,).
+        sphere_volumes: See `sphere_volumes` [m³], shape (count,).
+    """
+    before = volumes_at(0.0)
+    least = (1.0 - GREATEST_LOSS) * before
+    most = GREATEST_GROWTH * np.maximum(before, sphere_volumes)
+    share = 1.0
+    for _ in range(MOST_HALVINGS):
+        after = volumes_at(share)
+        if ((after >= least) & (after <= most)).all():
+            break
+        share *= 0.5
+    return share
+
+
 class CavitySurfaces:
     """The surfaces of several cavities.
 
@@ -229,8 +268,7 @@ class CavitySurfaces:
         return self._vertices
 
     def _areas(self, positions: np.ndarray) -> np.ndarray:
-        a, b, c = np.moveaxis(self.place(positions)[self.triangles], 1, 0)
-        areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        areas = _triangle_areas(self.place(positions), self.triangles)
         return np.bincount(self.cavity, areas, self.count)
 
     def volumes(self, positions: np.ndarray) -> np.ndarray:
@@ -302,9 +340,7 @@ class CavitySurfaces:
         )  # fmt: skip
 
     def largest_share(self, positions: np.ndarray, moves: np.ndarray) -> float:
-        """Share of a move in which no cavity loses most of its volume, or grows by a multiple of it.
-
-        So no volume becomes negative, and none runs away where no equilibrium exists.
+        """Share of a move that leaves every cavity a volume; see `share_of_volumes`.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -327,16 +363,9 @@ class CavitySurfaces:
 
     def _share(self, begin: np.ndarray, own: np.ndarray) -> float:
         """Share of the moves of the vertices."""
-        before = self._volumes_of(begin)
-        least = (1.0 - GREATEST_LOSS) * before
-        most = GREATEST_GROWTH * np.maximum(before, self.sphere_volumes)
-        share = 1.0
-        for _ in range(MOST_HALVINGS):
-            after = self._volumes_of(begin + share * own)
-            if ((after >= least) & (after <= most)).all():
-                break
-            share *= 0.5
-        return share
+        return share_of_volumes(
+            lambda share: self._volumes_of(begin + share * own), self.sphere_volumes
+        )
 
 
 class CavityLoad(ForceTerm):

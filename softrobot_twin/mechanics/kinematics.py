@@ -188,6 +188,12 @@ class Nodes:
         points = CarriedPoints(self.free_node_count, self.kinds)
         return points if points.count else None
 
+    @property
+    def coordinate_nodes(self) -> np.ndarray:
+        """Free nodes that are no points, but coordinates of reduced bodies, shape (count,)."""
+        own = [getattr(kind, "coordinate_nodes", np.empty(0, np.int64)) for kind in self.kinds]
+        return np.concatenate([np.empty(0, np.int64), *own])
+
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
         """Move the nodes.
 
@@ -275,6 +281,10 @@ class CarriedPoints:
                 kind.write_derivatives(self._known_at, self.derivatives[part])
             else:
                 self._changing.append((kind, part))
+        self._all = np.arange(self.count)
+        self._turning_points = np.concatenate(
+            [np.empty(0, np.int64), *(self._all[part] for _, part in self._changing)]
+        )
         none = [np.empty(0, np.int64)]
         self.turning_unknowns = np.concatenate(none + [kind.turning_unknowns for kind in kinds])
         self.turning_columns = np.concatenate(none + [kind.turning_columns for kind in kinds])
@@ -296,14 +306,17 @@ class CarriedPoints:
         """Unknowns that any carried point depends on, each once."""
         return np.unique(self.unknowns[self.unknowns >= 0])
 
-    def fold_forces(self, point_forces: np.ndarray, forces: np.ndarray) -> None:
-        """Add Dᵀ f of every carried point; `update` has been called for the state.
+    def fold_forces(
+        self, point_forces: np.ndarray, forces: np.ndarray, own: np.ndarray
+    ) -> None:
+        """Add Dᵀ f of some carried points; `update` has been called for the state.
 
         Args:
             point_forces: f [N], shape (count, 3).
             forces: Forces on the unknowns, shape (free_count, 3); added to.
+            own: The points, shape (own_count,).
         """
-        fold_forces(self.unknowns, self.derivatives, point_forces, forces)
+        fold_own_forces(own, self.unknowns, self.derivatives, point_forces, forces)
 
     def turning(self, positions: np.ndarray, point_forces: np.ndarray) -> np.ndarray:
         """Turning terms, shape (turning_count, 3, 3); see `UnknownKind.add_turning`."""
@@ -314,12 +327,16 @@ class CarriedPoints:
             first = last
         return blocks
 
-    def point_moves(self, positions: np.ndarray, move: np.ndarray) -> np.ndarray:
+    def point_moves(
+        self, positions: np.ndarray, move: np.ndarray, own: np.ndarray | None = None
+    ) -> np.ndarray:
         """A move of the unknowns, and behind it the move of each carried point to first order [m].
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
             move: Of each unknown, shape (free_count, 3).
+            own: The points that are asked for; the moves of others are left unwritten. None for
+                all.
 
         Returns:
             Shape (free_count + count, 3).
@@ -327,14 +344,38 @@ class CarriedPoints:
         self.update(positions)
         moves = np.empty((self.free_count + self.count, 3))
         moves[: self.free_count] = move
-        write_point_moves(self.unknowns, self.derivatives, moves, moves[self.free_count :])
+        own = self._all if own is None else own
+        write_point_moves(own, self.unknowns, self.derivatives, moves, moves[self.free_count :])
         return moves
+
+    def own_of(self, indices: np.ndarray) -> np.ndarray:
+        """The carried points among unknowns and points, each once, numbered from 0.
+
+        Args:
+            indices: Unknowns and carried points, -1 where there is none.
+        """
+        return np.unique(indices[indices >= self.free_count]) - self.free_count
+
+    def shared_unknowns(self, own: np.ndarray) -> np.ndarray | None:
+        """The unknowns that some points have in common, if their derivatives are constant.
+
+        Args:
+            own: The points, shape (own_count,).
+
+        Returns:
+            Shape (width,); None where there are no points, or these differ.
+        """
+        unknowns = self.unknowns[own]
+        turns = np.isin(own, self._turning_points).any()
+        if not len(own) or turns or (unknowns != unknowns[0]).any():
+            return None
+        return unknowns[0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_point_moves(unknowns, derivatives, moves, out):
-    """Σ D dq of every carried point."""
-    for p in range(len(unknowns)):
+def write_point_moves(own, unknowns, derivatives, moves, out):
+    """Σ D dq of some carried points."""
+    for p in own:
         for i in range(3):
             out[p, i] = 0.0
         for j in range(unknowns.shape[1]):
@@ -349,6 +390,18 @@ def write_point_moves(unknowns, derivatives, moves, out):
 def fold_forces(unknowns, derivatives, point_forces, forces):
     """Add Dᵀ f of every carried point to the forces on its unknowns."""
     for p in range(len(unknowns)):
+        for j in range(unknowns.shape[1]):
+            u = unknowns[p, j]
+            if u >= 0:
+                for i in range(3):
+                    for k in range(3):
+                        forces[u, i] += derivatives[p, j, k, i] * point_forces[p, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fold_own_forces(own, unknowns, derivatives, point_forces, forces):
+    """The same of some carried points."""
+    for p in own:
         for j in range(unknowns.shape[1]):
             u = unknowns[p, j]
             if u >= 0:
@@ -398,6 +451,7 @@ class CarriedRows:
     """Entries of H at the unknowns, in memory that is reused from call to call.
 
     Attributes:
+        points: The carried points.
         count: Number of entries written last.
         row_index: Row of each entry; the first `count` hold, shape (capacity,).
         node_index: Its unknown, shape (capacity,).
@@ -411,12 +465,12 @@ class CarriedRows:
             points: The carried points.
             most_entries: Entries that are expected at most; memory grows where more come.
         """
-        self._points = points
+        self.points = points
         self.count = 0
         self._allocate(most_entries)
 
     def _allocate(self, most_entries: int) -> None:
-        capacity = max(1, self._points.unknowns.shape[1]) * most_entries
+        capacity = max(1, self.points.unknowns.shape[1]) * most_entries
         self.row_index = np.zeros(capacity, dtype=np.int64)
         self.node_index = np.zeros(capacity, dtype=np.int64)
         self.blocks = np.zeros((capacity, 3))
@@ -439,7 +493,7 @@ class CarriedRows:
         Returns:
             Number of entries written, `count`.
         """
-        points = self._points
+        points = self.points
         if points.unknowns.shape[1] * len(row_index) > len(self.row_index):
             self._allocate(2 * len(row_index))
         points.update(positions)
@@ -498,6 +552,75 @@ def fold_blocks(plan, offsets, strides, derivatives, scratch, work, storage):
                     storage[offsets[line] + i * strides[line] + j] += value
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def multiply_blocks(pairs, scratch, D, out):
+    """K D of symmetric blocks K_ab between points: each pair (source, a, b) is one of them.
+
+    Args:
+        pairs: Where the block starts, and its two points, shape (pair_count, 3).
+        scratch: The blocks, column by column.
+        D: Rows of the points, shape (3 point_count, size).
+        out: Takes K D, same shape.
+    """
+    out[:] = 0.0
+    for line in range(len(pairs)):
+        source, a, b = pairs[line, 0], 3 * pairs[line, 1], 3 * pairs[line, 2]
+        for i in range(3):
+            for j in range(3):
+                value = scratch[source + 3 * j + i]
+                if value == 0.0:
+                    continue
+                for c in range(D.shape[1]):
+                    out[a + i, c] += value * D[b + j, c]
+                if a != b:
+                    for c in range(D.shape[1]):
+                        out[b + j, c] += value * D[a + i, c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_clique(offsets, strides, matrix, storage):
+    """Add the blocks of a symmetric matrix whose offset is not negative, (width, width) blocks."""
+    for j in range(len(offsets)):
+        for m in range(len(offsets)):
+            offset = offsets[j, m]
+            if offset >= 0:
+                for b in range(3):
+                    for a in range(3):
+                        storage[offset + b * strides[j, m] + a] += matrix[3 * j + a, 3 * m + b]
+
+
+class CommonUnknowns:
+    """Stiffness between points that all depend on the same unknowns: Dᵀ K D by one product.
+
+    A line for each two unknowns of each two points, as `FoldedStiffness` plans them in general,
+    would be thousands for the coordinates of a reduced body.
+    """
+
+    def __init__(self, points: CarriedPoints, own: np.ndarray, unknowns: np.ndarray, rank, slots):
+        """Find the places of the blocks in the storage.
+
+        Args:
+            points: The carried points, with constant derivatives.
+            own: Those that are coupled, shape (own_count,).
+            unknowns: What they depend on, -1 where none, shape (width,).
+            rank: Place of each unknown in the elimination order.
+            slots: The factorization's `slots`.
+        """
+        D = points.derivatives[own].transpose(0, 2, 1, 3)
+        self.D = np.ascontiguousarray(D.reshape(3 * len(own), -1))
+        self.half = np.empty_like(self.D)
+        rows, columns = np.meshgrid(unknowns, unknowns, indexing="ij")
+        lower = (rows >= 0) & (columns >= 0)
+        lower &= rank[rows] >= rank[columns]
+        self._offsets = np.full(lower.shape, -1, np.int64)
+        self._strides = np.zeros(lower.shape, np.int64)
+        self._offsets[lower], self._strides[lower] = slots(rows[lower], columns[lower])
+
+    def add(self, storage: np.ndarray) -> None:
+        """Add Dᵀ (K D), whose second factor is in `half`, to the system matrix."""
+        add_clique(self._offsets, self._strides, self.D.T @ self.half, storage)
+
+
 class FoldedStiffness:
     """Stiffness between points, assembled on its own and folded into the system matrix.
 
@@ -553,6 +676,14 @@ class FoldedStiffness:
         plain = (p < free) & (q < free)
         self._sources = 9 * np.flatnonzero(plain)
         self._offsets, self._strides = slots(p[plain], q[plain])
+        own = points.own_of(np.concatenate([p, q]))
+        unknowns = points.shared_unknowns(own)
+        self._common = None
+        if unknowns is not None and (p[~plain] >= free).all() and (q[~plain] >= free).all():
+            self._common = CommonUnknowns(points, own, unknowns, rank, slots)
+            places = [np.searchsorted(own, index[~plain] - free) for index in (p, q)]
+            self._pairs = np.column_stack([9 * np.flatnonzero(~plain), *places])
+            plain = np.ones_like(plain)
         self._plan_folds(9 * np.flatnonzero(~plain), p[~plain], q[~plain], rank, slots)
         self._turning = TurningBlocks(points, self.stencils(), rank, slots)
 
@@ -612,6 +743,9 @@ class FoldedStiffness:
             self._plan, self._fold_offsets, self._fold_strides, points.derivatives, self.scratch,
             self._work, storage,
         )  # fmt: skip
+        if self._common is not None:
+            multiply_blocks(self._pairs, self.scratch, self._common.D, self._common.half)
+            self._common.add(storage)
         if point_forces is not None:
             self._turning.add(positions, point_forces, storage)
 
@@ -774,6 +908,7 @@ class CarriedTerm(ForceTerm):
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))
+        self._own = points.own_of(term.stencils())
 
     @property
     def on_points(self) -> ForceTerm:
@@ -821,7 +956,7 @@ class CarriedTerm(ForceTerm):
         free = self._points.free_count
         forces += self._forces[:free]
         self._points.update(positions)
-        self._points.fold_forces(self._forces[free:], forces)
+        self._points.fold_forces(self._forces[free:], forces, self._own)
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
         """See `ForceTerm.largest_share`."""

@@ -49,6 +49,7 @@ from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.corotational import linearize as spin_stiffness
 from softrobot_twin.mechanics.point_law import energy_density, law_at, law_of, law_projects, law_turns
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
+from softrobot_twin.mechanics.strain_watch import extreme_squares
 
 
 class SampledPoints(NamedTuple):
@@ -540,6 +541,15 @@ class ReducedElements(ForceTerm):
         batches = self._stresses.reshape(len(self._weights), 9, BATCH, 1)
         forces = (batches * self._gradients).sum(axis=1)
         return forces.reshape(-1, self.mode_count)[: self.point_count]
+
+    def extreme_squares(
+        self, positions: np.ndarray, least: float, greatest: float
+    ) -> tuple[float, float]:
+        """Squares of the least and greatest principal stretch of the sampled points beyond given
+        ones; see `Elements.extreme_squares`."""
+        self._evaluate(positions)
+        deformations, weights = self._deformations[:, None], self._weights[:, None]
+        return extreme_squares(deformations, weights, least, greatest)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]; see `ForceTerm.energy`."""

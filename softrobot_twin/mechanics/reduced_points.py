@@ -3,13 +3,38 @@
 The coordinates are three by three the positions of *coordinate nodes*, which are free nodes without
 a place in space; so a step treats them as any unknowns. The points are carried points whose
 derivatives D are Φ itself, the same in every state.
+
+A body whose base rides on a platform is translated with it: x = x₀ + Φ q + s, with the displacement
+s of the platform, which nothing but a slide moves and which never turns.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from softrobot_twin.mechanics.kinematics import longest_row
+
+
+class Platform(NamedTuple):
+    """What a reduced body rides on.
+
+    Attributes:
+        node: The node of the scene that is the origin of its frame.
+        origin: That node at rest [m], shape (3,).
+    """
+
+    node: int
+    origin: np.ndarray
+
+    def displacement(self, positions: np.ndarray) -> np.ndarray:
+        """How far it is from its place at rest [m], shape (3,).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return positions[self.node] - self.origin
 
 
 class ReducedPoints:
@@ -26,7 +51,7 @@ class ReducedPoints:
 
     def __init__(
         self, coordinate_nodes: np.ndarray, unknowns: np.ndarray, first_point: int,
-        rest: np.ndarray, modes: np.ndarray,
+        rest: np.ndarray, modes: np.ndarray, platform: Platform | None = None,
     ):  # fmt: skip
         """Take the points.
 
@@ -36,12 +61,17 @@ class ReducedPoints:
             first_point: Index of the first point among all nodes.
             rest: Positions at rest [m], shape (point_count, 3).
             modes: Φ of each point, shape (point_count, 3, mode_count).
+            platform: What the body rides on; None where its base stands still.
         """
+        self._platform = platform
         self.coordinate_nodes = np.asarray(coordinate_nodes, np.int64)
         self._unknowns = np.asarray(unknowns, np.int64)
         self._points = slice(first_point, first_point + len(rest))
         self._rest, self._modes = np.asarray(rest, float), np.ascontiguousarray(modes, float)
-        self._rows = self._modes.reshape(3 * len(rest), -1)
+        self._rows = self._modes.reshape(3 * len(rest), self._modes.shape[2])
+        # Half as wide, for what is only compared with limits.
+        self._rough_rows = self._rows.astype(np.float32)
+        self._measured, self._longest = np.zeros(self._rows.shape[1]), 0.0
         self.carried_unknowns = np.tile(self._unknowns, (len(rest), 1))
         self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
 
@@ -57,6 +87,8 @@ class ReducedPoints:
         """
         coordinates = positions[self.coordinate_nodes].ravel()
         moved = (self._rows @ coordinates).reshape(-1, 3)
+        if self._platform is not None:
+            moved += self._platform.displacement(positions)
         np.add(self._rest, moved, out=positions[self._points])
 
     def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
@@ -66,7 +98,12 @@ class ReducedPoints:
         """Longest displacement of a point; forces on coordinates are those on free nodes."""
         if are_forces or not len(self._rest):
             return 0.0
-        return longest_row((self._rows @ vectors[self._unknowns].ravel()).reshape(-1, 3))
+        move = vectors[self._unknowns].ravel()
+        # A step asks for the same move several times; all points are a large product.
+        if not np.array_equal(move, self._measured):
+            self._longest = longest_row((self._rough_rows @ move.astype(np.float32)).reshape(-1, 3))
+            self._measured = move
+        return float(self._longest)
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write D = Φ of every point; see `UnknownKind.write_derivatives`."""

@@ -58,6 +58,10 @@ class BodyReduction(NamedTuple):
         """Number of spare modes."""
         return self.basis.shape[2] - self.mode_count
 
+    def with_spare_modes(self) -> BodyReduction:
+        """The same with the spare modes in use, and none spare."""
+        return self._replace(mode_count=self.basis.shape[2], sampled=self.spare_sampled)
+
 
 def reduction_fingerprints(body: Body) -> dict[str, str]:
     """Digests of what a reduction is made from: mesh, material and fixed nodes of a body."""

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.constraints.cavity import EMPTY, Cavities
+from softrobot_twin.constraints.reduced_cavities import ReducedCavities, ReducedWalls
 from softrobot_twin.constraints.superelement_cavities import SuperelementCavities
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
-from softrobot_twin.simulation.cavity_walls import cavity_surface
-from softrobot_twin.simulation.scene_layout import Layout
+from softrobot_twin.simulation.cavity_walls import (
+    cavity_surface,
+    cavity_wall,
+    check_walls_of_reduced,
+)
+from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.reduced_body import Placed
+from softrobot_twin.simulation.scene_layout import Layout, whole_layout
 from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.vertebrae import joined_walls
 
@@ -57,6 +66,8 @@ class CavityActuator:
         Without a limit it may grow up to a stretch of `LARGEST_STRETCH`.
         """
         term = _reduced_term(layout, entries) if layout.superelements else None
+        if term is None:
+            term = reduced_cavity_term(layout, entries, notes)
         if term is None:
             surfaces = tuple(
                 cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
@@ -167,8 +178,82 @@ def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
     return joined_walls(own, name)
 
 
+class _JoinedPoints(NamedTuple):
+    """Points on several reduced bodies, one body after the other; see `Placed`.
+
+    Attributes:
+        parts: Those on each.
+    """
+
+    parts: tuple[Placed, ...]
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """Positions of the points [m], shape (point_count, 3); see `Placed.positions`."""
+        return np.concatenate([part.positions(node_positions) for part in self.parts])
+
+
+def reduced_cavity_term(
+    layout: Layout, entries: tuple[Cavity, ...], notes: list[str]
+) -> ReducedCavities | None:
+    """The term of cavities on bodies that are reduced to a basis.
+
+    Their walls are carried by the modes: they ask for no points.
+
+    Args:
+        layout: The bodies.
+        entries: The cavities.
+        notes: List to which repairs and warnings are appended.
+
+    Returns:
+        The term; None where all cavities are on other bodies.
+
+    Raises:
+        SceneError: See `check_walls_of_reduced` and `cavity_surface`; or the walls of a cavity are
+            all fixed.
+    """
+    check_walls_of_reduced(layout.scene)
+    bodies = {body.name: body for body in layout.bodies if body.reduction is not None}
+    carriers = {layout.body_named(wall.body).name for cavity in entries for wall in cavity.walls}
+    if not carriers & set(bodies):
+        return None
+    # Points on the nodes of the meshes.
+    on_mesh = [replace(body, first_node=0, reduction=None) for body in layout.bodies]
+    whole, walls = whole_layout(layout.scene, on_mesh), {name: [] for name in bodies}
+    for index, cavity in enumerate(entries):
+        for place, wall in enumerate(cavity.walls):
+            found = cavity_wall(whole, wall, f"cavities[{index}].walls[{place}]", notes)
+            own = walls[whole.body_named(wall.body).name]
+            own.append(CavitySurface(cavity.name, *found))
+    walls = {name: tuple(own) for name, own in walls.items() if own}
+    parts = [
+        ReducedWalls(own, nodes.rest, nodes.basis, nodes.coordinate_nodes)
+        for own, nodes in ((own, bodies[name].reduction) for name, own in walls.items())
+    ]  # fmt: skip
+    names = tuple(cavity.name for cavity in entries)
+    shown = tuple(_shown_surface(name, walls, bodies) for name in names)
+    term = ReducedCavities(names, parts, layout.nodes.free_index, shown)
+    _check_walls_move(term, layout)
+    return term
+
+
+def _shown_surface(
+    name: str, walls: dict[str, tuple[CavitySurface, ...]], bodies: dict[str, Body]
+) -> CavitySurface:
+    """The walls of a cavity on reduced bodies, placed from the coordinates."""
+    parts, triangles, count = [], [], 0
+    for body, own in walls.items():
+        for wall in own:
+            if wall.name == name:
+                parts.append(bodies[body].shown(wall.vertices))
+                triangles.append(wall.triangles + count)
+                count += wall.vertices.point_count
+    vertices = parts[0] if len(parts) == 1 else _JoinedPoints(tuple(parts))
+    return CavitySurface(name, vertices, np.concatenate(triangles))
+
+
 def _growths(
-    term: Cavities | SuperelementCavities, entries: tuple[Cavity, ...], layout: Layout
+    term: Cavities | SuperelementCavities | ReducedCavities, entries: tuple[Cavity, ...],
+    layout: Layout,
 ) -> np.ndarray:
     """Least and greatest growth of each cavity [m³], shape (count, 2)."""
     growths = np.empty((len(entries), 2))
@@ -188,7 +273,7 @@ def _growths(
     return growths
 
 
-def _check_walls_move(term: Cavities, layout: Layout) -> None:
+def _check_walls_move(term: Cavities | ReducedCavities, layout: Layout) -> None:
     """Refuse cavities whose walls are all fixed: they have a volume that nothing changes."""
     for index in np.setdiff1d(np.arange(term.row_count), term.entry_rows):
         raise SceneError(

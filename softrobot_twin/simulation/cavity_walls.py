@@ -11,6 +11,7 @@ from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import CavityWall
 from softrobot_twin.simulation.deformable_body import Body, part_named
 
@@ -114,3 +115,57 @@ def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     quartered = np.stack([np.stack(corners, axis=1) for corners in parts], axis=1).reshape(-1, 3)
     return np.vstack([points, points[edges].mean(axis=1)]), quartered
+
+
+def check_walls_of_reduced(scene: Scene) -> None:
+    """Refuse what is not built of cavities on bodies that are reduced to a basis.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        SceneError: Gas is sealed in such a body, liquid fills it, a wall lies on it and on another
+            body, or cavities lie on it and on bodies that are not reduced.
+    """
+    reduced = {body.name for body in scene.deformables if body.reduced is not None}
+    for section in ("cavities", "sealed_cavities") if reduced else ():
+        for index, cavity in enumerate(getattr(scene, section)):
+            for place, wall in enumerate(cavity.walls):
+                _check_one_body(scene, wall, f"{section}[{index}].walls[{place}]", reduced)
+    on_reduced = [
+        [_body_of(wall, scene) in reduced for wall in cavity.walls] for cavity in scene.cavities
+    ]
+    for index, (cavity, own) in enumerate(zip(scene.cavities, on_reduced, strict=True)):
+        if any(own) and cavity.liquid_density is not None:
+            raise SceneError(
+                scene.path, f"cavities[{index}].liquid_density", cavity.liquid_density, "kg/m³",
+                "a liquid filling of a reduced body is not built",
+            )  # fmt: skip
+        if any(map(any, on_reduced)) and not all(own):
+            other = _body_of(cavity.walls[own.index(False)], scene)
+            raise SceneError(
+                scene.path, f"cavities[{index}].walls", cavity.name, "",
+                f"lies on {other}, which is not reduced; where one body with cavities is reduced, "
+                "all of them must be",
+            )  # fmt: skip
+    for index, cavity in enumerate(scene.sealed_cavities):
+        if any(_body_of(wall, scene) in reduced for wall in cavity.walls):
+            raise SceneError(
+                scene.path, f"sealed_cavities[{index}].walls", cavity.name, "",
+                "lies on a reduced body: gas sealed there is not built",
+            )  # fmt: skip
+
+
+def _body_of(wall: CavityWall, scene: Scene) -> str:
+    return scene.deformables[0].name if wall.body is None else wall.body
+
+
+def _check_one_body(scene: Scene, wall: CavityWall, key: str, reduced: set[str]) -> None:
+    """Refuse a wall that several bodies form where one of them is reduced."""
+    names = {_body_of(wall, scene), *wall.also_on}
+    if len(names) > 1 and names & reduced:
+        raise SceneError(
+            scene.path, f"{key}.also_on", list(wall.also_on), "",
+            f"{sorted(names & reduced)[0]} is reduced: a wall that it forms with another body is "
+            "not built",
+        )  # fmt: skip

@@ -133,7 +133,9 @@ def _curvature(pairs: list, layout: Layout):
             RoundPair(index, triangles, pair.second, shape.radius, axis,
                              isinstance(shape, Capsule))
         )  # fmt: skip
-    return ContactCurvature(tuple(found), layout.nodes.free_index) if found else None
+    if not found:
+        return None
+    return ContactCurvature(tuple(found), layout.nodes.free_index, layout.nodes.carried)
 
 
 def _things(layout: Layout, notes: list[str]) -> dict:

@@ -218,9 +218,10 @@ def _reduced_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     for part in body.materials:
         for block in body.mesh.blocks(part.cells):
             points = point_gradients(block, nodes.reduction.sampled, nodes.basis)
-            yield ReducedElements(
-                points, part.law_parameters, nodes.coordinate_nodes, free_index
-            )
+            term = ReducedElements(points, part.law_parameters, nodes.coordinate_nodes, free_index)
+            if part.strain_range is not None:
+                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+            yield term
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:

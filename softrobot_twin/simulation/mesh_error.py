@@ -32,6 +32,7 @@ from softrobot_twin.simulation.body_materials import cell_values
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
 from softrobot_twin.simulation.constraint_building import effector_term
 from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.reduced_body import without_reductions
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.time_budget import StageClock
@@ -529,6 +530,8 @@ class MeshErrorEstimator:
 
     def __init__(self, scene: Scene, now: Callable[[], float] = thread_time):
         refuse(scene)
+        # Of a reduced body it is the mesh's error that is asked for here, not the reduction's.
+        scene = without_reductions(scene)
         self._scene, self._now = scene, now
         at_rest = still(scene)
         try:

@@ -19,6 +19,13 @@ from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.pulleys import Pulleys
+from softrobot_twin.simulation.reduction_error import (
+    ReductionErrors,
+    has_spare_modes,
+    reduced_bodies,
+    reduced_states,
+    with_spare_modes,
+)
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.stiffness_targets import stiffness_of_scene
 from softrobot_twin.simulation.vertebrae_watch import ReductionState, reduction_state
@@ -42,6 +49,7 @@ class Readouts:
     surface_triangles: np.ndarray
     skins: tuple
     cavities: CavityDisplay
+    _reduction_errors: ReductionErrors | None = None
 
     def _find_surface(self) -> None:
         self._surfaces = [*map(OwnSkin, self.model.bodies), *map(BeamSkin, self.model.beams)]
@@ -151,12 +159,36 @@ class Readouts:
         """
         return 3 * self.model.nodes.free_node_count
 
-    def reduction_state(self) -> dict[str, ReductionState]:
-        """How far each body that is reduced to vertebrae can be believed now, by its name."""
-        return {
+    @property
+    def has_reduced_bodies(self) -> bool:
+        """Whether a body has the coordinates of a basis as its unknowns."""
+        return bool(reduced_bodies(self.model))
+
+    def reduction_state(self, with_errors: bool = True) -> dict[str, ReductionState]:
+        """How far each reduced body can be believed now, by its name.
+
+        At the first call with errors the simulation with spare modes is built.
+
+        Args:
+            with_errors: Whether errors of bodies in the coordinates of a basis are estimated, which
+                takes the time of a step with the spare modes; else they are NaN.
+        """
+        states = {
             name: reduction_state(self.model, name, self.state.positions)
             for name in self.model.superelements
         }
+        if self.has_reduced_bodies:
+            errors = self.reduction_errors() if with_errors else None
+            states |= reduced_states(self.model, self.state, errors)
+        return states
+
+    def reduction_errors(self) -> ReductionErrors | None:
+        """What estimates the error of reduced bodies, built at the first call; None without any
+        spare modes."""
+        if self._reduction_errors is None and has_spare_modes(self.model):
+            extended = type(self)(with_spare_modes(self.scene), with_warnings=False)
+            self._reduction_errors = ReductionErrors(self, extended)
+        return self._reduction_errors
 
     def effector_positions(self) -> np.ndarray:
         """Positions of the effectors [m], shape (effector_count, 3)."""

@@ -8,6 +8,7 @@ the mesh as points (`asked`); surfaces for pictures are placed when they are ask
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -18,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import borne_masses, lumped_masses, uniform_masses
-from softrobot_twin.mechanics.reduced_points import ReducedPoints
+from softrobot_twin.mechanics.reduced_points import Platform, ReducedPoints
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body_fingerprints import changed_since
 from softrobot_twin.simulation.body_reduction import (
@@ -33,7 +34,30 @@ COMMAND = "python -m softrobot_twin reduce"
 
 def without_reductions(scene: Scene) -> Scene:
     """The same scene with all nodes of its reduced bodies as unknowns."""
-    bodies = tuple(body.model_copy(update={"reduced": None}) for body in scene.deformables)
+    return with_entries(scene, {
+        body.name: None for body in scene.deformables if body.reduced is not None
+    })  # fmt: skip
+
+
+def without_fallback(scene: Scene) -> Scene:
+    """The same scene with reduced bodies that stay what they are, whatever their error is."""
+    return with_reduced_entries(scene, {"fallback": None, "error": None})
+
+
+def with_reduced_entries(scene: Scene, changes: dict) -> Scene:
+    """The same scene with some keys of `reduced` of its reduced bodies changed."""
+    return with_entries(scene, {
+        body.name: body.reduced.model_copy(update=changes)
+        for body in scene.deformables if body.reduced is not None
+    })  # fmt: skip
+
+
+def with_entries(scene: Scene, reduced: dict) -> Scene:
+    """The same scene with other entries `reduced` of some bodies, by their names."""
+    bodies = tuple(
+        body.model_copy(update={"reduced": reduced[body.name]}) if body.name in reduced else body
+        for body in scene.deformables
+    )
     if scene.body is not None:
         return scene.model_copy(update={"body": bodies[0]})
     return scene.model_copy(update={"bodies": bodies})
@@ -45,15 +69,19 @@ class Placed:
     It has the `positions` of a `BarycentricMapping`.
     """
 
-    def __init__(self, coordinate_nodes: np.ndarray, rest: np.ndarray, modes: np.ndarray):
+    def __init__(
+        self, coordinate_nodes: np.ndarray, rest: np.ndarray, modes: np.ndarray,
+        platform: Platform | None = None,
+    ):  # fmt: skip
         """Take the points.
 
         Args:
             coordinate_nodes: Nodes whose positions are the coordinates, shape (mode_count / 3,).
             rest: Positions at rest [m], shape (point_count, 3).
             modes: Φ of each point, shape (point_count, 3, mode_count).
+            platform: What the body rides on; None where its base stands still.
         """
-        self._nodes, self._rest = coordinate_nodes, rest
+        self._nodes, self._rest, self._platform = coordinate_nodes, rest, platform
         self._rows = modes.reshape(3 * len(rest), modes.shape[2])
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
@@ -63,7 +91,10 @@ class Placed:
             node_positions: Node positions of the scene [m], shape (node_count, 3).
         """
         coordinates = node_positions[self._nodes].ravel()
-        return self._rest + (self._rows @ coordinates).reshape(-1, 3)
+        points = self._rest + (self._rows @ coordinates).reshape(-1, 3)
+        if self._platform is not None:
+            points += self._platform.displacement(node_positions)
+        return points
 
 
 @dataclass(frozen=True)
@@ -78,6 +109,7 @@ class ReducedNodes:
         points: The points that terms ask for, on the nodes of its mesh; None while all nodes of the
             mesh are points.
         asked: What terms asked for while all nodes were points.
+        platform: What its base rides on; None where it stands still.
     """
 
     reduction: BodyReduction
@@ -86,6 +118,7 @@ class ReducedNodes:
     first_node: int = 0
     points: dict[tuple[bytes, bytes], int] | None = None
     asked: list[BarycentricMapping] = field(default_factory=list)
+    platform: Platform | None = None
 
     @property
     def mode_count(self) -> int:
@@ -148,7 +181,8 @@ class ReducedNodes:
         modes = np.zeros((mapping.point_count, 3, self.mode_count))
         for nodes, weights in zip(mapping.nodes.T, mapping.barycentric_weights.T, strict=True):
             modes += weights[:, None, None] * self.basis[nodes]
-        return Placed(self.coordinate_nodes, mapping.positions(self.rest), modes)
+        rest = mapping.positions(self.rest)
+        return Placed(self.coordinate_nodes, rest, modes, self.platform)
 
     def kind(self, free_index: np.ndarray) -> ReducedPoints:
         """Its kind of unknowns.
@@ -157,7 +191,9 @@ class ReducedNodes:
             free_index: Unknown of each node of the scene, shape (node_count,).
         """
         nodes = self.coordinate_nodes
-        return ReducedPoints(nodes, free_index[nodes], self.first_point, *self.point_modes())
+        return ReducedPoints(
+            nodes, free_index[nodes], self.first_point, *self.point_modes(), self.platform
+        )
 
     def weights_of(self, body: Body, gravity: np.ndarray) -> np.ndarray:
         """Weight as forces on the coordinates [N], shape (mode_count / 3, 3).
@@ -212,6 +248,8 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
             scene.path, f"{key}.file", str(path), "", f"{reason}; run: {COMMAND} {scene.path}"
         )
     reduction = read_body_reduction(path)
+    if body.entry.reduced.spare_modes:
+        reduction = reduction.with_spare_modes()
     turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()
     used = reduction.basis[:, :, : reduction.mode_count]
     return ReducedNodes(reduction, np.einsum("ij,njm->nim", turn, used), body.mesh.node_positions)
@@ -225,8 +263,34 @@ def _refuse(body: Body, key: str, scene: Scene) -> None:
             f"{body.name} is reduced: inertia and damping of reduced bodies are not built; use "
             "quasi_static",
         )  # fmt: skip
-    if body.riding:
+    if body.riding and not rides_on_a_slide(body, scene):
         raise SceneError(
             scene.path, f"{body.key}.attached", ", ".join(body.riding), "",
-            "nodes of a reduced body cannot be attached to rigid bodies",
+            "nodes of a reduced body may be attached to one platform that a slide moves; others "
+            "are not built",
         )  # fmt: skip
+
+
+def rides_on_a_slide(body: Body, scene: Scene) -> bool:
+    """Whether a body is attached to one rigid body, and that is moved by a slide.
+
+    Args:
+        body: The body.
+        scene: The scene.
+    """
+    return len(body.riding) == 1 and set(body.riding) <= {slide.body for slide in scene.slides}
+
+
+def on_platform(body: Body, parts: Iterable) -> Body:
+    """A reduced body that knows what it rides on; the body itself where it stands still.
+
+    Args:
+        body: The body.
+        parts: The rigid bodies of the scene, with `name`, `first_node` and `origin`.
+    """
+    if body.reduction is None or not body.riding:
+        return body
+    part = next(part for part in parts if part.name in body.riding)
+    return replace(
+        body, reduction=replace(body.reduction, platform=Platform(part.first_node, part.origin))
+    )

@@ -18,11 +18,14 @@ if TYPE_CHECKING:
 # Ending of the name of a limit that only delays a motion.
 RATE = ".rate"
 # Ending of the name that tells that a reduced body is out of the range in which its superelements
-# were sampled, such as ``fetch.sampled_range``.
+# were sampled, or its basis was trained, such as ``fetch.sampled_range``.
 SAMPLED = "sampled_range"
 # Ending of the name that tells that a body is strained beyond the range of its law, such as
 # ``finger.strain_range``.
 STRAINED = "strain_range"
+# Tells that the state is unstable where the commanded efforts are held, as hardware without a position
+# loop would: a little more effort leads far away.
+UNSTABLE = "unstable_at_efforts"
 
 
 class Status(Enum):
@@ -89,8 +92,8 @@ class StepReport:
         contact_sweeps: Sweeps of the contact solver over all contacts, and its Newton steps.
         contact_residual: Largest residual of gaps and sticking [m].
         contact_force_residual: The same in newtons [N].
-        sampled_range: Largest share of the range in which superelements were sampled, above 1
-            outside of it; 0 without bodies that are reduced to vertebrae.
+        sampled_range: Largest share of the range in which superelements were sampled, or a basis was
+            trained, above 1 outside of it; 0 without reduced bodies.
         strains: Materials that are strained beyond the range of their law.
     """
 

@@ -30,7 +30,7 @@ from softrobot_twin.scene.body_entries import (
 )
 from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.beam_bodies import BeamBody, BeamNet
-from softrobot_twin.simulation.cavity_walls import cavity_wall
+from softrobot_twin.simulation.cavity_walls import cavity_wall, check_walls_of_reduced
 from softrobot_twin.simulation.deformable_body import (
     Body,
     build_body,
@@ -39,7 +39,7 @@ from softrobot_twin.simulation.deformable_body import (
     placed_in_world,
 )
 from softrobot_twin.simulation.frame_part import FramePart
-from softrobot_twin.simulation.reduced_body import ReducedNodes, reduced_nodes
+from softrobot_twin.simulation.reduced_body import ReducedNodes, on_platform, reduced_nodes
 from softrobot_twin.simulation.scene_files import check_files
 from softrobot_twin.simulation.vertebrae import Wall, reduced_body
 
@@ -469,6 +469,7 @@ def lay_out(
         SceneError: An entry does not fit.
     """
     check_files(scene)
+    check_walls_of_reduced(scene)
     net = BeamNet(scene) if scene.beams else None
     guided = {entry.name for entry in scene.rigid_bodies if entry.motion == "guided"}
     held_bodies = set() if net is None else net.reached(guided)
@@ -484,7 +485,6 @@ def lay_out(
     if any(body.entry.vertebrae is not None for body in bodies):
         bodies = _reduced(bodies, scene)
     with_nodes = [body for body in bodies if body.vertebrae is None]
-    reduced = [body.reduction for body in bodies if body.reduction is not None]
     positions = [body.mesh.node_positions if body.reduction is None else body.reduction.rest_nodes()
                  for body in with_nodes]  # fmt: skip
     fixed = [body.fixed if body.reduction is None else body.reduction.are_points()
@@ -499,6 +499,8 @@ def lay_out(
         fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
         first_node += len(entry.points)
     rigid = build_rigid_parts(scene, bodies, net, first_node, notes)
+    bodies = [on_platform(body, rigid) for body in bodies]
+    reduced = [body.reduction for body in bodies if body.reduction is not None]
     _note_unused_contact_surfaces(bodies, scene, notes)
     first_node += 4 * len(rigid)
     for index, body in enumerate(bodies):

@@ -8,16 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.actuation import INVERSION, Actuation, ContactLoads
-from softrobot_twin.simulation.command import Command, FollowTargets, Hold
+from softrobot_twin.simulation.command import Command, CommandEfforts, FollowTargets, Hold
 from softrobot_twin.simulation.contact_forces import contact_forces
 from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.reduction_error import coordinate_ranges
 from softrobot_twin.simulation.result import (
     RATE,
     SAMPLED,
     STRAINED,
+    UNSTABLE,
     Status,
     StepReport,
     StepResult,
@@ -78,6 +80,7 @@ class StepResults:
         """
         self._model, self._newton = model, newton
         self._strain_watches = model.strain_watches
+        self._coordinate_ranges = coordinate_ranges(model)
         self._inverse = inverse
 
     def of_step(
@@ -123,10 +126,14 @@ class StepResults:
             actuation, newton.inverted_count, outcome.balance, met, active, following
         )
         ranges = {name: s.ranges.max() for name, s in model.superelements.items()}
+        for coordinates in self._coordinate_ranges:
+            ranges[coordinates.name] = coordinates.share(outcome.positions)
         active = (*active, *(f"{name}.{SAMPLED}" for name, share in ranges.items() if share > 1.0))
         watched = [watch.outside(outcome.positions) for watch in self._strain_watches]
         strains = tuple(outside for outside in watched if outside is not None)
         active = (*active, *dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in strains))
+        if isinstance(command, CommandEfforts) and newton.projected_tangent:
+            active = (*active, UNSTABLE)
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,

@@ -183,23 +183,34 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
         nodes.advance(positions, moves, min(1.0, longest_move / max(longest, 1e-300)))
         if longest <= tolerance:
             upright = sum(term.add_forces(positions, forces) for term in model.forces) == 0
-            sunk = (positions - nodes.rest_positions)[soft_nodes]
-            return _longest(sunk) if upright or most_solves == 1 else None
+            sunk = [(positions - nodes.rest_positions)[soft_nodes], *_sunk_reduced(model, positions)]
+            return _longest(np.concatenate(sunk)) if upright or most_solves == 1 else None
     return None
+
+
+def _sunk_reduced(model: Model, positions: np.ndarray) -> list[np.ndarray]:
+    """Displacements of all nodes of each reduced body [m]."""
+    bodies = [body for body in model.bodies if body.reduction is not None]
+    return [
+        body.shown_nodes(np.arange(body.mesh.node_count)).positions(positions)
+        - body.mesh.node_positions
+        for body in bodies
+    ]  # fmt: skip
 
 
 def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Unknowns of free nodes of bodies and of translations of beams, and the nodes of both."""
     nodes = model.nodes
     own = np.arange(sum(body.free_node_count for body in model.bodies))
+    soft_nodes = np.setdiff1d(nodes.free_nodes[own], nodes.coordinate_nodes)
     if not model.beams:
-        return own, nodes.free_nodes[own]
+        return own, soft_nodes
     origins = np.unique(np.concatenate([beam.carriers.frame_nodes for beam in model.beams]))
     unknowns = nodes.kinds[0].unknowns_of(origins)
     # Hinged frames have no translation of their own; the rest of the beam shows the sag.
     free = (unknowns >= 0) & (unknowns < nodes.free_node_count)
     return (
-        np.concatenate([own, unknowns[free]]), np.concatenate([nodes.free_nodes[own], origins[free]])
+        np.concatenate([own, unknowns[free]]), np.concatenate([soft_nodes, origins[free]])
     )  # fmt: skip
 
 

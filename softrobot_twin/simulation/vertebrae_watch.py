@@ -29,18 +29,22 @@ class ReductionState(NamedTuple):
     """How far a reduced body can be believed.
 
     Attributes:
-        range: Largest share of the sampled range over all superelements; above 1 the state is
-            outside of it.
-        error: Estimate of how far off the worst vertebra is by the fit's error [m].
+        range: Share of the range in which it was sampled; above 1 the state is outside of it. The
+            largest over all superelements; of a body in the coordinates of a basis see
+            `reduction_error.py`.
+        error: Estimate of how far off the worst vertebra is by the fit's error, or the worst
+            effector by modes that are not in use [m]; NaN without effectors or spare modes.
         measured_median: Error against the full model by the displacement, as the command found it
             over the whole range; NaN where it was not compared.
         measured_worst: The largest of these.
+        share: The error by the displacement of the effector; NaN of vertebrae.
     """
 
     range: float
     error: float
     measured_median: float
     measured_worst: float
+    share: float = float("nan")
 
 
 def reduction_state(model: Model, name: str, positions: np.ndarray) -> ReductionState:

@@ -1,7 +1,7 @@
 """``python -m softrobot_twin reduce``: makes the reduced model of a body of a scene.
 
 1. The full model is brought to states of the actuators' box, or near targets, perhaps under loads
-   and tilted gravity (`reduction_states.py`).
+   and tilted gravity, or along a path of targets in contact (`reduction_states.py`).
 2. Modes follow from the displacements, and few weighted quadrature points from the forces along
    these modes (`reduction_basis.py`).
 3. The reduced model is compared with the full one at fresh states, which served for neither, begun
@@ -35,6 +35,7 @@ from softrobot_twin.simulation.body_reduction import (
     write_body_reduction,
 )
 from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.input_tables import read_targets
 from softrobot_twin.simulation.reduced_body import without_reductions
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.reduction_basis import (
@@ -53,12 +54,15 @@ from softrobot_twin.study.reduction_states import (
     States,
     StateStore,
     TargetBox,
+    TargetWay,
     TrainingError,
     chains,
     columns_of,
     find_states,
     joined,
+    passes,
     refuse_unreducible,
+    samples_along,
     samples_of,
     spread_of,
     spread_points,
@@ -75,7 +79,7 @@ from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.study.workspace import Axis, sampled_axes, scene_fingerprint
 
 # Share of the energy of all displacements that the modes in use leave out.
-ENERGY = 1.0e-6
+ENERGY = 3.0e-6
 # Most modes by energy: more make a step slower than many a full model.
 MOST_MODES = 96
 # Modes beyond those in use, for the estimate of the error.
@@ -84,17 +88,24 @@ SPARE_MODES = 24
 TOLERANCE = 3.0e-3
 # States of a training without a wanted error, and fresh ones that it is judged at.
 SNAPSHOTS, FRESH_STATES = 300, 40
+# Greatest shift of a pass of a path of targets [m].
+AROUND = 0.005
 # Fresh states have seeds of their own: those of the last judgement, and of the rounds.
 FRESH_SEED, ROUND_SEED = 1000, 2000
+# Boxes of targets are this share of their width wider at each side in the training: at the border
+# of what was seen a reduced model is least accurate.
+MARGIN = 0.08
 # With a wanted error: states to begin with, candidates of a round, how many of the worst are added,
 # fresh ones that judge it, and most rounds.
-FIRST_SNAPSHOTS, CANDIDATES, ADDED, JUDGES, MOST_ROUNDS = 120, 96, 36, 24, 8
+FIRST_SNAPSHOTS, CANDIDATES, ADDED, JUDGES, MOST_ROUNDS = 120, 192, 48, 40, 8
 # Where the spare modes take this share of the error away, a round adds so many modes in use.
 MODES_HELP, MORE_MODES = 0.4, 6
 # Else it lowers the tolerance of the sampling by this factor.
 FINER_SAMPLING = 0.6
-# The error of the rounds is this quantile of their fresh states.
-ALL_BUT_FEW = 0.95
+# Least displacement that an error is a share of, by the effector's largest one.
+LEAST_DISPLACEMENT = 0.1
+# Of all states but few: this quantile.
+ALL_BUT_FEW = 0.97
 
 
 @dataclass(frozen=True)
@@ -107,6 +118,8 @@ class TrainingOptions:
         snapshots: Number of states, that at rest included; None for the default.
         ranges: Bounds in place of the scene's; see `sampled_axes`.
         targets: Boxes of targets; none for the box of the actuators.
+        along: File with a path of targets in place of both; the scene keeps its contact then.
+        around: Greatest shift of a pass of this path along each axis [m].
         load: Greatest force at a point [N].
         load_points: Loaded points [m]; none for the effectors.
         spread_loads: Number of further loaded points, spread over the surface.
@@ -141,16 +154,20 @@ class TrainingOptions:
     seed: int = 0
     workers: int | None = None
     scheduler: str | None = None
+    along: Path | None = None
+    around: float = AROUND
 
 
 class Judgement(NamedTuple):
     """The reduced model against the full one at states.
 
     Attributes:
-        shares: Largest error of an effector at each state, as a share of its displacement from the
-            rest shape; NaN where the reduced model found no equilibrium, shape (count,).
+        errors: Largest distance of an effector from where it should be at each state [m]; NaN where
+            the reduced model found no equilibrium, shape (count,).
+        shares: The same as a share of its displacement; see `Training.displacements`.
     """
 
+    errors: np.ndarray
     shares: np.ndarray
 
     @property
@@ -275,6 +292,7 @@ class Training:
         job: What these share.
         store: Keeps them.
         causes: Why states were lost.
+        way: The path of targets along which states are sampled; None without.
     """
 
     scene: Scene
@@ -287,31 +305,60 @@ class Training:
     job: Job
     store: StateStore
     causes: list[str] = field(default_factory=list)
+    way: TargetWay | None = None
 
-    def samples(self, count: int, seed: int) -> np.ndarray:
-        """Fresh samples; see `samples_of`."""
-        return samples_of(
-            self.simulation, self.axes, self.sampling, self.options.targets, count, seed
-        )
+    def samples(self, count: int, seed: int, margin: float = 0.0) -> np.ndarray:
+        """Samples, that at rest first; see `samples_of` and `samples_along`.
 
-    def states(self, title: str, samples: np.ndarray) -> States:
-        """States of the full model.
+        Args:
+            count: Their number.
+            seed: Their seed.
+            margin: Share of its width by which a box of targets is wider at each side.
+        """
+        if self.way is not None:
+            return samples_along(self.simulation, self.way, count, seed)
+        boxes = [box.widened(margin) for box in self.options.targets]
+        return samples_of(self.simulation, self.axes, self.sampling, boxes, count, seed)
+
+    def fresh_samples(self, count: int, seed: int) -> np.ndarray:
+        """Samples to judge by, without that at rest, which every training has seen.
+
+        Args:
+            count: Their number.
+            seed: Their seed, beside that of the options.
+        """
+        if self.way is not None:  # a pass of a path begins at rest
+            return self.samples(count, self.options.seed + seed)
+        return self.samples(count + 1, self.options.seed + seed)[1:]
+
+    def tours(self, samples: np.ndarray) -> list[np.ndarray]:
+        """Indices of the samples of each chain, shape (count, width): passes along a path."""
+        if self.way is not None:
+            return passes(len(samples))
+        return chains(samples, spread_of(samples))
+
+    def states(self, title: str, *groups: np.ndarray) -> list[States]:
+        """States of the full model, of all groups of samples in one run of the workers.
 
         Args:
             title: What the progress is called.
-            samples: That at rest first, shape (count, width).
+            groups: Samples, shape (count, width).
 
         Raises:
-            TrainingError: There are none.
+            TrainingError: A group has no state at all.
         """
-        tours = chains(samples, spread_of(samples))
+        asked = [[samples[tour] for tour in self.tours(samples)] for samples in groups]
         found, causes = find_states(
-            title, self.crew, self.job, [samples[tour] for tour in tours], self.store
+            title, self.crew, self.job, [chain for own in asked for chain in own], self.store
         )
         self.causes += causes
-        if not found or not any(part.is_found.any() for part in found):
-            raise TrainingError(f"{self.scene.path}: no state of the full model was found")
-        return joined(found)
+        made, rest = [], iter(found)
+        for own in asked:
+            parts = [states for states in [next(rest) for _ in own] if states is not None]
+            if not any(part.is_found.any() for part in parts):
+                raise TrainingError(f"{self.scene.path}: no state of the full model was found")
+            made.append(joined(parts))
+        return made
 
     def finder(self, reduction: BodyReduction, name: str) -> StateFinder:
         """Finds states of a reduced model, which is saved beside those of the full one."""
@@ -324,28 +371,46 @@ class Training:
     def solve(self, reduction: BodyReduction, name: str, samples: np.ndarray) -> States:
         """States of a reduced model, each begun at the one before it."""
         finder = self.finder(reduction, name)
-        return joined([finder(samples[tour]) for tour in chains(samples, spread_of(samples))])
+        return joined([finder(samples[tour]) for tour in self.tours(samples)])
 
     def judge(self, reduction: BodyReduction, name: str, truth: States) -> Judgement:
         """A reduced model against states of the full one, at the same setpoints and loads."""
-        truth = truth.found()
-        held = truth.held(columns_of(self.simulation))
-        tours = chains(held, spread_of(held))
+        columns = columns_of(self.simulation)
+        if self.way is not None:
+            held = truth.held(columns)
+            tours = [tour[truth.is_found[tour]] for tour in passes(len(held))]
+            tours = [tour for tour in tours if len(tour)]
+        else:
+            truth = truth.found()
+            held = truth.held(columns)
+            tours = chains(held, spread_of(held))
         finder = self.finder(reduction, name)
         own = joined([finder(held[tour]) for tour in tours])
-        return Judgement(self.shares(own.effectors, truth.effectors[np.concatenate(tours)]))
+        return self.compared(own.effectors, truth.effectors[np.concatenate(tours)])
 
-    def shares(self, effectors: np.ndarray, truth: np.ndarray) -> np.ndarray:
-        """Largest distance of effectors from where they should be, by their displacement.
+    def compared(self, effectors: np.ndarray, truth: np.ndarray) -> Judgement:
+        """Effectors against where they should be.
 
         Args:
             effectors: Positions [m], shape (count, effector_count, 3).
             truth: Where they should be [m], same shape.
         """
-        self.simulation.reset()
-        rest = self.simulation.effector_positions()
         errors = np.linalg.norm(effectors - truth, axis=2)
-        return (errors / np.linalg.norm(truth - rest, axis=2)).max(axis=1)
+        return Judgement(errors.max(axis=1), (errors / self.displacements(truth)).max(axis=1))
+
+    def displacements(self, effectors: np.ndarray) -> np.ndarray:
+        """Displacement of effectors from the rest shape, by which errors are judged [m].
+
+        Where an effector passes its place at rest, actuators balance each other and the body is
+        deformed all the same: at least a share of its largest displacement counts.
+
+        Args:
+            effectors: Positions [m], shape (count, effector_count, 3).
+        """
+        self.simulation.reset()
+        moved = np.linalg.norm(effectors - self.simulation.effector_positions(), axis=2)
+        largest = np.nanmax(moved, axis=0, initial=0.0)
+        return np.maximum(moved, LEAST_DISPLACEMENT * largest)
 
 
 def begin_training(path: Path, options: TrainingOptions, output: Path | None = None) -> Training:
@@ -371,21 +436,35 @@ def begin_training(path: Path, options: TrainingOptions, output: Path | None = N
         body = next(own for own in plain.model.bodies if own.name == name)
         refuse_unreducible(scene, body)
         sampling = _sampling(scene, body, options)
+        way = None if options.along is None else _way(scene, plain, options)
         simulation = plain
-        if sampling.load_points:
+        if sampling.load_points or sampling.in_contact:
             simulation = Simulation(training_scene(scene, sampling), with_warnings=False)
     for box in options.targets:
         if box.effector not in simulation.effector_names:
             raise TrainingError(f"--targets: {path} has no effector {box.effector}")
-    axes = () if options.targets else sampled_axes(simulation, options.ranges)
+    by_targets = options.targets or way is not None
+    axes = () if by_targets else sampled_axes(simulation, options.ranges)
     content = scene_fingerprint(scene)
-    run = {"scene": content, "body": name, "loaded points": sampling.load_points}
+    run = {"scene": content, "body": name, "loaded points": sampling.load_points,
+           "contact": sampling.in_contact}  # fmt: skip
     crew = LocalWorkers(options.workers or core_count())
     if options.scheduler is not None:
         crew = DaskWorkers(options.scheduler)
     job = Job(FinderMaker(sampling), Path(path).resolve(), content)
     store = StateStore(output or output_path(scene, body, options), run)
-    return Training(scene, options, sampling, simulation, body, axes, crew, job, store)
+    return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way)
+
+
+def _way(scene: Scene, simulation: Simulation, options: TrainingOptions) -> TargetWay:
+    """The path of targets of a file."""
+    kinds = simulation.actuators.kind_of
+    table = read_targets(options.along, simulation.effector_names, kinds)
+    if table.kind != "targets":
+        raise TrainingError(
+            f"--along: {options.along} has no targets of effectors, but {table.kind}"
+        )
+    return TargetWay(table.times, table.values, options.around)
 
 
 def _sampling(scene: Scene, body: Body, options: TrainingOptions) -> Sampling:
@@ -406,7 +485,8 @@ def _sampling(scene: Scene, body: Body, options: TrainingOptions) -> Sampling:
         raise TrainingError("--tilts: the scene has no gravity that could be tilted")
     if options.tilt and any(cavity.liquid_density for cavity in scene.cavities):
         raise TrainingError("--tilts: of liquids in cavities is not built")
-    return Sampling(body.name, options.load, tuple(points), options.tilt)
+    in_contact = options.along is not None and scene.contact is not None
+    return Sampling(body.name, options.load, tuple(points), options.tilt, in_contact)
 
 
 def output_path(scene: Scene, body: Body, options: TrainingOptions) -> Path:
@@ -426,7 +506,7 @@ class Round(NamedTuple):
         modes: Modes in use.
         points: Sampled points.
         judgement: At fresh states.
-        estimate: Largest estimated error of the candidates, as a share.
+        estimate: Estimated error of all candidates but few, as a share.
     """
 
     states: int
@@ -444,40 +524,51 @@ def train_by_need(training: Training) -> tuple[Trained, States, list[Round], boo
     """
     options, body = training.options, training.body
     K, tolerance, mode_count = rest_stiffness(body), options.tolerance, options.modes
-    first = training.samples(options.snapshots or FIRST_SNAPSHOTS, options.seed)
-    states, rounds = training.states("first states", first), []
+    first = training.samples(options.snapshots or FIRST_SNAPSHOTS, options.seed, MARGIN)
+    seed, rounds = ROUND_SEED, []
+    states, fresh = training.states("first states", first, training.fresh_samples(JUDGES, seed))
     for number in range(1, MOST_ROUNDS + 1):
-        trained = train(body, K, states, mode_count, options, tolerance)
-        reduction = reduction_of(body, trained, np.full(2, np.nan), {})
-        seed = options.seed + ROUND_SEED + 2 * number
-        fresh = training.states(f"round {number}: fresh states", training.samples(JUDGES, seed))
-        judged = training.judge(reduction, "in_use", fresh)
-        better = training.judge(with_all_modes(reduction), "all", fresh)
-        candidates = training.samples(CANDIDATES, seed + 1)
-        asked, estimates = _estimates(training, reduction, candidates)
+        with terminal_status(f"round {number}: modes, points, and the error at candidates"):
+            trained = train(body, K, states, mode_count, options, tolerance)
+            reduction = reduction_of(body, trained, np.full(2, np.nan), {})
+            judged = training.judge(reduction, "in_use", fresh)
+            candidates = training.samples(CANDIDATES, options.seed + seed + 1, MARGIN)
+            asked, estimates = _estimates(training, reduction, candidates)
         rounds.append(Round(
             int(states.is_found.sum()), trained.mode_count, len(trained.sampled[0].cells), judged,
-            float(np.max(estimates[np.isfinite(estimates)], initial=0.0)),
+            _typical(estimates),
         ))  # fmt: skip
         _tell_round(number, rounds[-1])
-        if not judged.lost and judged.measured[1] <= options.error:
+        worst_seen = max(judged.measured[1], rounds[-1].estimate)
+        if not judged.lost and worst_seen <= options.error:
             return trained, states, rounds, True
         if number == MOST_ROUNDS:
             break
-        worst = np.argsort(-np.nan_to_num(estimates, nan=np.inf, posinf=np.inf))[:ADDED]
-        added = np.concatenate([asked[:1], asked[np.sort(worst[worst > 0])]])
-        more = training.states(f"round {number}: where the estimate is worst", added)
-        states = joined([states, fresh, more])
-        if _typical(better) <= (1.0 - MODES_HELP) * _typical(judged):
+        better = training.judge(with_all_modes(reduction), "all", fresh)
+        if _typical(better.shares) <= (1.0 - MODES_HELP) * _typical(judged.shares):
             mode_count = min(trained.mode_count + MORE_MODES, MOST_MODES)
         else:
-            tolerance *= FINER_SAMPLING
-            mode_count = trained.mode_count
+            mode_count, tolerance = trained.mode_count, FINER_SAMPLING * tolerance
+        seed += 2
+        more, next_fresh = training.states(
+            f"round {number + 1}: states where the estimate is worst, and fresh ones",
+            _worst(asked, estimates), training.fresh_samples(JUDGES, seed),
+        )  # fmt: skip
+        states, fresh = joined([states, fresh, more]), next_fresh
     return trained, states, rounds, False
 
 
-def _typical(judgement: Judgement) -> float:
-    good = judgement.shares[np.isfinite(judgement.shares)]
+def _worst(asked: np.ndarray, estimates: np.ndarray) -> np.ndarray:
+    """The samples of the largest estimates, those that are unknown first; that at rest before all.
+    """
+    order = np.argsort(-np.nan_to_num(estimates, nan=np.inf, posinf=np.inf), kind="stable")
+    worst = order[order > 0][:ADDED]
+    return np.concatenate([asked[:1], asked[np.sort(worst)]])
+
+
+def _typical(shares: np.ndarray) -> float:
+    """Error of all states but few, as a share; infinite without any."""
+    good = shares[np.isfinite(shares)]
     return float(np.quantile(good, ALL_BUT_FEW)) if len(good) else np.inf
 
 
@@ -496,7 +587,7 @@ def _estimates(
     held = np.where(found.is_found[:, None], held, found.samples)
     finder = training.finder(with_all_modes(reduction), "all")
     all_modes = finder(held)
-    return held, training.shares(found.effectors, all_modes.effectors)
+    return held, training.compared(found.effectors, all_modes.effectors).shares
 
 
 def _tell_round(number: int, done: Round) -> None:
@@ -505,15 +596,18 @@ def _tell_round(number: int, done: Round) -> None:
     console().print(
         f"round {number}: {done.states} states, {done.modes} modes, {done.points} points: error at "
         f"fresh states {median:.3f} % (median), {largest:.3f} % (largest){lost}; estimated at "
-        f"candidates up to {100.0 * done.estimate:.3f} %"
+        f"most candidates up to {100.0 * done.estimate:.3f} %"
     )
 
 
 def train_once(training: Training) -> tuple[Trained, States]:
     """Train with a given number of states."""
     options = training.options
-    samples = training.samples(options.snapshots or SNAPSHOTS, options.seed)
-    states = training.states(f"{training.scene.name}: states of the full model", samples)
+    groups = [training.samples(options.snapshots or SNAPSHOTS, options.seed, MARGIN)]
+    if options.states:
+        # In the same run of the workers.
+        groups.append(training.fresh_samples(options.states, FRESH_SEED))
+    states = training.states(f"{training.scene.name}: states of the full model", *groups)[0]
     with terminal_status("modes and sampled points"):
         K = rest_stiffness(training.body)
         trained = train(training.body, K, states, options.modes, options, options.tolerance)
@@ -547,9 +641,11 @@ def reduce(path: Path, options: TrainingOptions) -> int:
         reduction = reduction_of(training.body, trained, np.full(2, np.nan), made)
         judgement = None
         if options.states:
-            samples = training.samples(options.states, options.seed + FRESH_SEED)
-            fresh = training.states("fresh states", samples)
-            judgement = training.judge(reduction, "in_use", fresh)
+            (fresh,) = training.states(
+                "fresh states", training.fresh_samples(options.states, FRESH_SEED)
+            )
+            with terminal_status("error at fresh states"):
+                judgement = training.judge(reduction, "in_use", fresh)
             reduction = reduction._replace(measured=judgement.measured)
     except KeyboardInterrupt:
         warn(f"{training.store.count()} chains of states are in {training.store.path}; the same "
@@ -559,12 +655,31 @@ def reduce(path: Path, options: TrainingOptions) -> int:
     training.store.remove()
     for cause in training.causes:
         warn(cause)
-    _print_result(training, trained, states, judgement, output, time.perf_counter() - begin)
-    if not is_met:
-        warn(f"the wanted error of {100.0 * options.error:g} % is not met after {len(rounds)} "
-             "rounds")  # fmt: skip
+    _print_result(training, trained, states, judgement, training_time)
+    seconds = time.perf_counter() - begin
+    size = 1e-6 * output.stat().st_size
+    console().print(f"saved in {output}, {size:.1f} MB, {seconds:.0f} s in all")
+    is_met = _tell_whether_met(options, rounds, is_met, judgement)
     lost = bool(training.causes) or (judgement is not None and judgement.lost > 0)
     return 0 if is_met and not lost else 1
+
+
+def _tell_whether_met(
+    options: TrainingOptions, rounds: list[Round], is_met: bool, judgement: Judgement | None
+) -> bool:
+    """Say where a wanted error is not met; gives whether it is."""
+    if options.error is None:
+        return True
+    wanted = f"the wanted error of {100.0 * options.error:g} %"
+    if not is_met:
+        warn(f"{wanted} is not met after {len(rounds)} rounds")
+        return False
+    if judgement is not None and judgement.measured[1] > options.error:
+        above = int(np.count_nonzero(judgement.shares > options.error))
+        warn(f"{wanted} was met in the last round, and is exceeded at {above} of the "
+             f"{len(judgement.shares)} fresh states after it")  # fmt: skip
+        return False
+    return True
 
 
 def _save(output: Path, reduction: BodyReduction, body: Body) -> None:
@@ -590,19 +705,23 @@ def _said(
         "sampling error with spare modes": trained.spare_sampled[1],
         "load [N]": options.load, "tilt [rad]": options.tilt,
         "targets": [list(box) for box in options.targets], "ranges": list(options.ranges),
+        "along": None if options.along is None else options.along.name,
+        "around [m]": options.around,
         "wanted error": options.error, "time [s]": seconds,
     }  # fmt: skip
 
 
 def _print_result(
     training: Training, trained: Trained, states: States, judgement: Judgement | None,
-    output: Path, seconds: float,
+    seconds: float,
 ) -> None:  # fmt: skip
     body, out = training.body, console()
     rows = table(f"{body.name} of {training.scene.name}, reduced", "", "full model", "reduced")
     found = int(states.is_found.sum())
     freedoms = 3 * int(np.count_nonzero(~body.fixed))
     rows.add_row("states of the training", f"{found} of {len(states.is_found)}", "")
+    rows.add_row("linearizations for a state", f"{states.iterations.mean():.1f}", "")
+    rows.add_row("time of the training", f"{seconds:.0f} s", "")
     rows.add_row("unknowns", f"{freedoms}", f"{trained.mode_count}")
     rows.add_row("quadrature points", f"{point_count(body)}", f"{len(trained.sampled[0].cells)}")
     rows.add_row("energy that the modes leave out", "",
@@ -614,10 +733,10 @@ def _print_result(
     if judgement is not None:
         median, largest = 100.0 * judgement.measured
         rows.add_row(f"error of the effectors at {len(judgement.shares)} fresh states", "",
-                     f"{median:.3f} % (median), {largest:.3f} % (largest)"
+                     f"{median:.3f} % (median), {largest:.3f} % (largest), "
+                     f"{1e3 * np.nanmax(judgement.errors, initial=0.0):.3f} mm (largest)"
                      + (f", {judgement.lost} not found" if judgement.lost else ""))
     out.print(rows)
-    out.print(f"saved in {output}, {1e-6 * output.stat().st_size:.1f} MB, {seconds:.0f} s in all")
 
 
 def point_count(body: Body) -> int:

@@ -262,6 +262,14 @@ def describe_mass_springs(entry) -> str:
             f"{number(entry.stiffness)} N/m")
 
 
+def _measured_error(measured: np.ndarray) -> str:
+    """The error of a reduced model at fresh states, as its training found it."""
+    if np.isnan(measured).any():
+        return "not compared with the full model"
+    median, worst = 100.0 * measured
+    return f"{median:.2g} % off the full model (largest {worst:.2g} %)"
+
+
 def describe_contact(contact) -> str:
     """The common settings of a scene's contacts."""
     return (f"candidates below {number(1e3 * contact.alarm_distance)} mm, contact below "
@@ -480,6 +488,12 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
                                           for part in parts),
             f"{6 * sum(part.is_free for part in parts)} unknowns, "
             f"{len(body.vertebrae.division.parts)} superelements"))
+    if body.reduction is not None:
+        nodes, kept = body.reduction, body.reduction.reduction
+        listed.append(Effect(
+            f"{key}.reduced", f"{nodes.mode_count} modes of {entry.reduced.file}, "
+            f"{len(kept.sampled.cells)} quadrature points stand for all",
+            f"{nodes.mode_count} unknowns, {_measured_error(kept.measured)}"))
     listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
                for name, nodes in body.riding.items()]
     damping = entry.damping

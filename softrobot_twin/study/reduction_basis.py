@@ -31,8 +31,9 @@ from softrobot_twin.simulation.deformable_body import Body
 # Points whose gradients are held at once: bounds the memory of points times modes.
 CHUNK = 4096
 # Equations that points are sampled for, states times modes, and points that are looked at; of these
-# half are drawn by the size of their forces.
-MOST_EQUATIONS, MOST_CANDIDATES = 3600, 16_000
+# half are drawn by the size of their forces. On the Diamond with 56 000 points and 48 modes, 75 of
+# 300 states leave errors of 1.2 % at the worst of 200 fresh ones, all states 0.9 %.
+MOST_EQUATIONS, MOST_CANDIDATES = 14_400, 8_000
 # At least so many states are looked at, however many modes there are.
 LEAST_STATES = 48
 # States at which the size of the forces of all points is taken.
@@ -206,7 +207,7 @@ class Work(NamedTuple):
 
 def work_of(
     body: Body, modes: Modes, states: np.ndarray, rng: np.random.Generator,
-    most_candidates: int = MOST_CANDIDATES,
+    most_candidates: int | None = None,
 ) -> Work:  # fmt: skip
     """Take the virtual work of points of a body at states.
 
@@ -215,7 +216,7 @@ def work_of(
         modes: The modes.
         states: Coordinates [m], shape (state_count, mode_count).
         rng: Draws the candidates.
-        most_candidates: Of more points than these, some are drawn.
+        most_candidates: Of more points than these, some are drawn; None for `MOST_CANDIDATES`.
     """
     scale = 1.0 / np.sqrt(modes.stiffness)
     seen = states[np.linspace(0, len(states) - 1, min(SIZE_STATES, len(states))).astype(int)]
@@ -228,7 +229,7 @@ def work_of(
         sizes.append(size)
         points.append(chunk.points)
     points = SampledPoints(*map(np.concatenate, zip(*points, strict=True)))
-    candidates = _drawn(np.concatenate(sizes), most_candidates, rng)
+    candidates = _drawn(np.concatenate(sizes), most_candidates or MOST_CANDIDATES, rng)
     candidates = SampledPoints(*(field[candidates] for field in points))
     parts, columns = [], []
     for chunk in _chunks(body, modes.basis, candidates):

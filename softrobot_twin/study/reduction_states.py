@@ -6,6 +6,9 @@ tours, each near the one before it, which takes few linearizations. A tour is cu
 chain begins at rest, so that its states do not depend on any other chain, on the number of workers,
 or on whether the run was interrupted.
 
+Along a path of targets the scene keeps its contact: what presses on the body is sampled as it will
+be met. There a chain is a pass of the whole path, since between obstacles the way matters.
+
 The file contains, in this order: what is sampled, the tours, how a chain is computed, what a
 stopped run leaves behind.
 """
@@ -29,7 +32,8 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.simulation.reduced_body import without_reductions
+from softrobot_twin.mechanics.reduced_points import Platform
+from softrobot_twin.simulation.reduced_body import rides_on_a_slide, without_reductions
 from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.study.equilibrium import ANY_TIME
 from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
@@ -53,6 +57,8 @@ FIRST_WAY, FINE_WAY = 4, 12
 MOST_FOLLOWS, NEAR = 4, 0.01
 # States of a chain: what a lost worker costs.
 CHAIN_LENGTH = 12
+# States of a pass of a whole path.
+PASS_LENGTH = 40
 
 
 class TrainingError(SoftRobotTwinError):
@@ -75,6 +81,12 @@ class TargetBox(NamedTuple):
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
+    def widened(self, share: float) -> TargetBox:
+        """The box, wider at each side by a share of its width."""
+        low, high = np.array(self.low), np.array(self.high)
+        wider = share * (high - low)
+        return TargetBox(self.effector, tuple(low - wider), tuple(high + wider))
+
 
 class Sampling(NamedTuple):
     """What is sampled, beside the box of the actuators.
@@ -84,12 +96,36 @@ class Sampling(NamedTuple):
         load: Greatest force at a point [N]; zero for none.
         load_points: Points that are loaded, each the mean of some points at rest [m].
         tilt: Greatest angle of gravity from its direction in the scene [rad].
+        in_contact: Whether the scene keeps its contact.
     """
 
     body: str
     load: float = 0.0
     load_points: tuple[tuple[tuple[float, float, float], ...], ...] = ()
     tilt: float = 0.0
+    in_contact: bool = False
+
+
+class TargetWay(NamedTuple):
+    """A path of targets, around which states are sampled.
+
+    Attributes:
+        times: Of its targets, increasing [s], shape (row_count,).
+        targets: Targets of all effectors [m], NaN for those without, shape
+            (row_count, effector_count, 3).
+        radius: Greatest shift of a pass along each axis [m].
+    """
+
+    times: np.ndarray
+    targets: np.ndarray
+    radius: float
+
+    def at(self, shares: np.ndarray) -> np.ndarray:
+        """Targets at shares of its duration, (count,) [m], shape (count, effector_count, 3)."""
+        times = self.times[0] + shares * (self.times[-1] - self.times[0])
+        columns = self.targets.reshape(len(self.times), -1).T
+        found = [np.interp(times, self.times, column) for column in columns]
+        return np.column_stack(found).reshape(len(shares), *self.targets.shape[1:])
 
 
 class Columns(NamedTuple):
@@ -129,7 +165,9 @@ def columns_of(simulation: Simulation) -> Columns:
 
 
 def training_scene(scene: Scene, sampling: Sampling) -> Scene:
-    """The scene in statics without rates and contact, with the loaded points as its touches.
+    """The scene in statics without rates, with the loaded points as its touches.
+
+    It has contact only where the sampling says so.
 
     Args:
         scene: The scene.
@@ -144,7 +182,10 @@ def training_scene(scene: Scene, sampling: Sampling) -> Scene:
               while_touched="follow_targets")
         for index, points in enumerate(sampling.load_points)
     )  # fmt: skip
-    return full_scene(scene).model_copy(update={"solver": solver, "touches": touches})
+    changed = {"solver": solver, "touches": touches}
+    if sampling.in_contact:
+        changed.update(contact=scene.contact, obstacles=scene.obstacles)
+    return full_scene(scene).model_copy(update=changed)
 
 
 def spread_points(body: Body, count: int) -> np.ndarray:
@@ -210,6 +251,46 @@ def samples_of(
         forces[loaded, which] = sizes[:, None] * vectors
     if sampling.tilt:
         gravity[1:] = _tilted(gravity[0], sampling.tilt, points[:, own + 3 : own + 5])
+    return samples
+
+
+def passes(count: int) -> list[np.ndarray]:
+    """Samples of each pass of a path; that at rest begins the first one.
+
+    Args:
+        count: Number of samples, that at rest included.
+
+    Returns:
+        Indices of the samples of each pass.
+    """
+    most = max(1, -(-(count - 1) // PASS_LENGTH))
+    return np.split(np.arange(count), 1 + np.cumsum(
+        [len(part) for part in np.array_split(np.arange(count - 1), most)])[:-1])  # fmt: skip
+
+
+def samples_along(simulation: Simulation, way: TargetWay, count: int, seed: int) -> np.ndarray:
+    """Samples of passes of a path, each shifted as a whole, that at rest first.
+
+    Args:
+        simulation: The training scene.
+        way: The path.
+        count: Number of samples.
+        seed: Seed of the shifts.
+
+    Returns:
+        See `Columns`, shape (count, width).
+    """
+    columns = columns_of(simulation)
+    samples = np.zeros((count, columns.width))
+    setpoints, targets, _, gravity = columns.split(samples)
+    setpoints[:], targets[:] = simulation.rest_setpoints, np.nan
+    gravity[:] = simulation.scene.gravity
+    tours = passes(count)
+    shifts = shifted_sobol(4, len(tours), seed)
+    for tour, shift in zip(tours, shifts, strict=True):
+        own = tour[tour > 0]
+        shares = (np.arange(len(own)) + shift[3]) / max(len(own), 1)
+        targets[own] = way.at(shares) + way.radius * (2.0 * shift[:3] - 1.0)
     return samples
 
 
@@ -321,10 +402,11 @@ class StateFinder:
         self.simulation = Simulation(scene, with_warnings=False)
         model = self.simulation.model
         self._columns = columns_of(self.simulation)
-        self._nodes = slice(0, 0)
+        self._nodes, self._platform = slice(0, 0), None
         for own in model.bodies:
             if own.name == body:
                 self._nodes = slice(own.first_node, own.first_node + own.mesh.node_count)
+                self._platform = _platform_of(own, model.rigid)
         terms = (term.on_points for term in model.forces)
         self._weight = next((term for term in terms if isinstance(term, Gravity)), None)
         self._gravity = np.array(scene.gravity, float)
@@ -342,6 +424,8 @@ class StateFinder:
             is_found = self._find(sample, way) or self._find_anew(sample)
             state = simulation.state
             shift = state.positions[self._nodes] - rest[self._nodes]
+            if self._platform is not None:
+                shift -= self._platform.displacement(state.positions)
             row = [
                 shift.astype(np.float32), state.setpoints, state.efforts,
                 simulation.effector_positions(),
@@ -418,6 +502,14 @@ class StateFinder:
                                and not result.report.inverted_count):
                 return True
         return False
+
+
+def _platform_of(body: Body, parts: Sequence) -> Platform | None:
+    """What a full body rides on; None where it stands still."""
+    for part in parts:
+        if part.name in body.riding:
+            return Platform(part.first_node, part.origin)
+    return None
 
 
 def _unit_weights(simulation: Simulation, weights: np.ndarray) -> np.ndarray:
@@ -528,7 +620,7 @@ class StateStore:
 
     def count(self) -> int:
         """Number of chains that are saved."""
-        return len(list(self.path.glob("*.npz")))
+        return len(list(self.path.glob("[!.]*.npz")))
 
     def remove(self) -> None:
         """Remove the folder: the run is done."""
@@ -537,7 +629,7 @@ class StateStore:
 
 def find_states(
     title: str, crew: SampleWorkers, job: Job, asked: Sequence[np.ndarray], store: StateStore
-) -> tuple[list[States], list[str]]:
+) -> tuple[list[States | None], list[str]]:
     """States of chains: those of the store, the others computed and saved.
 
     Args:
@@ -548,7 +640,7 @@ def find_states(
         store: Keeps them.
 
     Returns:
-        The states of all chains that were not lost, in their order; and why others were lost.
+        The states of all chains in their order, None of those that were lost; and why these were.
     """
     known = [store.find(chain) for chain in asked]
     left = [(index, chain) for index, chain in enumerate(asked) if known[index] is None]
@@ -565,7 +657,7 @@ def find_states(
                 store.add(asked[index], states)
                 statuses = ["ok" if found else "not_converged" for found in states.is_found]
             shown.add(*statuses)
-    return [states for states in known if states is not None], causes
+    return known, causes
 
 
 def refuse_unreducible(scene: Scene, body: Body) -> None:
@@ -582,9 +674,10 @@ def refuse_unreducible(scene: Scene, body: Body) -> None:
         refuse("vertebrae", body.name, "is reduced to vertebrae: it has no basis of modes")
     if body.entry.volume == "patches":
         refuse("volume", "patches", "of a reduced body is not built: use elements")
-    if body.riding:
+    if body.riding and not rides_on_a_slide(body, scene):
         refuse("attached", ", ".join(sorted(body.riding)),
-               "nodes attached to rigid bodies are not built for a reduced body")
+               "nodes attached to rigid bodies are not built for a reduced body, but for one "
+               "platform that a slide moves")
     for part in body.materials:
         key = part.key.removeprefix(f"{body.key}.")
         if part.viscosity:

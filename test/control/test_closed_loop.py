@@ -14,6 +14,8 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 
+from .conftest import ROOT, Driver
+
 FLAWS = DeviceFlaws(delay=0.02, servo_rate=0.1, marker_noise=2e-4, seed=1)
 TARGET = (0.006, -0.004, 0.136)
 
@@ -164,3 +166,18 @@ def test_a_scene_that_measures_no_effector_cannot_close_the_loop(drive, small_sc
     simulation = Simulation.from_scene(scene_from_mapping(mapping))
     with pytest.raises(ParameterError, match="closed_loop"):
         TwinLoop(simulation, LoopSettings(closed_loop=True))
+
+
+def test_a_reduced_twin_closes_the_loop_over_a_full_and_different_device(device_simulation):
+    """Both errors, of the reduction and of the wrong model, are removed by the markers."""
+    twin = Simulation.from_scene_file(ROOT / "config" / "scenes" / "diamond_reduced.yaml")
+    twin.warm_up()
+    path = Circle((0.0, 0.0, 0.136), 0.015, 7.5).position
+    driver = Driver(twin, closed_loop=True, correction_gain=5.0, correction_limit=0.01)
+    errors = track(driver, SimulatedDevice(device_simulation, FLAWS), path, 160)
+    device_simulation.reset()
+    twin.reset()
+    opened = Driver(twin, closed_loop=False)
+    without = track(opened, SimulatedDevice(device_simulation, FLAWS), path, 160)
+    assert errors[40:].mean() < 0.25 * without[40:].mean()
+    assert not any(outcome.result.status.is_failure for outcome in driver.outcomes)

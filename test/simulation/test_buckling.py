@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp, trapezoid
 
-from softrobot_twin.simulation import Hold, Status
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
+from softrobot_twin.simulation.result import UNSTABLE
 
 LENGTH, THIN, WIDE, DENSITY, YOUNG = 0.15, 0.010, 0.014, 1000.0, 5.07e5
 GREENHILL = 7.8373
@@ -110,3 +111,23 @@ def test_above_the_critical_weight_the_column_settles_on_the_elastica(column, in
     assert side * x == pytest.approx(elastica(1.1), rel=0.02)
     assert abs(y) < 0.01 * abs(x)
     assert simulation.model.is_dynamic or is_stable(simulation)
+
+
+@pytest.mark.parametrize(("wound", "is_named"), [(0.03, True), (0.001, False)])
+def test_a_pose_that_would_buckle_under_given_tensions_is_named(diamond, wound, is_named):
+    """Cables that raise the tip compress the legs; held at their lengths they keep it in place."""
+
+    def change(mapping):
+        mapping["body"]["mesh"]["file"] = "../../meshes/diamond_150.vtk"
+        mapping["body"]["element"] = "quadratic"
+        mapping["solver"] = {"newton_iterations": 20}
+
+    simulation = diamond(change)
+    for share in np.linspace(0.1, 1.0, 10):
+        at_lengths = simulation.step(
+            CommandSetpoints(simulation.rest_setpoints - share * wound, 1.0)
+        )
+    at_tensions = simulation.step(CommandEfforts(at_lengths.efforts, 1.0))
+    assert at_lengths.status is at_tensions.status is Status.OK
+    assert UNSTABLE not in at_lengths.report.active_limits
+    assert (UNSTABLE in at_tensions.report.active_limits) is is_named

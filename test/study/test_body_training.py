@@ -1,0 +1,246 @@
+"""``reduce``: a trained body that is as its full one at fresh states, and runs that go on."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.body_reduction import read_body_reduction
+from softrobot_twin.study import body_training, sample_workers
+from softrobot_twin.study.sample_workers import LocalWorkers
+
+ROOT = Path(__file__).resolve().parents[2]
+RANGE = ("--range", *(f"{name}_shortening_m=0:0.008" for name in "abcd"))
+SMALL = ("--snapshots", 48, "--modes", 17, "--spare-modes", 6, "--states", 8, *RANGE)
+
+
+@pytest.fixture(scope="module")
+def trained(column, tmp_path_factory):
+    """File of a small training in this process."""
+    from softrobot_twin.__main__ import main
+    output = tmp_path_factory.mktemp("trained") / "column_reduced.npz"
+    arguments = ["reduce", column, "--output", output, "--workers", 1, *SMALL]
+    assert main([str(argument) for argument in arguments]) == 0
+    return output
+
+
+def reduced(column, file):
+    """The scene with its body reduced, as a user writes it."""
+    mapping = yaml.safe_load(column.read_text())
+    mapping["body"]["reduced"] = {"file": str(file)}
+    scene = column.parent / "reduced.yaml"
+    scene.write_text(yaml.safe_dump(mapping))
+    return scene
+
+
+def equal(first, second):
+    """Whether two files hold the same reduced model; the time of the training may differ."""
+    one, other = (read_body_reduction(file) for file in (first, second))
+    np.testing.assert_array_equal(one.basis, other.basis)
+    for name in ("sampled", "spare_sampled"):
+        for a, b in zip(getattr(one, name), getattr(other, name), strict=True):
+            np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(one.ranges, other.ranges)
+    np.testing.assert_array_equal(one.measured, other.measured)
+    return True
+
+
+def test_the_file_says_how_it_was_made(trained):
+    found = read_body_reduction(trained)
+    assert found.mode_count == 18 and found.spare_count == 6
+    assert found.training["states"] == 48 and found.training["seed"] == 0
+    assert len(found.sampled.cells) < 120 == 2 * 2 * 5 * 6
+    assert found.ranges[0] > 1e-3 and (np.diff(found.ranges[[0, 5, 23]]) < 0.0).all()
+    assert 0.0 < found.measured[0] <= found.measured[1] < 0.02
+    assert list(trained.parent.iterdir()) == [trained]
+
+
+def test_a_scene_with_the_file_moves_as_the_full_one(trained, column):
+    full, small = (Simulation.from_scene_file(scene)
+                   for scene in (column, reduced(column, trained)))  # fmt: skip
+    rest = full.effector_positions()
+    setpoints = full.rest_setpoints - [0.008, 0.003, 0.0, 0.001]
+    for share in np.linspace(0.1, 1.0, 20):
+        wanted = full.rest_setpoints + share * (setpoints - full.rest_setpoints)
+        for simulation in (full, small):
+            for _ in range(3):
+                simulation.step(CommandSetpoints(wanted, 1e6))
+        truth = full.effector_positions()
+        error = np.linalg.norm(small.effector_positions() - truth)
+        assert error < 0.02 * np.linalg.norm(truth - rest)
+    np.testing.assert_allclose(small.state.efforts, full.state.efforts,
+                               atol=0.03 * full.state.efforts.max())  # fmt: skip
+
+
+def test_two_processes_train_the_same(trained, column, call, tmp_path):
+    done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 2, *SMALL)
+    assert done.code == 0, done.errors
+    assert equal(trained, tmp_path / "r.npz")
+    assert "48 of 48" in done.output and "8 fresh states" in done.output
+    assert "56/56 samples" in done.errors
+
+
+def test_the_scene_that_names_the_file_trains_it_again(trained, column, call, tmp_path):
+    scene = reduced(column, tmp_path / "missing.npz")
+    done = call("reduce", scene, "--output", tmp_path / "r.npz", "--workers", 1, *SMALL)
+    assert done.code == 0, done.errors
+    assert equal(trained, tmp_path / "r.npz")
+
+
+def test_the_file_lies_beside_the_mesh(column, call):
+    done = call("reduce", column, "--workers", 1, "--snapshots", 8, "--modes", 3,
+                "--spare-modes", 3, "--states", 0)  # fmt: skip
+    file = column.parent / "column_reduced.npz"
+    assert done.code == 0 and file.is_file()
+    assert np.isnan(read_body_reduction(file).measured).all()
+    file.unlink()
+
+
+def test_modes_follow_from_the_energy_that_they_may_leave_out(column, call, tmp_path):
+    counts = []
+    for energy in (1e-2, 1e-5):
+        done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1,
+                    "--snapshots", 40, "--energy", energy, "--states", 0)  # fmt: skip
+        assert done.code == 0, done.errors
+        found = read_body_reduction(tmp_path / "r.npz")
+        assert found.training["energy left out"] <= energy and found.mode_count % 3 == 0
+        counts.append(found.mode_count)
+    assert counts[0] < counts[1]
+
+
+def test_a_body_that_saw_loads_follows_them(trained, column, call, tmp_path):
+    """One that never saw a load does not."""
+    done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1,
+                "--snapshots", 80, "--modes", 24, "--loads", 0.1, "--tilts", 120,
+                *RANGE)  # fmt: skip
+    assert done.code == 0, done.errors
+    told = read_body_reduction(tmp_path / "r.npz")
+    assert told.measured[1] < 0.05 and told.training["load [N]"] == 0.1
+    mapping = yaml.safe_load(column.read_text())
+    mapping["gravity"] = [0.0, 9.81, 0.0]
+    moved = []
+    for file in (None, tmp_path / "r.npz", trained):
+        if file is not None:
+            mapping["body"]["reduced"] = {"file": str(file)}
+        scene = column.parent / "tilted.yaml"
+        scene.write_text(yaml.safe_dump(mapping))
+        simulation = Simulation.from_scene_file(scene)
+        for _ in range(20):
+            simulation.step(CommandSetpoints(simulation.rest_setpoints, 1e6))
+        moved.append(simulation.effector_positions()[0])
+    truth, seen, _ = moved
+    start = np.array([0.01, 0.01, 0.10])
+    assert np.linalg.norm(seen - truth) < 0.03 * np.linalg.norm(truth - start)
+
+
+def test_a_wanted_error_is_met_by_adding_where_it_is_worst(column, call, tmp_path, monkeypatch):
+    for name, value in (("FIRST_SNAPSHOTS", 8), ("CANDIDATES", 16), ("ADDED", 8), ("JUDGES", 8)):
+        monkeypatch.setattr(body_training, name, value)
+    done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1,
+                "--error", "2%", "--states", 8, *RANGE)  # fmt: skip
+    assert done.code == 0, done.errors
+    assert "round 1: 8 states" in done.output and "round 2" in done.output
+    found = read_body_reduction(tmp_path / "r.npz")
+    assert found.training["wanted error"] == 0.02 and found.training["states"] > 8
+    assert found.measured[1] < 0.03
+
+
+def test_a_wanted_error_that_is_not_met_is_said(column, call, tmp_path, monkeypatch):
+    monkeypatch.setattr(body_training, "MOST_ROUNDS", 1)
+    for name, value in (("CANDIDATES", 6), ("JUDGES", 4)):
+        monkeypatch.setattr(body_training, name, value)
+    done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1, "--snapshots", 8,
+                "--error", "0.0001%", "--states", 4)  # fmt: skip
+    assert done.code == 1 and "0.0001 % is not met after 1 round" in done.errors
+    assert (tmp_path / "r.npz").is_file()
+
+
+def test_lost_chains_are_told_and_the_rest_is_used(column, call, tmp_path, monkeypatch):
+    def run(self, job, asked):
+        compute = job.make(job.scene, job.content)
+        for index, chain in asked:
+            lost = index == 1
+            yield sample_workers.SampleOutcome(
+                index, None if lost else compute(chain), "no power" if lost else ""
+            )
+
+    monkeypatch.setattr(LocalWorkers, "run", run)
+    done = call("reduce", column, "--output", tmp_path / "r.npz", "--snapshots", 40, "--modes", 6,
+                "--states", 0)  # fmt: skip
+    assert done.code == 1 and "10 states are lost: no power" in done.errors
+    assert read_body_reduction(tmp_path / "r.npz").training["states"] == 30
+
+
+@pytest.mark.parametrize("arguments, told", [
+    (("--body", "arm"), "--body names one of body"),
+    (("--targets", "hand=0:1,0:1,0:1"), "has no effector hand"),
+    (("--range", "a_shortening_m=0"), "two numbers"),
+    (("--load-points", "0,0,0.1"), "--load-points: requires --loads"),
+    (("--targets", "tip=0:1,0:1,0:1", "--range", "a_shortening_m=0:1"), "--range: has no effect"),
+    (("--modes", "6", "--energy", "0.1"), "--energy: has no effect"),
+    (("--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "--workers: has no effect"),
+    (("--tilts", "0"), "--tilts"), (("--loads", "-1"), "--loads"), (("--error", "120%"), "--error"),
+    (("--targets", "tip=1:0,0:1,0:1"), "--targets"),
+    (("--load-points", "0,0", "--loads", "1"), "--load-points"),
+])  # fmt: skip
+def test_arguments_that_do_not_fit_are_refused_by_name(column, call, tmp_path, arguments, told):
+    done = call("reduce", column, "--output", tmp_path / "r.npz", *arguments)
+    assert done.code == 2 and told in done.errors, done.errors
+    assert not list(tmp_path.iterdir())
+
+
+def test_tilts_without_gravity_are_refused(column, call, tmp_path):
+    scene = column.parent / "weightless.yaml"
+    scene.write_text(column.read_text().replace("-9.81", "0.0"))
+    done = call("reduce", scene, "--output", tmp_path / "r.npz", "--tilts", 10)
+    assert done.code == 2 and "no gravity that could be tilted" in done.errors
+
+
+@pytest.mark.slow
+def test_a_stopped_run_goes_on_where_it_was(trained, column, call, tmp_path):
+    output = tmp_path / "r.npz"
+    arguments = ["reduce", column, "--output", output, "--workers", 2, "--snapshots", 600,
+                 "--modes", 6, "--states", 0]  # fmt: skip
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softrobot_twin", *map(str, arguments)], cwd=ROOT,
+        env=dict(os.environ), stderr=subprocess.PIPE, text=True)  # fmt: skip
+    part, deadline = tmp_path / "r.npz.part", time.monotonic() + 100.0
+    while len(list(part.glob("[!.]*.npz"))) < 2:
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130 and "the same command goes on from there" in errors
+    before = {file.name: file.stat().st_mtime_ns for file in part.glob("[!.]*.npz")}
+    assert 2 <= len(before) < 50 and not output.exists()
+    done = call(*arguments)
+    assert done.code == 0 and not part.exists()
+    assert f"{12 * len(before)}/600 samples" in done.errors
+    assert read_body_reduction(output).training["states"] == 600
+
+
+@pytest.mark.slow
+def test_a_cluster_trains_the_same(trained, column, call, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True,
+                                  dashboard_address=None) as cluster:  # fmt: skip
+        done = call("reduce", column, "--output", tmp_path / "r.npz", "--scheduler",
+                    cluster.scheduler_address, *SMALL)  # fmt: skip
+    assert done.code == 0, done.errors
+    assert equal(trained, tmp_path / "r.npz")
+
+
+def test_an_error_that_fresh_states_exceed_after_the_last_round_is_said(capsys):
+    options = body_training.TrainingOptions(error=0.01)
+    shares = np.array([0.001, 0.02, 0.005])
+    judged = body_training.Judgement(shares * 0.1, shares)
+    assert not body_training._tell_whether_met(options, [], True, judged)
+    assert "is exceeded at 1 of the 3 fresh states" in capsys.readouterr().err
+    assert body_training._tell_whether_met(options, [], True, judged._replace(shares=shares / 3))
