@@ -617,8 +617,8 @@ def full_size(size: SizeMeasurement, sizes: Sequence[SizeMeasurement]) -> SizeMe
 
 
 def _bodies(scene: Scene) -> list[tuple]:
-    """Mesh, element and law of each body: what a reduced model has in common with its full one."""
-    return [(scene.file_path(body.mesh.file).resolve(), body.element, body.material.law)
+    """Mesh, element and material of each body, which a reduced model shares with its full one."""
+    return [(scene.file_path(body.mesh.file).resolve(), body.element, body.material)
             for body in scene.deformables]
 
 
