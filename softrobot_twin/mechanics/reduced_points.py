@@ -130,7 +130,10 @@ class ReducedPoints:
         if are_forces or not len(self._rest):
             return 0.0
         move = vectors[self._unknowns].ravel()
-        # A step asks for the same move several times; all points are a large product.
+        # A step asks for the same move several times, and in statics for the velocity, which is
+        # zero; all points are a large product.
+        if not move.any():
+            return 0.0
         if not np.array_equal(move, self._measured):
             write_displacements(self._by_coordinate, move, self._moved)
             self._longest, self._measured = longest_row(self._moved.reshape(-1, 3)), move
