@@ -498,7 +498,10 @@ def choose(
     scene = load_scene(scene_path)
     check_one_body(scene)
     write = write or Path(f"{scene.name}_{rate:g}hz.yaml")
-    named = [file for file in (own_file(scene),) if file is not None]
+    named = own_file(scene)
+    if named is not None and not named.is_file():
+        warn(f"{scene_path}: its reduced model {named} is not there, so it is no candidate")
+        named = None
     scene = without_reductions(scene)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
@@ -508,7 +511,8 @@ def choose(
     models = Models(levels, hexahedra)
     known = [row for row in known if row.mesh in models]
     found = beside(held.mesh_path.resolve().parent, write.resolve().parent)
-    for model in reduced_models([*named, *reduced], found, models.every):
+    given = [file for file in (named, *reduced) if file is not None]
+    for model in reduced_models(given, found, models.every):
         models.add(model)
     clock = None if measure is not None else SettingClock(held, rate, models.scene)
 
@@ -574,10 +578,12 @@ def _least_error(candidates: Iterable[Candidate]) -> float:
 def _machine_share(
     full: Sequence[AccuracyRow], held: Scene, clock: SettingClock | None
 ) -> float:  # fmt: skip
-    """Time of a step on this machine, by that in the file of errors."""
+    """Time of a step on this machine beside its other programs, by that in the file of errors."""
     own = [row.step_ms for row in full if row.mesh == held.mesh_path.stem
            and (row.element, row.law) == ("linear", held.body.material.law)]
-    return 1e3 * clock.reference / own[0] if own and clock is not None else 1.0
+    if clock is None or not own:
+        return 1.0
+    return 1e3 * clock.reference * clock.slowdown / own[0]
 
 
 def _foreseen(

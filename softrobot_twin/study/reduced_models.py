@@ -42,6 +42,7 @@ from softrobot_twin.study.accuracy_study import (
 )
 from softrobot_twin.study.body_training import (
     FRESH_SEED,
+    MARGIN,
     SNAPSHOTS,
     Training,
     TrainingOptions,
@@ -51,7 +52,7 @@ from softrobot_twin.study.body_training import (
     reduction_of,
     train_once,
 )
-from softrobot_twin.study.reduction_states import States, chains, columns_of, spread_of
+from softrobot_twin.study.reduction_states import States, columns_of
 from softrobot_twin.study.sample_workers import core_count
 
 SUFFIX = "_reduced.npz"
@@ -247,15 +248,15 @@ def make_trial(
     write_training_scene(scene, original, level)
     training = begin_training(scene, replace(options, output=file, workers=1))
     try:
-        samples = training.samples(options.snapshots or SNAPSHOTS, options.seed)
-        training.states("trial: states", samples)  # kept, so that their time is told apart
-        solved = time.perf_counter()
+        samples = training.samples(options.snapshots or SNAPSHOTS, options.seed, MARGIN)
+        judging = training.fresh_samples(max(2, options.states), FRESH_SEED)
+        # They are kept, so that the time for modes and points is told apart.
+        _, fresh = training.states("trial: states of the full model", samples, judging)
+        begin = time.perf_counter()
         trained, states = train_once(training)
-        sampling = time.perf_counter() - solved
+        sampling = time.perf_counter() - begin
         reduction = reduction_of(training.body, trained, np.full(2, np.nan), {})
         write_body_reduction(file, reduction, reduction_fingerprints(training.body))
-        samples = training.samples(max(2, options.states), options.seed + FRESH_SEED)
-        fresh = training.states("trial: fresh states", samples)
         error = _error(training, reduction, fresh.found())
     finally:
         shutil.rmtree(training.store.path, ignore_errors=True)
@@ -270,7 +271,7 @@ def _error(training: Training, reduction: BodyReduction, truth: States) -> float
     """
     held = truth.held(columns_of(training.simulation))
     own = training.solve(reduction, "in_use", held)
-    order = np.concatenate(chains(held, spread_of(held)))
+    order = np.concatenate(training.tours(held))
     training.simulation.reset()
     motion = truth.effectors[order] - training.simulation.effector_positions()
     apart = (own.effectors - truth.effectors[order])[own.is_found]
