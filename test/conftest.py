@@ -236,3 +236,52 @@ def air_scene(block, tmp_path_factory) -> dict:
         "markers": [{"id": 1, "point": [0.01, 0.01, 0.1]}],
         "solver": {"newton_iterations": 3, "residual_tolerance": 1e-5},
     }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def half_trained(tmp_path_factory) -> Path:
+    """Scene file of a small Diamond whose reduced body was trained on half of what its cables wind.
+
+    It has 24 modes in use and 24 spare ones, of 80 equilibria with each cable wound by up to 11 mm.
+    """
+    import numpy as np
+    import yaml
+
+    from softrobot_twin.scene import load_scene
+    from softrobot_twin.scene.loading import written_out
+    from softrobot_twin.simulation.body_reduction import (
+        reduction_fingerprints,
+        write_body_reduction,
+    )
+    from softrobot_twin.study.body_training import TrainingOptions, reduction_of, train
+    from softrobot_twin.study.reduction_basis import rest_stiffness
+    from softrobot_twin.study.reduction_states import (
+        Sampling,
+        StateFinder,
+        chains,
+        joined,
+        samples_of,
+        spread_of,
+        training_scene,
+    )
+    from softrobot_twin.study.workspace import sampled_axes
+
+    root, folder = Path(__file__).parents[1], tmp_path_factory.mktemp("half_trained")
+    mapping = written_out(yaml.safe_load((root / "config/scenes/diamond.yaml").read_text()))
+    mapping["body"]["mesh"]["file"] = str(root / "meshes/diamond_150.vtk")
+    mapping["body"]["element"] = "linear"
+    scene = folder / "scene.yaml"
+    scene.write_text(yaml.safe_dump(mapping))
+    sampling = Sampling("body")
+    finder = StateFinder(training_scene(load_scene(scene), sampling), "body")
+    names = [cable["name"] for cable in mapping["cables"]]
+    axes = sampled_axes(finder.simulation, [f"{name}_shortening_m=0:0.011" for name in names])
+    samples = samples_of(finder.simulation, axes, sampling, (), 80, 0)
+    states = joined([finder(samples[tour]) for tour in chains(samples, spread_of(samples))])
+    body = finder.simulation.model.bodies[0]
+    trained = train(body, rest_stiffness(body), states, 24, TrainingOptions(spare=24), 0.003)
+    reduction = reduction_of(body, trained, np.full(2, np.nan), {})
+    write_body_reduction(folder / "body.npz", reduction, reduction_fingerprints(body))
+    mapping["body"]["reduced"] = {"file": "body.npz"}
+    scene.write_text(yaml.safe_dump(mapping))
+    return scene

@@ -44,6 +44,7 @@ LATER_IMPORTS = {
     "command_line/commands.py": "only the demo needs ROS",
     "control/mesh_error_watch.py": "numpy must be imported after the process has lowered its "
                                    "priority, because threads of its libraries inherit it",
+    "control/reduction_error_watch.py": "as control/mesh_error_watch.py",
     "ros/process.py": "a node listens to signals before rclpy and the node's room are imported",
     "view/mirror.py": "only an open view needs rerun",
 }

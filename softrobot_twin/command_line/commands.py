@@ -6,6 +6,7 @@ import argparse
 import math
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from softrobot_twin.errors import SoftRobotTwinError
@@ -25,6 +26,7 @@ from softrobot_twin.study.body_training import (
 )
 from softrobot_twin.study.choice import choose
 from softrobot_twin.study.contact_growth import bench_contacts
+from softrobot_twin.study.controller_export import reduce_and_export
 from softrobot_twin.study.direct_run import (
     DEFAULT_RATE,
     Picture,
@@ -33,6 +35,7 @@ from softrobot_twin.study.direct_run import (
 )
 from softrobot_twin.study.explain import explain
 from softrobot_twin.study.offline_run import simulate
+from softrobot_twin.study.reduced_models import STUDY
 from softrobot_twin.study.reduction_states import TargetBox
 from softrobot_twin.study.stiffness import print_stiffness
 from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
@@ -311,8 +314,9 @@ def add_accuracy(commands) -> None:
         "laws, linearizations, QP tolerances and the factor's precision, against an extrapolation "
         "from quadratic meshes. Meshes of one family are in the folder of the scene's mesh, and "
         "their names differ only in the number at the end; a mesh without a family is refined "
-        "uniformly. Meshes of hexahedra have _hexa before that number and are compared too. This "
-        "takes minutes.")
+        "uniformly. Meshes of hexahedra have _hexa before that number and are compared too. Reduced "
+        "models are measured beside their full ones: that of the scene, and those of --reduced and "
+        "--train. This takes minutes.")
     add_scene(parser)
     parser.add_argument("--output", default=Path("out/accuracy"), metavar="FOLDER", type=Path,
                         help="folder for accuracy.csv and accuracy.png (default out/accuracy)")
@@ -320,14 +324,23 @@ def add_accuracy(commands) -> None:
                         help="most dof of a setting that is timed (default 60000)")
     parser.add_argument("--reference-dof", default=200_000, type=positive_count, metavar="N",
                         help="most dof of a mesh of the reference (default 200000)")
+    parser.add_argument("--reduced", nargs="+", default=(), metavar="FILE.npz", type=Path,
+                        help="reduced models of these meshes, written by 'reduce'")
+    parser.add_argument("--train", nargs="*", metavar="MESH:ELEMENT",
+                        help="first train reduced models of these meshes, such as "
+                        "robot_4500:quadratic; without a name, of the most accurate one. They are "
+                        "kept in FOLDER/reduced. A training takes minutes")
 
 
 def add_choose(commands) -> None:
     """Declares ``choose``."""
     parser = add_command(
         commands, "choose", _choose, "find the most accurate setting that keeps a rate",
-        "Time meshes, elements, laws and numbers of linearizations on this machine, "
-        "print the most accurate setting that keeps the rate with a margin, and write its scene.")
+        "Time meshes, elements, laws, reduced models and numbers of linearizations on this machine, "
+        "print the most accurate setting that keeps the rate with a margin, and write its scene. "
+        "Reduced models are that of the scene, files *_reduced.npz beside its mesh and beside "
+        "the scene that is written, and those of --reduced. Where one that is not there would be "
+        "better, a trial on the coarsest mesh tells its error and the time of its training.")
     add_scene(parser)
     parser.add_argument("--rate", required=True, type=rate, metavar="HZ", help="rate to keep [Hz]")
     parser.add_argument("--accuracy", metavar="FILE.csv", type=Path,
@@ -335,14 +348,35 @@ def add_choose(commands) -> None:
                         "does not exist")
     parser.add_argument("--write", metavar="FILE.yaml", type=Path,
                         help="scene file to write (default <name>_<rate>hz.yaml here)")
+    parser.add_argument("--reduced", nargs="+", default=(), metavar="FILE.npz", type=Path,
+                        help="further reduced models of these meshes, written by 'reduce'")
+    parser.add_argument("--train", action="store_true",
+                        help="first train the reduced model that is expected to be the best, where "
+                        "one is expected to be better than what there is; the file is beside the "
+                        "scene that is written. After Ctrl-C the same command goes on")
+    sampled = parser.add_argument_group("what a training samples, see 'reduce'")
+    sampled.add_argument("--targets", nargs="+", default=(), type=target_box, metavar="BOX",
+                         help="targets in place of the box of the actuators: "
+                         "NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]")
+    sampled.add_argument("--loads", type=positive, default=0.0, metavar="N",
+                         help="forces up to this [N] at the effectors (default none)")
+    sampled.add_argument("--tilts", type=tilt, default=0.0, metavar="DEGREES",
+                         help="directions of gravity up to this angle from the scene's")
 
 
 def _accuracy(chosen: argparse.Namespace) -> int:
-    return accuracy(chosen.scene, chosen.output, Limits(chosen.timed_dof, chosen.reference_dof))
+    if chosen.train is not None:
+        enable_interrupts()
+    return accuracy(chosen.scene, chosen.output, Limits(chosen.timed_dof, chosen.reference_dof),
+                    chosen.reduced, chosen.train)
 
 
 def _choose(chosen: argparse.Namespace) -> int:
-    return choose(chosen.scene, chosen.rate, chosen.accuracy, chosen.write)
+    if chosen.train:
+        enable_interrupts()
+    options = replace(STUDY, targets=tuple(chosen.targets), load=chosen.loads, tilt=chosen.tilts)
+    return choose(chosen.scene, chosen.rate, chosen.accuracy, chosen.write,
+                  reduced=chosen.reduced, train=chosen.train, options=options)
 
 
 class NoRosError(SoftRobotTwinError):
@@ -423,6 +457,10 @@ def add_reduce(commands) -> None:
     parser.add_argument("--output", metavar="FILE.npz", type=Path,
                         help="file to write (default <name of the scene>_reduced.npz beside the "
                         "mesh)")
+    parser.add_argument("--export", metavar="ROBOT.npz", type=Path,
+                        help="write a file with all that steps the reduced robot without a mesh "
+                        "library, see docs/reduced_controller.md; a scene whose body is reduced "
+                        "already is not trained again unless another option asks for it")
     sampled = parser.add_argument_group("what is sampled")
     sampled.add_argument("--snapshots", type=positive_count, metavar="N",
                          help=f"states of the full model (default {SNAPSHOTS}; with --error "
@@ -538,10 +576,13 @@ def _reduce(chosen: argparse.Namespace) -> int:
     if chosen.modes is not None and chosen.energy is not None:
         raise OptionError("--energy", "has no effect with --modes")
     enable_interrupts()
-    return reduce(chosen.scene, TrainingOptions(
+    options = TrainingOptions(
         chosen.body, chosen.output, chosen.snapshots, tuple(chosen.ranges), tuple(chosen.targets),
         chosen.loads, tuple(chosen.load_points or ()), chosen.surface_loads or 0, chosen.tilts,
         ENERGY if chosen.energy is None else chosen.energy, chosen.modes, chosen.spare_modes,
         chosen.tolerance, chosen.error, chosen.states, chosen.seed, chosen.workers,
         chosen.scheduler, chosen.along, chosen.around or AROUND,
-    ))  # fmt: skip
+    )  # fmt: skip
+    if chosen.export is not None:
+        return reduce_and_export(chosen.scene, options, chosen.export)
+    return reduce(chosen.scene, options)

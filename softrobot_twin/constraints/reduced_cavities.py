@@ -419,6 +419,11 @@ class ReducedCavities(ConstantRows):
         ]  # fmt: skip
 
     @property
+    def bodies(self) -> tuple[BodyVolumes, ...]:
+        """The volumes of each body by its coordinates."""
+        return self._bodies
+
+    @property
     def walls(self) -> ReducedCavities:
         """Itself: it answers what pictures and limits ask of `CavitySurfaces`."""
         return self

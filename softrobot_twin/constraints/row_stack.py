@@ -86,7 +86,7 @@ class RowStack:
         reached = np.concatenate(
             [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
         )
-        self._carried = None
+        self._carried = self._elsewhere = None
         if points is not None and (reached >= points.free_count).any():
             self._carried = CarriedRows(points, self._entry_room)
             own = reached[reached < points.free_count]
@@ -210,7 +210,7 @@ class RowStack:
     def actuator_blocks_at(self, positions: np.ndarray) -> np.ndarray:
         """Entries of the actuators' rows at another state, which come first in `blocks`.
 
-        Nothing is stored. Only for rows that do not act at carried points.
+        Nothing is stored. The carried points of the rows, if any, are those of reduced bodies.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -225,7 +225,18 @@ class RowStack:
             entries = slice(entry, entry + len(own))
             term.evaluate(positions, blocks[entries], values[rows])
             entry = entries.stop
-        return blocks
+        if self._carried is None:
+            return blocks
+        if self._elsewhere is None:
+            self._elsewhere = CarriedRows(self._carried.points, self._entry_room)
+        written, nodes, _ = self._written
+        count = self._elsewhere.reduce(positions, written[:entry], nodes[:entry], blocks)
+        return self._elsewhere.blocks[:count].copy()
+
+    @property
+    def actuator_entry_count(self) -> int:
+        """Entries of the actuators' rows at the state evaluated last, which come first."""
+        return int(np.count_nonzero(self.row_index < self.groups.actuators.stop))
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the efforts at which an `EffortTerm` or a `YieldingTerm` is evaluated; does nothing

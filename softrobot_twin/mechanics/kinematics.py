@@ -451,6 +451,7 @@ class CarriedRows:
     """Entries of H at the unknowns, in memory that is reused from call to call.
 
     Attributes:
+        points: The carried points.
         count: Number of entries written last.
         row_index: Row of each entry; the first `count` hold, shape (capacity,).
         node_index: Its unknown, shape (capacity,).
@@ -464,12 +465,12 @@ class CarriedRows:
             points: The carried points.
             most_entries: Entries that are expected at most; memory grows where more come.
         """
-        self._points = points
+        self.points = points
         self.count = 0
         self._allocate(most_entries)
 
     def _allocate(self, most_entries: int) -> None:
-        capacity = max(1, self._points.unknowns.shape[1]) * most_entries
+        capacity = max(1, self.points.unknowns.shape[1]) * most_entries
         self.row_index = np.zeros(capacity, dtype=np.int64)
         self.node_index = np.zeros(capacity, dtype=np.int64)
         self.blocks = np.zeros((capacity, 3))
@@ -492,7 +493,7 @@ class CarriedRows:
         Returns:
             Number of entries written, `count`.
         """
-        points = self._points
+        points = self.points
         if points.unknowns.shape[1] * len(row_index) > len(self.row_index):
             self._allocate(2 * len(row_index))
         points.update(positions)

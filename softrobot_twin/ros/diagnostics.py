@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 
 _MILLI = 1.0e3
+# An error of a reduced body is a warning above both of these: by the displacement of the effector,
+# and by the size of the scene.
+_LARGE_SHARE, _LARGE_BY_SIZE = 0.05, 0.001
 
 
 _EXCEEDED = ".force_limit_exceeded"
@@ -103,11 +107,13 @@ class TwinDiagnostics:
         mesh_error: Estimate of the discretization error, or None.
         node: The node that runs the loop, for its name, priority, clocks and topics; None for a
             loop without a node.
+        reduction: Estimates errors of reduced bodies, or None.
     """
 
     def __init__(
         self, loop: TwinLoop, clock: TickClock, window: DiagnosticsWindow, feed: ViewFeed | None,
         mesh_error: MeshErrorWatch | None = None, node: TwinNode | None = None,
+        reduction: ReductionErrorWatch | None = None,
     ):
         self._loop, self._clock, self._window, self._feed = loop, clock, window, feed
         self._node = node
@@ -115,7 +121,7 @@ class TwinDiagnostics:
         self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
         self._last_counts: dict[str, int] = {}
         self._late = 0
-        self._mesh_error = mesh_error
+        self._mesh_error, self._reduction = mesh_error, reduction
 
     @property
     def discretization_error(self) -> float:
@@ -218,13 +224,17 @@ class TwinDiagnostics:
             "projected": window.projected,
             "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
-        reduced = simulation.reduction_state()
+        reduced = simulation.reduction_state(with_errors=False)
+        if self._reduction is not None and not simulation.falls_back:
+            for name, state in self._reduction.states.items():
+                reduced[name] = state._replace(range=reduced[name].range)
         for name, state in reduced.items():
             values |= {f"{name}_sampled_range": state.range,
                        f"{name}_reduction_error_mm": state.error * _MILLI,
                        f"{name}_reduction_error_percent": 100.0 * state.share,
                        f"{name}_measured_error_percent": 100.0 * state.measured_median,
                        f"{name}_measured_error_worst_percent": 100.0 * state.measured_worst}
+        values |= self._of_full_model()
         for key, outside in window.strains.items():
             values |= {f"{key}_least_strain_percent": 100.0 * outside.least,
                        f"{key}_greatest_strain_percent": 100.0 * outside.greatest}
@@ -233,17 +243,18 @@ class TwinDiagnostics:
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
         if window.overloaded and level == OK:
             return WARN, f"overload: {window.overloaded} ticks without time to linearize", values
-        outside = [name for name, state in reduced.items() if state.range > 1.0]
-        if outside and level == OK:
-            names = ", ".join(outside)
-            return WARN, f"{names}: outside of the range that they were reduced in", values
+        outside = ", ".join(name for name, state in reduced.items() if state.range > 1.0)
+        doubts = [f"{outside}: outside of the range of its reduction"] if outside else []
+        doubts += [wrong] if (wrong := self._wrong_bodies()) else []
+        if doubts and level == OK:
+            return WARN, "; ".join(doubts), values
         if window.strains and level == OK:
             words = "; ".join(outside.in_words() for outside in window.strains.values())
             return WARN, words, values
         message = window.worst.value
         if window.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
             message += f": residual {window.residual_max:.2g} N"
-        return level, message, values
+        return level, "; ".join([message, *doubts]), values
 
     def _of_mesh(self) -> dict[str, object]:
         """Estimated error of the mesh at rest [%], or the reason why it is not estimated."""
@@ -263,6 +274,30 @@ class TwinDiagnostics:
                 "quadratic_step_ms": better.step_time * _MILLI,
             }
         return values
+
+    def _of_full_model(self) -> dict[str, object]:
+        """Distance of the effectors from those of the full model, or why it is not known."""
+        watch = self._reduction
+        if watch is None:
+            return {}
+        state = "compared" if watch.answers else "waiting for idle time"
+        values: dict[str, object] = {"full_model": watch.cause or state}
+        for name, error in watch.newest.items():
+            values |= {f"{name}_full_model_error_mm": error.distance * _MILLI,
+                       f"{name}_full_model_error_percent": 100.0 * error.share}
+        return values
+
+    def _wrong_bodies(self) -> str:
+        """Reduced bodies that the full model finds far from where it has them, in words."""
+        if self._reduction is None or self._loop.simulation.falls_back:
+            return ""
+        least = _LARGE_BY_SIZE * self._loop.simulation.model.nodes.size
+        return "; ".join(
+            f"{name}: {error.distance * _MILLI:.2g} mm ({100.0 * error.share:.0f} % of the "
+            "displacement) from the full model"
+            for name, error in self._reduction.newest.items()
+            if error.distance > least and error.share > _LARGE_SHARE
+        )
 
     def _of_touches(self):
         inputs, newest = self._loop.touches, self._window.newest

@@ -209,6 +209,8 @@ TWIN = COMMON + RUNTIME + (
           "starts from the measured setpoints.", read_only=True),
     Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest "
           "priority.", read_only=True),
+    Entry("reduction_error", True, "Compare reduced bodies with the full model, in a process of the "
+          "lowest priority; nothing in scenes without them.", read_only=True),
     Entry("velocity_effector", "",
           "Effector whose target target_velocity moves; empty for the first.", read_only=True),
     Entry("priority", Priority.REAL_TIME.value, "Priority requested for the ticks: real-time "

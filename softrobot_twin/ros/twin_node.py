@@ -24,6 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
@@ -350,6 +351,7 @@ class TwinNode(TickingNode):
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
+    _reduction: ReductionErrorWatch | None = None
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
@@ -366,6 +368,8 @@ class TwinNode(TickingNode):
             self.get_logger().warning(note)
         if values["mesh_error"]:
             self._mesh_error = MeshErrorWatch(simulation)
+        if values["reduction_error"] and simulation.has_reduced_bodies:
+            self._reduction = ReductionErrorWatch(simulation)
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
             self._velocity_effector(simulation), str(values["frame_id"]),
@@ -374,7 +378,6 @@ class TwinNode(TickingNode):
         for note in self.loop.cavities.notes:
             self.get_logger().warning(note)
         simulation.warm_up()
-        simulation.reduction_state()  # builds what the diagnostics read
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
         self._window = DiagnosticsWindow()
@@ -383,7 +386,8 @@ class TwinNode(TickingNode):
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
         self._diagnostics = TwinDiagnostics(
-            self.loop, self.tick_clock, self._window, self._feed, self._mesh_error, self
+            self.loop, self.tick_clock, self._window, self._feed, self._mesh_error, self,
+            self._reduction,
         )
         self._open_outputs()
         self._open_inputs()
@@ -651,6 +655,8 @@ class TwinNode(TickingNode):
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
         self._watch_mesh_error(now)
+        if self._reduction is not None and not self.loop.simulation.falls_back:
+            self._reduction.offer(self.loop.simulation, False, now)
         message = DiagnosticArray(status=self._diagnostics.statuses(now))
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_out.publish(message)
@@ -733,6 +739,8 @@ class TwinNode(TickingNode):
         """
         if self._mesh_error is not None:
             self._mesh_error.close()
+        if self._reduction is not None:
+            self._reduction.close()
         if self._feed is not None:
             self._feed.close()
         super().destroy_node()

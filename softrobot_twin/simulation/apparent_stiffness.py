@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.constraints.effector import along_all_axes
-from softrobot_twin.constraints.row_stack import add_row_forces
+from softrobot_twin.constraints.row_stack import RowStack, add_row_forces
 from softrobot_twin.mechanics.force_term import SECOND_DIFFERENCE
 from softrobot_twin.simulation.apparent_compliance import SHARING
 from softrobot_twin.simulation.linearized import Linearized
@@ -92,15 +92,16 @@ class ApparentStiffness:
         """Lay out the loads.
 
         Args:
-            model: A scene in statics, whose unknowns are nodes, with actuators that do not yield,
-                without contact and slides; see `why_no_stiffness`.
+            model: A scene in statics, whose unknowns are nodes or coordinates of reduced bodies,
+                with actuators that do not yield, without contact and slides; see
+                `why_no_stiffness`.
         """
         self._model, self._free_nodes = model, model.nodes.free_nodes
         self._reach = REACH * model.nodes.size
         points = along_all_axes(model.effectors, model.nodes.free_index, model.nodes.size)
-        blocks, values = np.empty((len(points.entry_rows), 3)), np.empty(points.row_count)
-        points.evaluate(model.nodes.rest_positions, blocks, values)
-        self._loads = points.entry_rows, points.entry_nodes, blocks
+        rows = RowStack([points], model.nodes.carried)
+        rows.evaluate(model.nodes.rest_positions)
+        self._loads = rows.row_index, rows.node_index, rows.blocks
         # Rows of axes that the scene controls, which are condensed already.
         own = model.effectors
         places = 3 * own.row_effector[: own.position_row_count] + own.row_axis
@@ -180,8 +181,7 @@ class ApparentStiffness:
     ) -> tuple[np.ndarray, np.ndarray]:
         """s = ∂C/∂q, shape (free_node_count, 3), and ∂C/∂λ, shape (actuator_row_count,)."""
         model, positions = self._model, state.positions
-        direction = np.zeros_like(positions)
-        direction[self._free_nodes] = x
+        direction = self._moves_of_nodes(positions, x)
         curvature = np.zeros_like(x)
         for term in model.forces:
             term.add_force_curvature(positions, direction, self._reach, curvature)
@@ -190,6 +190,15 @@ class ApparentStiffness:
         self._add_row_forces(second, state.efforts, gradient)
         self._add_row_forces(first, 2.0 * Lambda, gradient)
         return gradient, self._row_motion(x, first)
+
+    def _moves_of_nodes(self, positions: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Moves of all nodes by those of the unknowns, zero where they are fixed."""
+        nodes, moves = self._model.nodes, x
+        if nodes.carried is not None:
+            moves = nodes.carried.point_moves(positions, x)
+        found, moving = np.zeros_like(positions), nodes.free_index >= 0
+        found[moving] = moves[nodes.free_index[moving]]
+        return found
 
     def _row_derivatives(
         self, positions: np.ndarray, direction: np.ndarray
@@ -229,9 +238,7 @@ class ApparentStiffness:
     @property
     def _entry_count(self) -> int:
         """Entries of the actuators' rows, which come first."""
-        return sum(
-            len(term.entry_rows) for term in self._model.rows.terms if term.group == "actuators"
-        )
+        return self._model.rows.actuator_entry_count
 
 
 def why_no_stiffness(model: Model) -> str:
@@ -239,7 +246,8 @@ def why_no_stiffness(model: Model) -> str:
     rows, nodes = model.rows, model.nodes
     if model.is_dynamic:
         return "integration other than quasi_static"
-    if nodes.free_node_count != len(nodes.free_nodes) or nodes.carried is not None:
+    is_linear = all(kind.has_constant_derivatives for kind in nodes.kinds)
+    if nodes.free_node_count != len(nodes.free_nodes) or not is_linear:
         return "rigid bodies, beams or vertebrae"
     if rows.varies:
         return "contact"

@@ -116,6 +116,9 @@ class Model:
         solved = any(term.group != "effectors" for term in self.rows.terms)
         optimise = ("optimise",) if solved else ()
         stiffness = ("stiffness",) if self.weighs_stiffness else ()
+        reduced = (body.entry.reduced for body in self.bodies)
+        falls_back = any(entry is not None and entry.fallback is not None for entry in reduced)
+        fallback = ("fallback",) if falls_back else ()
         return (
-            *detect, "assemble", "factor", "condense", *stiffness, *optimise, "correct", "residual"
+            *fallback, *detect, "assemble", "factor", "condense", *stiffness, *optimise, "correct", "residual"
         )  # fmt: skip

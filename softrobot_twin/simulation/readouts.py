@@ -21,8 +21,8 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.reduction_error import (
     ReductionErrors,
-    coordinate_ranges,
     has_spare_modes,
+    reduced_bodies,
     reduced_states,
     with_spare_modes,
 )
@@ -159,17 +159,27 @@ class Readouts:
         """
         return 3 * self.model.nodes.free_node_count
 
-    def reduction_state(self) -> dict[str, ReductionState]:
+    @property
+    def has_reduced_bodies(self) -> bool:
+        """Whether a body has the coordinates of a basis as its unknowns."""
+        return bool(reduced_bodies(self.model))
+
+    def reduction_state(self, with_errors: bool = True) -> dict[str, ReductionState]:
         """How far each reduced body can be believed now, by its name.
 
-        At the first call the simulation with spare modes is built: call it once before a loop.
+        At the first call with errors the simulation with spare modes is built.
+
+        Args:
+            with_errors: Whether errors of bodies in the coordinates of a basis are estimated, which
+                takes the time of a step with the spare modes; else they are NaN.
         """
         states = {
             name: reduction_state(self.model, name, self.state.positions)
             for name in self.model.superelements
         }
-        if coordinate_ranges(self.model):
-            states |= reduced_states(self.model, self.state, self.reduction_errors())
+        if self.has_reduced_bodies:
+            errors = self.reduction_errors() if with_errors else None
+            states |= reduced_states(self.model, self.state, errors)
         return states
 
     def reduction_errors(self) -> ReductionErrors | None:

@@ -34,20 +34,25 @@ COMMAND = "python -m softrobot_twin reduce"
 
 def without_reductions(scene: Scene) -> Scene:
     """The same scene with all nodes of its reduced bodies as unknowns."""
-    return _with_entries(scene, {
+    return with_entries(scene, {
         body.name: None for body in scene.deformables if body.reduced is not None
     })  # fmt: skip
 
 
+def without_fallback(scene: Scene) -> Scene:
+    """The same scene with reduced bodies that stay what they are, whatever their error is."""
+    return with_reduced_entries(scene, {"fallback": None, "error": None})
+
+
 def with_reduced_entries(scene: Scene, changes: dict) -> Scene:
     """The same scene with some keys of `reduced` of its reduced bodies changed."""
-    return _with_entries(scene, {
+    return with_entries(scene, {
         body.name: body.reduced.model_copy(update=changes)
         for body in scene.deformables if body.reduced is not None
     })  # fmt: skip
 
 
-def _with_entries(scene: Scene, reduced: dict) -> Scene:
+def with_entries(scene: Scene, reduced: dict) -> Scene:
     """The same scene with other entries `reduced` of some bodies, by their names."""
     bodies = tuple(
         body.model_copy(update={"reduced": reduced[body.name]}) if body.name in reduced else body

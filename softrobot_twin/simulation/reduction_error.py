@@ -28,7 +28,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.reduced_body import with_reduced_entries
+from softrobot_twin.simulation.reduced_body import with_reduced_entries, without_fallback
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.simulation.vertebrae_watch import ReductionState
@@ -64,9 +64,14 @@ class CoordinateRange(NamedTuple):
         return float(np.sqrt(shares @ shares))
 
 
+def reduced_bodies(model: Model) -> tuple[Body, ...]:
+    """The bodies in the coordinates of a basis, in the order of their nodes."""
+    return tuple(body for body in model.bodies if body.reduction is not None)
+
+
 def coordinate_ranges(model: Model) -> tuple[CoordinateRange, ...]:
     """Ranges of all bodies in the coordinates of a basis; empty without any."""
-    return tuple(map(_range_of, _reduced(model)))
+    return tuple(map(_range_of, reduced_bodies(model)))
 
 
 def _range_of(body: Body) -> CoordinateRange:
@@ -85,13 +90,21 @@ def _range_of(body: Body) -> CoordinateRange:
 def with_spare_modes(scene: Scene) -> Scene:
     """The scene with the spare modes of its reduced bodies in use, and one linearization a step."""
     solver = scene.solver.model_copy(update={"newton_iterations": 1})
-    extended = with_reduced_entries(scene, {"spare_modes": True})
+    extended = with_reduced_entries(without_fallback(scene), {"spare_modes": True})
     return extended.model_copy(update={"solver": solver})
+
+
+def present_touches(state: State) -> Touched | None:
+    """The forces of a state's touches as what is measured; None in a scene without touches."""
+    if state.touches is None:
+        return None
+    forces = state.touches.forces
+    return Touched(forces, np.full_like(forces, np.nan))
 
 
 def has_spare_modes(model: Model) -> bool:
     """Whether a reduced body has modes that are not in use."""
-    return any(body.reduction.reduction.spare_count for body in _reduced(model))
+    return any(body.reduction.reduction.spare_count for body in reduced_bodies(model))
 
 
 class ReductionErrors:
@@ -109,7 +122,6 @@ class ReductionErrors:
             extended: The one of the scene that `with_spare_modes` makes of its scene.
         """
         self.extended, self._model = extended, simulation.model
-        self._rest = simulation.model.nodes.rest_positions
         self._inserted = np.empty(0, np.int64)
         for own, more in zip(simulation.model.bodies, extended.model.bodies, strict=True):
             if own.reduction is not None:
@@ -139,24 +151,29 @@ class ReductionErrors:
         if effectors is None:
             return np.empty(0)
         extended.restore(self.lifted(state))
-        touched = None
-        if state.touches is not None:
-            forces = state.touches.forces
-            touched = Touched(forces, np.full_like(forces, np.nan))
-        result = extended.step(CommandSetpoints(state.setpoints, LONG), touched=touched)
+        result = extended.step(
+            CommandSetpoints(state.setpoints, LONG), touched=present_touches(state)
+        )
         if result.status.is_failure:
             return np.full(len(result.effector_positions), np.nan)
         before = effectors.positions(state.positions)
         return np.linalg.norm(result.effector_positions - before, axis=1)
 
-    def shares(self, moves: np.ndarray, state: State) -> np.ndarray:
-        """The same by the displacement of each effector from rest, shape (effector_count,)."""
-        effectors = self._model.effectors
-        if effectors is None:
-            return moves
-        places = effectors.positions(state.positions) - effectors.positions(self._rest)
-        distances = np.linalg.norm(places, axis=1)
-        return np.divide(moves, distances, out=np.full_like(moves, np.nan), where=distances > 0.0)
+
+def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.ndarray:
+    """Distances by the displacement of each effector from rest; NaN where it is at rest.
+
+    Args:
+        model: The scene.
+        moves: A distance of each effector [m], shape (effector_count,).
+        state: Its state.
+    """
+    effectors = model.effectors
+    if effectors is None:
+        return moves
+    places = effectors.positions(state.positions)
+    distances = np.linalg.norm(places - effectors.positions(model.nodes.rest_positions), axis=1)
+    return np.divide(moves, distances, out=np.full_like(moves, np.nan), where=distances > 0.0)
 
 
 def reduced_states(
@@ -172,29 +189,30 @@ def reduced_states(
     moves = shares = np.full(len(model.scene.effectors), np.nan)
     if errors is not None:
         moves = errors.moves(state)
-        shares = errors.shares(moves, state)
-    states = {}
-    for body, coordinates in zip(_reduced(model), coordinate_ranges(model), strict=True):
-        own = _on_body(model, body.name)
-        states[body.name] = ReductionState(
-            coordinates.share(state.positions), _largest(moves[own]),
-            *map(float, body.reduction.reduction.measured), _largest(shares[own]),
-        )  # fmt: skip
-    return states
+        shares = shares_of_displacement(model, moves, state)
+    moves, shares = (largest_on_each_body(model, values) for values in (moves, shares))
+    return {
+        body.name: ReductionState(
+            coordinates.share(state.positions), moves[body.name],
+            *map(float, body.reduction.reduction.measured), shares[body.name],
+        )
+        for body, coordinates in zip(reduced_bodies(model), coordinate_ranges(model), strict=True)
+    }  # fmt: skip
 
 
-def _reduced(model: Model) -> tuple[Body, ...]:
-    return tuple(body for body in model.bodies if body.reduction is not None)
+def largest_on_each_body(model: Model, values: np.ndarray) -> dict[str, float]:
+    """The largest value of the effectors that judge each reduced body, by its name.
 
+    Args:
+        model: The scene.
+        values: One of each effector, shape (effector_count,).
 
-def _largest(values: np.ndarray) -> float:
-    """The largest; NaN where one is, and without any."""
-    return float(values.max()) if len(values) else float("nan")
-
-
-def _on_body(model: Model, name: str) -> np.ndarray:
-    """Which effectors judge a body: those on it, else all, shape (effector_count,)."""
-    only = len(model.bodies) == 1
-    entries = model.scene.effectors
-    own = np.array([entry.body == name or (entry.body is None and only) for entry in entries], bool)
-    return own if own.any() else np.ones(len(entries), bool)
+    Returns:
+        Of the effectors on it, else of all; NaN where one is, and without effectors.
+    """
+    only, entries, found = len(model.bodies) == 1, model.scene.effectors, {}
+    for body in reduced_bodies(model):
+        own = [entry.body == body.name or (entry.body is None and only) for entry in entries]
+        chosen = values[own] if any(own) else values
+        found[body.name] = float(chosen.max()) if len(chosen) else float("nan")
+    return found

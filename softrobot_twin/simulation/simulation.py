@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -24,6 +25,7 @@ from softrobot_twin.simulation.command import (
     Hold,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
+from softrobot_twin.simulation.fallback import Fallback, build_fallback
 from softrobot_twin.simulation.generalized_alpha import GeneralizedAlpha
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.inverse_actuation import build_inverse
@@ -127,7 +129,9 @@ class Simulation(Readouts):
             self._stiffness = StiffnessTargets(self.model)
         self._reading = Interpretation(self.model)
         self._find_surface()
+        self._fallback: Fallback | None = None
         self.reset()
+        self._fallback = build_fallback(self)
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Simulation:
@@ -141,6 +145,8 @@ class Simulation(Readouts):
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
+        if self._fallback is not None:
+            self._fallback.reset(self)
         count = len(self.actuator_names)
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
@@ -170,6 +176,8 @@ class Simulation(Readouts):
         Raises:
             CommandError: The state is of another scene or mesh.
         """
+        if self._fallback is not None:
+            self._fallback.fit(self, state)
         if (
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
@@ -197,6 +205,11 @@ class Simulation(Readouts):
         """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
         return self._newton.static_factorization
 
+    @property
+    def falls_back(self) -> bool:
+        """Whether another model than that of the scene is in use; see `fallback.py`."""
+        return self._fallback is not None and self._fallback.is_active
+
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
@@ -205,6 +218,8 @@ class Simulation(Readouts):
         run_every_path(self)
         self._direct.warm_up()
         self.restore(before)
+        if self._fallback is not None:
+            self._fallback.warm_up()
         self._time_budget = TimeBudget()
 
     def step(
@@ -232,6 +247,9 @@ class Simulation(Readouts):
             CommandError: The command or the touch does not fit this scene, or is not finite.
         """
         clock = StageClock(self._now)
+        if self._fallback is not None:
+            self._fallback.choose(self)
+            clock.mark("fallback")
         command, holds_others = self._touch(command, touched)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
@@ -563,9 +581,13 @@ class Simulation(Readouts):
             None if self._touches is None else self._touches.end(outcome.positions),
             self._history(outcome.positions),
         )  # fmt: skip
-        return self._results.of_step(
+        result = self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
         )
+        if not self.falls_back:
+            return result
+        limits = (*result.report.active_limits, *self._fallback.limits)
+        return replace(result, report=replace(result.report, active_limits=limits))
 
     def _slips(self, outcome: Outcome) -> np.ndarray:
         """Shares of friction along cables where a step ended; see `State`."""

@@ -13,6 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.simulation.reduced_body import without_reductions
 from softrobot_twin.study.accuracy_study import (
     ASSUMED_ORDER,
     CASES,
@@ -20,9 +21,14 @@ from softrobot_twin.study.accuracy_study import (
     NEWTON,
     PRECISION,
     QP,
+    REDUCED,
+    AccuracyError,
     AccuracyRow,
     Limits,
+    MeshLevel,
+    ReducedModel,
     Reference,
+    Study,
     approximate_duration,
     check_one_body,
     hexahedral_family,
@@ -32,6 +38,7 @@ from softrobot_twin.study.accuracy_study import (
     shown_progress,
     study_meshes,
     study_parts,
+    study_reduced,
     study_seconds,
     vary_knobs,
     with_hold_radius,
@@ -40,6 +47,12 @@ from softrobot_twin.study.accuracy_study import (
 from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.figure import figure_file, load_pyplot
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.study.reduced_models import (
+    every_level,
+    own_file,
+    reduced_models,
+    train_level,
+)
 from softrobot_twin.study.terminal import console, table
 
 _CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
@@ -59,12 +72,42 @@ def mesh_table(rows: Sequence[AccuracyRow]) -> Table:
     return made
 
 
+def reduced_table(rows: Sequence[AccuracyRow]) -> Table | None:
+    """Table of the reduced models, each beside the full model of its mesh; None without any."""
+    reduced = [row for row in rows if row.knob == REDUCED]
+    if not reduced:
+        return None
+    made = table("Reduced models: errors include that of the mesh, in brackets those of its full "
+                 "model", "file", "mesh", "element", "modes", "points", "step [ms]", "p99 [ms]",
+                 *(_CASE_LABELS[case] for case in CASES))
+    for row in reduced:
+        full = full_row(rows, row)
+        made.add_row(row.file, row.mesh, row.element, str(row.mode_count), str(row.point_count),
+                     _beside(f"{row.step_ms:.2f}", full and f"{full.step_ms:.2f}"),
+                     _beside(f"{row.step_p99_ms:.2f}", full and f"{full.step_p99_ms:.2f}"),
+                     *(_beside(_percent(getattr(row, f"error_{case}")),
+                               full and _percent(getattr(full, f"error_{case}")))
+                       for case in CASES))
+    return made
+
+
+def full_row(rows: Sequence[AccuracyRow], reduced: AccuracyRow) -> AccuracyRow | None:
+    """The row of the full model of a reduced one; None where it was not measured."""
+    own = reduced.mesh, reduced.element, reduced.law
+    return next((row for row in rows if (row.mesh, row.element, row.law) == own
+                 and row.knob == MESH), None)
+
+
+def _beside(text: str, other: str | None) -> str:
+    return text if other is None else f"{text} ({other})"
+
+
 def knob_table(rows: Sequence[AccuracyRow]) -> Table:
     """Table of the errors that are added by the other settings."""
     made = table("Error added by other settings, on the scene's own mesh", "varied", "setting",
                  "step [ms]", "added error [%]")
     for row in rows:
-        if row.knob != MESH:
+        if row.knob not in (MESH, REDUCED):
             made.add_row(row.knob, row.setting, f"{row.step_ms:.2f}",
                          f"{100.0 * row.error_added:.2g}")
     return made
@@ -87,6 +130,7 @@ def _percent(share: float) -> str:
 
 
 _COLOURS = {"linear": "#1b6ca8", "quadratic": "#d95f02", "hexahedral": "#4d9221"}
+_REDUCED_COLOUR = "#7b3294"
 _CELLS = {"linear": "linear tets", "quadratic": "quadratic tets", "hexahedral": "hexahedra"}
 # Where the sizes of meshes are written, above or below their points.
 _UPWARDS = {"linear": 6, "quadratic": -11, "hexahedral": -11}
@@ -184,6 +228,7 @@ def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
                       label=f"{_CELLS[element]}, {law} law; numbers: nodes of the mesh")
             if law == "corotational":
                 _name_meshes(axes, shown, colour, _UPWARDS[element])
+    _draw_reduced(axes, rows)
     axes.set(xscale="log", yscale="log", ylabel="effector error [% of its displacement]",
              title="Error against time of a step, displacements prescribed (the larger of the "
              "errors with and without gravity): mesh, element, law")
@@ -196,6 +241,24 @@ def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
     _draw_rates(axes)
     _plain_percent(axes)
     axes.legend(loc="upper right", fontsize=8)
+
+
+def _draw_reduced(axes, rows: Sequence[AccuracyRow]) -> None:
+    """Reduced models, each with a line to the full model of its mesh."""
+    reduced = [row for row in rows if row.knob == REDUCED and np.isfinite(row.error)]
+    for row in reduced:
+        full = full_row(rows, row)
+        if full is not None:
+            axes.plot([row.step_ms, full.step_ms], [100.0 * row.error, 100.0 * full.error],
+                      linestyle=(0, (1, 2)), color=_REDUCED_COLOUR, linewidth=1.1, zorder=1)
+        number = row.mesh.rpartition("_")[2]
+        axes.annotate(f"{number} {row.element}, {row.mode_count} modes",
+                      (row.step_ms, 100.0 * row.error), (6, -11), textcoords="offset points",
+                      fontsize=7.5, color=_REDUCED_COLOUR)
+    if reduced:
+        axes.plot([row.step_ms for row in reduced], [100.0 * row.error for row in reduced], "*",
+                  color=_REDUCED_COLOUR, markersize=13, zorder=4,
+                  label="reduced models of these meshes")
 
 
 def _draw_added_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
@@ -268,35 +331,51 @@ HOLD_SHARE = 0.0125
 KNOB_STEPS = 100
 
 
-def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
+def accuracy(
+    scene_path: Path, output: Path, limits: Limits = Limits(), reduced: Sequence[Path] = (),
+    train: Sequence[str] | None = None,
+) -> int:  # fmt: skip
     """Measures error and time of every setting; prints tables and writes a CSV and a picture.
 
     Args:
-        scene_path: Scene file.
+        scene_path: Scene file; the reduced model that it names is measured beside the full ones.
         output: Folder for ``accuracy.csv`` and ``accuracy.png``.
         limits: Largest sizes to compute.
+        reduced: Files of further reduced models of its meshes.
+        train: Meshes whose reduced models are trained first, as MESH or MESH:ELEMENT; where none
+            is named, the most accurate one; None for no training.
 
     Returns:
         Exit code, always 0.
 
     Raises:
-        SoftRobotTwinError: The scene cannot be used or an output not be written.
+        SoftRobotTwinError: The scene or a file cannot be used or an output not be written.
     """
     load_pyplot()  # An error is raised now, not after minutes of computing.
     scene = load_scene(scene_path)
     check_one_body(scene)
     make_folder(output)
+    named = own_file(scene)
+    scene = without_reductions(scene)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, output / "meshes")
     hexahedra = hexahedral_family(held)
+    every = every_level(levels, hexahedra)
+    models = reduced_models([*([named] if named else []), *reduced], (), every)
+    trained = [level_named(name, every) for name in train or ()]
     print_to_stderr(f"{len(levels)} meshes: this takes "
-                    f"{approximate_duration(study_seconds(levels, limits))} on this machine")
+                    f"{approximate_duration(study_seconds(levels, limits))} on this machine"
+                    + (", and the training of reduced models" if train is not None else ""))
     with shown_progress("meshes", study_parts(levels, limits, hexahedra)) as begun:
         study = study_meshes(levels, limits, begun, hexahedra)
+    if train is not None:
+        trained = trained or [_most_accurate(study, every)]
+        models += [train_level(scene_path, level, output / "reduced") for level in trained]
     own = next(level for level in levels if level.is_own)
     report_activity("settings besides the mesh")
     displacement = study.references["lengths"].displacement
-    rows = [*study.rows, *vary_knobs(own.scene, displacement, KNOB_STEPS)]
+    rows = [*study.rows, *_reduced_rows(models, study, limits),
+            *vary_knobs(own.scene, displacement, KNOB_STEPS)]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(conditions)
@@ -304,13 +383,48 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
         shown.print("The force of a cable at a point acts on the material within "
                     f"{1e3 * held.cables[0].hold_radius:.1f} mm.")
     shown.print()
-    for made in (reference_table(study.references), mesh_table(rows), knob_table(rows)):
-        shown.print(made)
-        shown.print()
+    for made in (reference_table(study.references), mesh_table(rows), reduced_table(rows),
+                 knob_table(rows)):
+        if made is not None:
+            shown.print(made)
+            shown.print()
     write_rows(output / "accuracy.csv", rows)
     draw_accuracy(output / "accuracy.png", scene.name, rows, conditions)
     shown.print(f"written: {output / 'accuracy.csv'}, {output / 'accuracy.png'}")
     return 0
+
+
+def _reduced_rows(
+    models: Sequence[ReducedModel], study: Study, limits: Limits
+) -> list[AccuracyRow]:
+    return [study_reduced(model, study, limits.timed_steps, report_activity) for model in models]
+
+
+def level_named(name: str, levels: Sequence[MeshLevel]) -> MeshLevel:
+    """The mesh of a name such as ``diamond_2700:quadratic``; linear where no element is named.
+
+    Args:
+        name: Name of a mesh, perhaps with an element.
+        levels: Meshes with their elements; see `every_level`.
+
+    Raises:
+        AccuracyError: There is none.
+    """
+    mesh, _, element = name.partition(":")
+    own = [level for level in levels if level.name == mesh]
+    wanted = [level for level in own if level.scene.body.element == element or not element]
+    if not wanted:
+        known = ", ".join(f"{level.name}:{level.scene.body.element}" for level in own or levels)
+        raise AccuracyError(name, f"is not one of {known}")
+    return wanted[0]
+
+
+def _most_accurate(study: Study, levels: Sequence[MeshLevel]) -> MeshLevel:
+    """The mesh and element with the least error, with the law of the scene."""
+    law = levels[0].scene.body.material.law
+    known = [row for row in study.rows if row.law == law and np.isfinite(row.error)]
+    best = min(known, key=lambda row: row.error)
+    return level_named(f"{best.mesh}:{best.element}", levels)
 
 
 def hold_radius(scene: Scene) -> float:

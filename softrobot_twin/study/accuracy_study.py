@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from statistics import median
 from time import thread_time
@@ -28,9 +28,9 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.body_entries import Material, Mesh, Region
+from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
 from softrobot_twin.scene.entry import expanded
-from softrobot_twin.scene.loading import read_yaml
+from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -79,7 +79,7 @@ def write_scene_copy(
     Raises:
         OutputError: The file cannot be written.
     """
-    content = expanded(Scene, read_yaml(original.read_text(encoding="utf-8")))
+    content = expanded(Scene, written_out(read_yaml(original.read_text(encoding="utf-8"))))
     body = content["body"]
     body["mesh"] = expanded(Mesh, body["mesh"])
     folder = path.resolve().parent
@@ -90,13 +90,18 @@ def write_scene_copy(
         body["mesh"] = {"file": file}
         body["fixed"] = [{"nodes": list(region.nodes)} for region in chosen.body.fixed]
     body["element"] = setting.element
+    body.pop("reduced", None)
+    solver = {**(content.get("solver") or {}), "newton_iterations": setting.iterations}
+    if chosen.body.reduced is not None:
+        body["reduced"] = {"file": os.path.relpath(chosen.body.reduced.file, folder)}
+        solver.pop("factorization", None)  # that of a reduced body is a dense one
     if setting.law != load_scene(original).body.material.law:
         body["material"] |= _constants_of(load_scene(original).body.material, setting.law)
         body["material"] = {key: value for key, value in body["material"].items() if value is not None}
     body["material"]["law"] = setting.law
     for entry, cable in zip(content.get("cables", ()), chosen.cables, strict=True):
         entry["hold_radius"] = cable.hold_radius
-    content["solver"] = {**(content.get("solver") or {}), "newton_iterations": setting.iterations}
+    content["solver"] = solver
     head = "".join(f"# {line}\n" for line in remarks)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
     try:
@@ -114,6 +119,11 @@ def with_placed_mesh(scene: Scene, file: Path, fixed: tuple[Region, ...]) -> Sce
     """The same scene with a mesh that is already placed, in metres."""
     placed = {"file": file, "scale": 1.0, "rotation": (0.0,) * 3, "translation": (0.0,) * 3}
     return _with_body(scene, mesh=scene.body.mesh.model_copy(update=placed), fixed=fixed)
+
+
+def with_reduction(scene: Scene, file: Path) -> Scene:
+    """The same scene, its body reduced by a file of ``reduce``."""
+    return _with_body(scene, reduced=Reduced(file=file.resolve()))
 
 
 def with_element(scene: Scene, element: str) -> Scene:
@@ -394,6 +404,11 @@ class RobustTiming:
         return Spread(float(median), float(p99), float(p99))
 
     @property
+    def reference(self) -> float:
+        """Shortest median time of a step of the reference [s]."""
+        return min(self._references)
+
+    @property
     def slowdown(self) -> float:
         """Median over rounds of the reference's time over its shortest time."""
         return float(np.median(self._references) / min(self._references))
@@ -484,9 +499,11 @@ def print_to_stderr(text: str) -> None:
 
 
 MESH, NEWTON, QP, PRECISION = "mesh", "newton", "qp tolerance", "factor precision"
-"""Kinds of settings (column ``knob``). Rows of the first contain total errors, all others only
-added errors.
+"""Kinds of settings (column ``knob``). Rows of the first, and of `REDUCED`, contain total errors,
+all others only added errors.
 """
+REDUCED = "reduced"
+"""A reduced model of a mesh: its error includes that of the mesh."""
 
 
 class Setting(NamedTuple):
@@ -497,12 +514,19 @@ class Setting(NamedTuple):
         element: ``linear``, ``quadratic`` or ``hexahedral``.
         law: ``corotational`` or ``linear``.
         iterations: Linearizations per step.
+        reduced: Name of the file of a reduced model of this mesh; empty for the full model.
     """
 
     mesh: str
     element: str
     law: str
     iterations: int
+    reduced: str = ""
+
+    @property
+    def model(self) -> tuple[str, str, str, str]:
+        """The setting without its number of linearizations."""
+        return self.mesh, self.element, self.law, self.reduced
 
 
 @dataclass(frozen=True)
@@ -527,6 +551,9 @@ class AccuracyRow:
         uncertainty_tensions: The same of `error_tensions`.
         uncertainty_weightless: The same of `error_weightless`.
         displacement_mm: Displacement of the reference's effectors, displacements prescribed [mm].
+        file: Name of the file of a reduced model; empty for a full one.
+        mode_count: Its modes, 0 for a full one.
+        point_count: Its sampled quadrature points, 0 for a full one.
     """
 
     knob: str
@@ -546,6 +573,9 @@ class AccuracyRow:
     uncertainty_tensions: float = np.nan
     uncertainty_weightless: float = np.nan
     displacement_mm: float = np.nan
+    file: str = ""
+    mode_count: int = 0
+    point_count: int = 0
 
     @property
     def error(self) -> float:
@@ -577,6 +607,10 @@ def write_rows(path: Path, rows: Sequence[AccuracyRow]) -> None:
         raise OutputError(path, error.strerror or str(error)) from error
 
 
+# Columns that files of before there were reduced models lack.
+_LATER = ("file", "mode_count", "point_count")
+
+
 def read_rows(path: Path) -> list[AccuracyRow]:
     """Reads a file written by `write_rows`.
 
@@ -587,11 +621,12 @@ def read_rows(path: Path) -> list[AccuracyRow]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
-            missing = [name for name in names if name not in (reader.fieldnames or ())]
+            known = (*(reader.fieldnames or ()), *_LATER)
+            missing = [name for name in names if name not in known]
             if missing:
                 reason = f"is not a file of 'accuracy': it lacks {missing[0]}"
                 raise AccuracyError(str(path), reason)
-            return [AccuracyRow(**{field.name: _value(line[field.name], str(field.type))
+            return [AccuracyRow(**{field.name: _value(line.get(field.name, ""), str(field.type))
                                    for field in fields(AccuracyRow)}) for line in reader]
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise AccuracyError(str(path), f"cannot be read as a file of 'accuracy': {error}") from None
@@ -606,7 +641,7 @@ def _cell(value) -> str:
 def _value(cell: str, kind: str):
     if kind == "str":
         return cell
-    return int(cell) if kind == "int" else float(cell or "nan")
+    return int(cell or 0) if kind == "int" else float(cell or "nan")
 
 
 # Shortening of the actuated cables and growth of the cavities in each pose, as shares of their
@@ -910,6 +945,37 @@ the one before.
 """
 
 
+class ReducedModel(NamedTuple):
+    """A reduced model of a mesh of a family.
+
+    Attributes:
+        path: Its file.
+        level: The full model, with its element.
+        mode_count: Its modes.
+        point_count: Its sampled quadrature points.
+    """
+
+    path: Path
+    level: MeshLevel
+    mode_count: int
+    point_count: int
+
+    @property
+    def name(self) -> str:
+        """Name of its file."""
+        return self.path.name
+
+    @property
+    def law(self) -> str:
+        """Its material law, that of the scene."""
+        return self.level.scene.body.material.law
+
+    @property
+    def scene(self) -> Scene:
+        """The scene with it."""
+        return with_reduction(self.level.scene, self.path)
+
+
 class MeshLevel(NamedTuple):
     """One mesh of a family.
 
@@ -1163,13 +1229,22 @@ class Study(NamedTuple):
     Attributes:
         rows: Mesh, element and law, each with its errors and its time.
         references: By load case.
+        loads: What is prescribed in the poses.
     """
 
     rows: list[AccuracyRow]
     references: dict[str, Reference]
+    loads: Loads
 
 
-class _Loads(NamedTuple):
+class Loads(NamedTuple):
+    """What is prescribed in the poses.
+
+    Attributes:
+        moved: Displacements of the actuators [m, m³], shape (pose_count, actuator_count).
+        pressed: Their efforts [N, Pa], same shape.
+    """
+
     moved: np.ndarray
     pressed: np.ndarray
 
@@ -1207,7 +1282,7 @@ def study_meshes(
             known = solved.get(level.name) if law == own and level in used else None
             rows.append(_judge(level, law, loads, references, known, limits.timed_steps,
                                report_activity))
-    return Study(rows, references)
+    return Study(rows, references, loads)
 
 
 def dof_count(level: MeshLevel) -> int:
@@ -1217,7 +1292,7 @@ def dof_count(level: MeshLevel) -> int:
 
 def _solve_reference(
     used: list[MeshLevel], moved: np.ndarray, report_activity: ReportActivity
-) -> tuple[_Loads, dict[str, dict[str, Poses]]]:
+) -> tuple[Loads, dict[str, dict[str, Poses]]]:
     """Equilibria on the quadratic meshes; the finest one determines the prescribed efforts."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None
@@ -1225,12 +1300,12 @@ def _solve_reference(
         report_activity(f"reference: {level.name}, quadratic")
         lengths = solve_for_displacements(level.scene, moved)
         if loads is None:
-            loads = _Loads(moved, prescribed_efforts(level.scene, lengths.efforts))
+            loads = Loads(moved, prescribed_efforts(level.scene, lengths.efforts))
         solved[level.name] = {"lengths": lengths, **_other_cases(level.scene, loads)}
     return loads, solved
 
 
-def _other_cases(scene, loads: _Loads) -> dict[str, Poses]:
+def _other_cases(scene, loads: Loads) -> dict[str, Poses]:
     return {"tensions": solve_for_efforts(scene, loads.pressed),
             "weightless": solve_for_displacements(weightless(scene), loads.moved)}
 
@@ -1264,6 +1339,56 @@ def _judge(level, law, loads, references, known, timed_steps, report_activity) -
         MESH, f"{element}, {law}", level.name, element, law, simulation.node_count,
         simulation.dof_count, 1e3 * times.median, 1e3 * times.p99, **errors, **doubts,
         displacement_mm=1e3 * references["lengths"].displacement)
+
+
+def study_reduced(
+    reduced: ReducedModel, study: Study, timed_steps: int, report_activity: ReportActivity
+) -> AccuracyRow:
+    """Error of a reduced model against the reference of a study, and the time of its step.
+
+    Args:
+        reduced: The reduced model of one of the meshes of the study.
+        study: The study of the full models.
+        timed_steps: Most steps that are timed.
+        report_activity: Called with a line for each activity.
+    """
+    level = reduced.level._replace(scene=reduced.scene)
+    row = _judge(level, reduced.law, study.loads, study.references, None, timed_steps,
+                 report_activity)  # fmt: skip
+    return replace(
+        row, knob=REDUCED, setting=f"{reduced.mode_count} modes, {reduced.point_count} points",
+        file=reduced.name, mode_count=reduced.mode_count, point_count=reduced.point_count,
+    )  # fmt: skip
+
+
+class Differences(NamedTuple):
+    """How far the effectors of two models of one robot are apart in the poses of a study.
+
+    They are root mean squares over poses and effectors, relative to the displacement of the first
+    model; NaN where either has no equilibrium.
+
+    Attributes:
+        moved: With displacements prescribed.
+        pressed: With efforts prescribed.
+    """
+
+    moved: float
+    pressed: float
+
+
+def differences(scene: Scene, other: Scene) -> Differences:
+    """Compares two models of one robot in the poses of a study."""
+    moved = displacements(scene)
+    poses = solve_for_displacements(scene, moved)
+    others = solve_for_displacements(other, moved)
+    pressed = prescribed_efforts(scene, poses.efforts)
+    free, others_free = solve_for_efforts(scene, pressed), solve_for_efforts(other, pressed)
+    return Differences(_apart(poses, others), _apart(free, others_free))
+
+
+def _apart(poses: Poses, others: Poses) -> float:
+    apart = np.linalg.norm(others.positions - poses.positions)
+    return float(apart / np.linalg.norm(poses.positions - poses.rest))
 
 
 def _count(positions: np.ndarray) -> int:

@@ -10,7 +10,7 @@ import gc
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import permutations
@@ -532,6 +532,10 @@ _FLEXO = Paper(912, 4.5e-3, required=0.4e-3)
 _STIFFACE = Paper(2285, 30.0e-3, required=3.0e-3)
 
 
+# Published for the Diamond in the C++ framework: 32 modes and hyper-reduction.
+_REDUCED_DIAMOND = Paper(32, 4.6e-3, "the published reduction's", required=0.3e-3)
+
+
 class BenchCase(NamedTuple):
     """One scene to measure.
 
@@ -585,16 +589,37 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     for path in paths:
         ours = (
             [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases(), *fetch_cases(),
-             *beam_cases(), *stiffness_cases()]
+             *beam_cases(), *stiffness_cases(), *reduced_cases()]
             if path.is_file() else []
         )
         known = [case for case in ours if case.scene.path.samefile(path)]
         if known and commands is None:
             cases += known
             continue
-        cases.append(BenchCase(path.stem, load_scene(path), "the given scenes",
-                               _is_default(path), commands))
+        scene = load_scene(path)
+        family = "the given scenes" + (", reduced" if is_reduced(scene) else "")
+        cases.append(BenchCase(path.stem, scene, family, _is_default(path), commands))
     return cases
+
+
+def is_reduced(scene: Scene) -> bool:
+    """Whether a body of a scene is reduced to modes."""
+    return any(body.reduced is not None for body in scene.deformables)
+
+
+def full_size(size: SizeMeasurement, sizes: Sequence[SizeMeasurement]) -> SizeMeasurement | None:
+    """The full model of a reduced one among measured sizes; None where there is none."""
+    if not size.is_reduced:
+        return None
+    own = _bodies(size.case.scene)
+    return next((other for other in sizes if not other.is_reduced
+                 and _bodies(other.case.scene) == own), None)
+
+
+def _bodies(scene: Scene) -> list[tuple]:
+    """Mesh, element and material of each body, which a reduced model shares with its full one."""
+    return [(scene.file_path(body.mesh.file).resolve(), body.element, body.material)
+            for body in scene.deformables]
 
 
 def holding_cases() -> list[BenchCase]:
@@ -665,6 +690,13 @@ def stiffness_cases() -> list[BenchCase]:
     return [BenchCase("stifface", load_scene(path), "the Stifface", paper=_STIFFACE)]
 
 
+def reduced_cases() -> list[BenchCase]:
+    """The Diamond reduced to modes; its full model is the default scene."""
+    path = default_scene_path().parent / "diamond_reduced.yaml"
+    return [BenchCase("diamond_reduced", load_scene(path), "the Diamond, reduced",
+                      paper=_REDUCED_DIAMOND)]
+
+
 def standard_cases(folder: Path) -> list[BenchCase]:
     """Sizes from 500 to 50 000 dof, the smallest first.
 
@@ -681,7 +713,8 @@ def standard_cases(folder: Path) -> list[BenchCase]:
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
     return [small, *diamonds, large, *holding_cases(), *tracking_in_contact_cases(),
-            *pneumatic_cases(), *fetch_cases(), *beam_cases(), *stiffness_cases()]
+            *pneumatic_cases(), *fetch_cases(), *beam_cases(), *stiffness_cases(),
+            *reduced_cases()]
 
 
 def _is_default(path: Path) -> bool:
@@ -745,11 +778,14 @@ class SizeMeasurement:
         node_count: Nodes of the mesh.
         tet_count: Its tetrahedra.
         dof_count: Unknowns.
+        mode_count: Modes of reduced bodies, 0 without any.
+        point_count: Sampled quadrature points of these.
         row_count: Rows of H, median.
         contact_count: Contacts with force, median.
         stages: Time of each stage [s], of what is outside them, and of the whole step.
         step_count: Steps timed.
-        superlu: Time of one SuperLU factorization of the same matrices [s].
+        superlu: Time of one SuperLU factorization of the same matrices [s]; NaN for a reduced
+            model, whose matrix is dense and small.
         superlu_count: Number of timed SuperLU factorizations.
         superlu_page_faults: Page faults in one SuperLU factorization, median; see `SuperLUTime`.
         interrupted_share: Share of steps during which another program took the processor.
@@ -766,6 +802,8 @@ class SizeMeasurement:
     node_count: int
     tet_count: int
     dof_count: int
+    mode_count: int
+    point_count: int
     row_count: float
     contact_count: float
     stages: dict[str, Spread]
@@ -780,6 +818,11 @@ class SizeMeasurement:
     resident: int | None
     statuses: Counter[str]
     qp_solvers: Counter[str]
+
+    @property
+    def is_reduced(self) -> bool:
+        """Whether a body is reduced to modes."""
+        return self.mode_count > 0
 
     @property
     def ratio(self) -> float:
@@ -831,14 +874,17 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     resident = resident_bytes()
     model = simulation.model
     with without_garbage_collection():
-        record = _follow(simulation, commands, steps)
+        record = _follow(simulation, commands, steps, not is_reduced(case.scene))
     factorization = model.factorization
+    reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
-        simulation.dof_count, float(np.median(record.row_counts)),
+        simulation.dof_count, sum(one.mode_count for one in reductions),
+        sum(len(one.sampled.cells) for one in reductions), float(np.median(record.row_counts)),
         float(np.median(record.contact_counts)), record.stages(simulation.stages), steps,
-        spread(record.superlu),
-        len(record.superlu), float(np.median(record.page_faults)),
+        spread(np.array(record.superlu)) if record.superlu else Spread(np.nan, np.nan, np.nan),
+        len(record.superlu),
+        float(np.median(record.page_faults)) if record.page_faults else np.nan,
         record.interrupted / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
         float(np.median(record.dense)), _factor_bytes(factorization), resident,
@@ -887,19 +933,22 @@ class _Record:
         return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
 
 
-def _follow(simulation: Simulation, commands, steps: int) -> _Record:
-    """Times steps, and between them SuperLU and dense products."""
-    yardstick, dense = SuperLUReference(simulation.model.factorization), DenseSpeed()
-    record = _Record()
+def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) -> _Record:
+    """Times steps, and between them dense products and, where it is asked for, SuperLU."""
+    dense, record, yardstick = DenseSpeed(), _Record(), None
     dense.measure()
-    first = yardstick.factorize()
-    samples = int(np.clip(_SUPERLU_SECONDS / first.time, _FEWEST_SAMPLES, _SUPERLU_SAMPLES))
+    samples = _SUPERLU_SAMPLES
+    if with_superlu:
+        yardstick = SuperLUReference(simulation.model.factorization)
+        first = yardstick.factorize()
+        samples = int(np.clip(_SUPERLU_SECONDS / first.time, _FEWEST_SAMPLES, _SUPERLU_SAMPLES))
     interval = max(1, steps // samples)
     for number in range(steps):
         if number % interval == 0:
-            timed = yardstick.factorize()
-            record.superlu.append(timed.time)
-            record.page_faults.append(timed.page_faults)
+            if yardstick is not None:
+                timed = yardstick.factorize()
+                record.superlu.append(timed.time)
+                record.page_faults.append(timed.page_faults)
             record.dense.append(dense.measure())
             # They remove a step's data from the caches, so one more step runs before the next
             # timing.

@@ -1,12 +1,19 @@
 """``python -m softrobot_twin choose``: finds the most accurate setting for a rate on this machine.
 
 A setting keeps a rate when the 99th percentile of its step fits into `MARGIN` of the period. Its
-expected error is the sum of the mesh's and the linearizations' errors.
+expected error is the sum of the mesh's, the reduction's and the linearizations' errors.
+
+Reduced models whose files exist are candidates like full ones. What others would be is told by a
+trial (`reduced_models.py`), together with the time of their training.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+import shlex
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,17 +23,21 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.reduced_body import without_reductions
 from softrobot_twin.study.accuracy import hold_radius, report_activity
 from softrobot_twin.study.accuracy_study import (
     MESH,
+    REDUCED,
     AccuracyError,
     AccuracyRow,
     Limits,
     MeshLevel,
+    ReducedModel,
     RobustTiming,
     Setting,
     approximate_duration,
     check_one_body,
+    differences,
     follow_exactly,
     follow_lengths,
     given_words,
@@ -46,7 +57,20 @@ from softrobot_twin.study.accuracy_study import (
     write_rows,
     write_scene_copy,
 )
+from softrobot_twin.study.body_training import TrainingOptions, reduce
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.study.reduced_models import (
+    STUDY,
+    SUFFIX,
+    Trial,
+    beside,
+    every_level,
+    make_trial,
+    own_file,
+    reduced_models,
+    reduced_row,
+)
+from softrobot_twin.study.reduction_states import TargetBox
 from softrobot_twin.study.terminal import console, table, warn
 
 STEPS = 120
@@ -71,6 +95,11 @@ class SettingClock:
         reference = with_element(own, "linear")
         path = length_path(reference, rate, _REFERENCE_STEPS)
         self._timing = RobustTiming(rounds_of(reference, path, 1))
+
+    @property
+    def reference(self) -> float:
+        """Median time of a step of the reference, when nothing else runs [s]."""
+        return self._timing.reference
 
     @property
     def slowdown(self) -> float:
@@ -152,7 +181,7 @@ class Candidate(NamedTuple):
 
     Attributes:
         setting: The setting.
-        mesh_error: Error of mesh, element and law, displacements prescribed.
+        mesh_error: Error of mesh, element, law and reduction, displacements prescribed.
         force_error: The same with forces prescribed.
         measured: Time of a step, and linearization error.
         keeps_rate: Whether the 99th percentile of its steps is within the margin.
@@ -196,9 +225,14 @@ Measure = Callable[[Setting], Measured]
 def describe_setting(setting: Setting) -> str:
     """A setting as text."""
     plural = "" if setting.iterations == 1 else "s"
-    cells = "hexahedra" if setting.element == HEXAHEDRAL else f"{setting.element} tets"
-    return (f"{setting.mesh}, {cells}, {setting.law} law, "
+    reduced = f"reduced by {setting.reduced}, " if setting.reduced else ""
+    return (f"{describe_mesh(setting.mesh, setting.element)}, {setting.law} law, {reduced}"
             f"{setting.iterations} linearization{plural}")
+
+
+def describe_mesh(mesh: str, element: str) -> str:
+    """A mesh and its elements as text."""
+    return f"{mesh}, " + ("hexahedra" if element == HEXAHEDRAL else f"{element} tets")
 
 
 def measure_candidates(
@@ -209,11 +243,11 @@ def measure_candidates(
     More linearizations are tried only when fewer ones keep the rate.
 
     Args:
-        rows: Errors of meshes, elements and laws.
+        rows: Errors of meshes, elements and laws, and of reduced models.
         rate: Requested rate [Hz].
         measure: Measures one setting on this machine.
     """
-    known = [row for row in rows if row.knob == MESH
+    known = [row for row in rows if row.knob in (MESH, REDUCED)
              and np.isfinite(row.error_lengths + row.error_weightless)]
     found: list[Candidate] = []
     for row in sorted(known, key=lambda row: row.error):
@@ -221,7 +255,7 @@ def measure_candidates(
         if row.error > best + reference_uncertainty(known):
             break
         for iterations in ITERATIONS:
-            setting = Setting(row.mesh, row.element, row.law, iterations)
+            setting = Setting(row.mesh, row.element, row.law, iterations, row.file)
             measured = measure(setting)
             keeps = measured.p99 <= MARGIN / rate
             found.append(Candidate(setting, row.error, row.error_tensions, measured, keeps))
@@ -297,11 +331,75 @@ def pick(
     least = min(one.error for one in fitting)
     margin = max(reference_uncertainty, _ALIKE * least)
     alike = [one for one in fitting if one.error <= least + margin]
-    soundest = min(alike, key=lambda one: (one.force_error, one.error)).setting
-    same = [one for one in alike if one.setting[:3] == soundest[:3]]
+    soundest = min(alike, key=lambda one: (_known(one.force_error), one.error)).setting
+    same = [one for one in alike if one.setting.model == soundest.model]
     least = min(one.error for one in same)
     return min((one for one in same if one.error <= (1.0 + _ALIKE) * least),
                key=lambda one: one.measured.median)
+
+
+def _known(error: float) -> float:
+    """An error for comparisons: one that is not known is the largest."""
+    return error if np.isfinite(error) else np.inf
+
+
+class Foreseen(NamedTuple):
+    """A reduced model that is not there, as far as a trial tells.
+
+    Attributes:
+        row: The full model.
+        error: Expected error relative to the effector's displacement.
+        measured: Time of a step of the trial.
+        seconds: Expected time of its training on this machine [s].
+    """
+
+    row: AccuracyRow
+    error: float
+    measured: Measured
+    seconds: float
+
+
+def foresee(
+    rows: Iterable[AccuracyRow], law: str, trial: Trial, measured: Measured,
+    seconds: Callable[[AccuracyRow], float],
+) -> list[Foreseen]:  # fmt: skip
+    """Reduced models of full ones, the most accurate first.
+
+    Args:
+        rows: Full models; those with another law are left out.
+        law: Law of the scene.
+        trial: Reduced model of the coarsest mesh.
+        measured: Its time and linearization error.
+        seconds: Time of a training [s].
+    """
+    added = trial.error + (0.0 if np.isnan(measured.linearization_error)
+                           else measured.linearization_error)
+    found = [Foreseen(row, row.error + added, measured, seconds(row))
+             for row in rows if row.knob == MESH and row.law == law and np.isfinite(row.error)]
+    return sorted(found, key=lambda one: one.error)
+
+
+def worth_training(
+    foreseen: Sequence[Foreseen], rate: float, error: float, uncertainty: float
+) -> Foreseen | None:
+    """The reduced model to train: of those as accurate as the best, that of the shortest training.
+
+    Args:
+        foreseen: What could be trained.
+        rate: Rate to keep [Hz].
+        error: Error of the best setting without a training.
+        uncertainty: Smaller differences of errors are ignored.
+
+    Returns:
+        None where no training is expected to give a smaller error at this rate.
+    """
+    better = [one for one in foreseen if one.measured.p99 <= MARGIN / rate
+              and one.error < error - uncertainty]
+    if not better:
+        return None
+    least = min(one.error for one in better)
+    return min((one for one in better if one.error <= least + max(uncertainty, _ALIKE * least)),
+               key=lambda one: one.seconds)
 
 
 QUICK = Limits(timed_dof=20_000, reference_dof=50_000)
@@ -310,10 +408,72 @@ QUICK = Limits(timed_dof=20_000, reference_dof=50_000)
 _MUCH_TOO_SLOW = 4.0
 
 
+class Models:
+    """The full and reduced models of a robot, by setting.
+
+    Attributes:
+        reduced: Reduced models by the names of their files.
+    """
+
+    def __init__(self, levels: Sequence[MeshLevel], hexahedra: Sequence[MeshLevel]):
+        """Take the meshes, those of tetrahedra and those of hexahedra."""
+        self._by_name = {level.name: level for level in [*levels, *hexahedra]}
+        self.every = every_level(levels, hexahedra)
+        self.reduced: dict[str, ReducedModel] = {}
+
+    def __contains__(self, mesh: str) -> bool:
+        return mesh in self._by_name
+
+    def add(self, model: ReducedModel) -> None:
+        """Add a reduced model; of two files with one name the first is kept."""
+        if self.reduced.setdefault(model.name, model) is not model:
+            warn(f"{model.path} is left out: {self.reduced[model.name].path} has the same name")
+
+    def scene(self, setting: Setting) -> Scene:
+        """The scene of a setting."""
+        if setting.reduced:
+            return self.reduced[setting.reduced].scene
+        return _tuned(self._by_name[setting.mesh], setting)
+
+    def level(self, row: AccuracyRow) -> MeshLevel:
+        """The full model of a row, with its element."""
+        level = self._by_name[row.mesh]
+        return level._replace(scene=with_element(level.scene, row.element))
+
+    def rows(self, known: Sequence[AccuracyRow]) -> list[AccuracyRow]:
+        """Rows of the reduced models: measured by ``accuracy``, or measured beside full ones now.
+
+        Args:
+            known: Rows of full models, and of reduced ones that ``accuracy`` measured.
+        """
+        made = [self._row(model, known) for model in self.reduced.values()]
+        return [row for row in made if row is not None]
+
+    def _row(self, model: ReducedModel, known: Sequence[AccuracyRow]) -> AccuracyRow | None:
+        name = model.level.name, model.level.scene.body.element, model.law
+        own = (model.name, model.mode_count, model.point_count)
+        same = [row for row in known if (row.mesh, row.element, row.law) == name]
+        for row in same:
+            if row.knob == REDUCED and (row.file, row.mode_count, row.point_count) == own:
+                return row
+        full = next((row for row in same if row.knob == MESH), None)
+        if full is None:
+            warn(f"{model.name} is left out: the error of {describe_mesh(*name[:2])} is not known")
+            return None
+        report_activity(f"{model.name} beside its full model")
+        added = differences(model.level.scene, model.scene)
+        if not np.isfinite(added.moved):
+            warn(f"{model.name} is left out: in the poses of the study it, or its full model, has "
+                 "no equilibrium")  # fmt: skip
+            return None
+        return reduced_row(full, model, added)
+
+
 def choose(
     scene_path: Path, rate: float, accuracy_file: Path | None = None, write: Path | None = None,
-    measure: Callable[[Scene, float, int], Measured] | None = None,
-) -> int:
+    measure: Callable[[Scene, float, int], Measured] | None = None, reduced: Sequence[Path] = (),
+    train: bool = False, options: TrainingOptions = STUDY,
+) -> int:  # fmt: skip
     """Times the candidates, prints the best one and writes its scene.
 
     Args:
@@ -322,6 +482,11 @@ def choose(
         accuracy_file: File of ``accuracy``; a quick study writes it where it does not exist.
         write: Scene file to write; ``<name>_<rate>hz.yaml`` in the working folder when None.
         measure: Measures a scene at a rate with a number of linearizations; a clock when None.
+        reduced: Files of reduced models, beside that of the scene and those beside its mesh and
+            beside the scene that is written.
+        train: Train the reduced model that is expected to be the best, where one is expected to be
+            better than what there is.
+        options: Of such a training.
 
     Returns:
         Exit code, always 0.
@@ -333,33 +498,58 @@ def choose(
     scene = load_scene(scene_path)
     check_one_body(scene)
     write = write or Path(f"{scene.name}_{rate:g}hz.yaml")
+    named = own_file(scene)
+    if named is not None and not named.is_file():
+        warn(f"{scene_path}: its reduced model {named} is not there, so it is no candidate")
+        named = None
+    scene = without_reductions(scene)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     hexahedra = hexahedral_family(held)
-    rows = _rows(levels, hexahedra, accuracy_file)
-    check_reference(rows, scene.name)
-    by_name = {level.name: level for level in [*levels, *hexahedra]}
-    rows = [row for row in rows if row.mesh in by_name and row.step_ms < _MUCH_TOO_SLOW * 1e3 / rate]
-
-    def scene_of(setting: Setting) -> Scene:
-        return _tuned(by_name[setting.mesh], setting)
-
-    clock = None
-    if measure is None:
-        clock = SettingClock(held, rate, scene_of)
+    known = _rows(levels, hexahedra, accuracy_file)
+    check_reference([row for row in known if row.knob == MESH], scene.name)
+    models = Models(levels, hexahedra)
+    known = [row for row in known if row.mesh in models]
+    found = beside(held.mesh_path.resolve().parent, write.resolve().parent)
+    given = [file for file in (named, *reduced) if file is not None]
+    for model in reduced_models(given, found, models.every):
+        models.add(model)
+    clock = None if measure is not None else SettingClock(held, rate, models.scene)
 
     def measure_setting(setting: Setting) -> Measured:
         report_activity(describe_setting(setting))
         if clock is not None:
             return clock.measure(setting)
-        return measure(scene_of(setting), rate, setting.iterations)
+        return measure(models.scene(setting), rate, setting.iterations)
 
+    full = [row for row in known if row.knob == MESH]
+    rows = [row for row in full if row.step_ms < _MUCH_TOO_SLOW * 1e3 / rate] + models.rows(known)
+    unsure = reference_uncertainty(full)
     candidates = measure_candidates(rows, rate, measure_setting)
+    with tempfile.TemporaryDirectory() as folder:
+        foreseen = _foreseen(full, candidates, models, unsure, scene_path, options, Path(folder),
+                             measure_setting, _machine_share(full, held, clock))  # fmt: skip
+    wanted = worth_training(foreseen, rate, _least_error(candidates), unsure)
+    if train and wanted is None:
+        print_to_stderr("nothing is trained: no reduced model is expected to be better")
+    elif train:
+        model = _train(wanted, models, scene_path, write, options)
+        own = [row for row in models.rows(known) if row.file == model.name]
+        rows, foreseen, wanted = [*rows, *own], [], None
+        candidates += measure_candidates(own, rate, measure_setting)
     if clock is not None:
         report_activity("the best candidates again, in turns")
         candidates = clock.confirm(candidates)
-    best = pick(candidates, rate, reference_uncertainty(rows))
-    chosen = _tuned(by_name[best.setting.mesh], best.setting)
+    shown = console()
+    command = _training_command(scene_path, rate, accuracy_file, write, reduced, options)
+    try:
+        best = pick(candidates, rate, unsure)
+    except NoSettingError:
+        if wanted is not None:
+            warn(_offer(wanted, None))
+            print_to_stderr(f"  {command}")
+        raise
+    chosen = models.scene(best.setting)
     words = given_words(scene)
     warned = accuracy_warnings(best, words)
     remarks = [*_remarks(best, rows, rate, scene_path, words), *warned]
@@ -368,15 +558,119 @@ def choose(
                        f"{clock.slowdown:.2f} times slower in the median round of the timing.")
     write_scene_copy(write, scene_path, chosen, best.setting, remarks)
     load_scene(write)  # checks the written file
-    shown = console()
-    shown.print(_table(candidates, best, rate))
+    shown.print(_table(candidates, best, rate, foreseen))
     for line in remarks[1:]:
         if line not in warned:
             shown.print(line)
     for line in warned:
         warn(line)
+    if wanted is not None:
+        shown.print(_offer(wanted, best))
+        shown.print(f"  {command}", soft_wrap=True)  # to be copied
     shown.print(f"written: {write}")
     return 0
+
+
+def _least_error(candidates: Iterable[Candidate]) -> float:
+    return min((one.error for one in candidates if one.keeps_rate), default=np.inf)
+
+
+def _machine_share(
+    full: Sequence[AccuracyRow], held: Scene, clock: SettingClock | None
+) -> float:  # fmt: skip
+    """Time of a step on this machine beside its other programs, by that in the file of errors."""
+    own = [row.step_ms for row in full if row.mesh == held.mesh_path.stem
+           and (row.element, row.law) == ("linear", held.body.material.law)]
+    if clock is None or not own:
+        return 1.0
+    return 1e3 * clock.reference * clock.slowdown / own[0]
+
+
+def _foreseen(
+    full: Sequence[AccuracyRow], candidates: Sequence[Candidate], models: Models, unsure: float,
+    original: Path, options: TrainingOptions, folder: Path,
+    measure: Measure, machine_share: float,
+) -> list[Foreseen]:  # fmt: skip
+    """Reduced models that are not there and could be better; empty where there are none."""
+    law = models.every[0].scene.body.material.law
+    there = {(model.level.name, model.level.scene.body.element)
+             for model in models.reduced.values()}
+    error = _least_error(candidates)
+    wanted = [row for row in full if row.law == law and row.error < error - unsure
+              and (row.mesh, row.element) not in there]
+    if not wanted:
+        return []
+    print_to_stderr("reduced models could be better: a trial on the coarsest mesh tells how much")
+    try:
+        trial = make_trial(original, models.every, options, folder)
+    except SoftRobotTwinError as error:
+        warn(f"reduced models are not foreseen: {error}")
+        return []
+    models.reduced[trial.model.name] = trial.model
+    level = trial.model.level
+    setting = Setting(level.name, level.scene.body.element, law, 1, trial.model.name)
+    try:
+        measured = measure(setting)
+    finally:
+        del models.reduced[trial.model.name]
+
+    def seconds(row: AccuracyRow) -> float:
+        return trial.training_seconds(models.level(row), 1e-3 * row.step_ms * machine_share)
+
+    return foresee(wanted, law, trial, measured, seconds)
+
+
+def _train(
+    wanted: Foreseen, models: Models, original: Path, write: Path, options: TrainingOptions
+) -> ReducedModel:
+    """Train the reduced model that is wanted, beside the scene that will be written."""
+    level = models.level(wanted.row)
+    element = level.scene.body.element
+    file = write.resolve().parent / f"{write.stem}_{level.name}_{element}{SUFFIX}"
+    print_to_stderr(f"{file.name} is trained: {approximate_duration(wanted.seconds)}")
+    setting = Setting(level.name, element, wanted.row.law, 1)
+    write_scene_copy(write, original, level.scene, setting,
+                     [f"Made from {original.name} for a training by 'choose'"])  # fmt: skip
+    reduce(write, replace(options, output=file))
+    (model,) = reduced_models((file,), (), [level])
+    models.add(model)
+    return model
+
+
+def _training_command(
+    scene: Path, rate: float, accuracy_file: Path | None, write: Path, reduced: Sequence[Path],
+    options: TrainingOptions,
+) -> str:  # fmt: skip
+    """The command that trains first."""
+    words = ["choose", str(scene), "--rate", f"{rate:g}"]
+    if accuracy_file is not None:
+        words += ["--accuracy", str(accuracy_file)]
+    if reduced:
+        words += ["--reduced", *map(str, reduced)]
+    if options.targets:
+        words += ["--targets", *map(box_text, options.targets)]
+    if options.load:
+        words += ["--loads", f"{options.load:g}"]
+    if options.tilt:
+        words += ["--tilts", f"{math.degrees(options.tilt):g}"]
+    return "python -m softrobot_twin " + shlex.join([*words, "--write", str(write), "--train"])
+
+
+def box_text(box: TargetBox) -> str:
+    """A box of targets as the command line has it."""
+    sides = zip(box.low, box.high, strict=True)
+    return f"{box.effector}=" + ",".join(f"{low:g}:{high:g}" for low, high in sides)
+
+
+def _offer(wanted: Foreseen, best: Candidate | None) -> str:
+    """What a training would buy, and what it costs."""
+    row, measured = wanted.row, wanted.measured
+    instead = "" if best is None else f", in place of {100.0 * best.error:.2f} % above"
+    return (f"A reduced model of {describe_mesh(row.mesh, row.element)}, is expected to have an "
+            f"error of {100.0 * wanted.error:.2f} %{instead}, in {1e3 * measured.median:.2f} ms a "
+            f"step (p99 {1e3 * measured.p99:.2f} ms; its full model takes {row.step_ms:.2f} ms in "
+            f"the file of errors). Its training takes {approximate_duration(wanted.seconds)} on "
+            "this machine:")
 
 
 def _tuned(level: MeshLevel, setting: Setting) -> Scene:
@@ -389,7 +683,7 @@ def _rows(
     """Errors by setting: read from the file, or studied now and written to it."""
     if file is not None and file.exists():
         known = {level.name for level in levels}
-        rows = [row for row in read_rows(file) if row.knob == MESH]
+        rows = [row for row in read_rows(file) if row.knob in (MESH, REDUCED)]
         if not any(row.mesh in known for row in rows):
             raise AccuracyError(str(file), "contains none of the meshes of this scene: "
                                 + ", ".join(sorted(known)))
@@ -409,7 +703,9 @@ def _check_mesh_sizes(file: Path, rows: list[AccuracyRow], levels: list[MeshLeve
     """Refuses errors of other meshes with the same names."""
     nodes = {level.name: level.node_count for level in levels}
     for row in rows:
-        if row.element == "linear" and row.node_count != nodes.get(row.mesh, row.node_count):
+        if (row.knob, row.element) != (MESH, "linear"):
+            continue
+        if row.node_count != nodes.get(row.mesh, row.node_count):
             raise AccuracyError(str(file), f"is of another mesh {row.mesh}: that one has "
                                 f"{row.node_count} nodes, this scene's has {nodes[row.mesh]}")
 
@@ -419,8 +715,9 @@ def _remarks(
 ) -> list[str]:
     """What was chosen, what to expect, and why."""
     measured, (moved, pressed) = best.measured, words
-    row = next(row for row in rows if row.mesh == best.setting.mesh
-               and (row.element, row.law) == (best.setting.element, best.setting.law))
+    row = next(row for row in rows
+               if (row.mesh, row.element, row.law, row.file) == best.setting.model)
+    causes = "mesh, element, law and reduction" if row.file else "mesh, element and law"
     return [
         f"Made from {original.name} by 'choose' for {rate:g} Hz on "
         f"{describe_machine(NUMERICAL_LIBRARIES)}",
@@ -428,19 +725,34 @@ def _remarks(
         f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of the period is allowed.",
         f"Expected error of the effector for given {moved}: {100 * best.error:.2f} % of its "
         f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
-        f": {100 * best.mesh_error:.2f} % by mesh, element and law, "
+        f": {100 * best.mesh_error:.2f} % by {causes}, "
         f"{100 * measured.linearization_error:.2g} % by the linearizations; the uncertainty of the "
         f"reference is {100 * row.uncertainty:.2f} %.",
-        f"For given {pressed} the same mesh has an error of {100 * row.error_tensions:.1f} %: "
+        f"For given {pressed} the same model has an error of {100 * row.error_tensions:.1f} %: "
         f"command {moved} where possible.",
     ]
 
 
-def _table(candidates: list[Candidate], best: Candidate, rate: float):
+# Reduced models that are not trained have so many lines in the table.
+_LINES = 4
+
+
+def _table(
+    candidates: list[Candidate], best: Candidate, rate: float, foreseen: Sequence[Foreseen]
+):
     made = table(f"Candidates for {rate:g} Hz, the most accurate first", "setting", "median [ms]",
                  "p99 [ms]", "error [%]", f"within {MARGIN:g} of the period")
-    for one in sorted(candidates, key=lambda one: one.error):
+    lines = []
+    for one in candidates:
         mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"
-        made.add_row(describe_setting(one.setting), f"{1e3 * one.measured.median:.2f}",
-                     f"{1e3 * one.measured.p99:.2f}", f"{100 * one.error:.2f}", mark)
+        lines.append((one.error, describe_setting(one.setting), one.measured, mark))
+    for one in foreseen[:_LINES]:
+        row = one.row
+        name = f"{describe_mesh(row.mesh, row.element)}, {row.law} law, reduced, not trained"
+        keeps = "yes" if one.measured.p99 <= MARGIN / rate else "no"
+        mark = f"{keeps}, after {approximate_duration(one.seconds)} of training"
+        lines.append((one.error, name, one.measured, mark))
+    for error, name, measured, mark in sorted(lines, key=lambda line: line[0]):
+        made.add_row(name, f"{1e3 * measured.median:.2f}", f"{1e3 * measured.p99:.2f}",
+                     f"{100 * error:.2f}", mark)
     return made

@@ -620,7 +620,7 @@ class StateStore:
 
     def count(self) -> int:
         """Number of chains that are saved."""
-        return len(list(self.path.glob("*.npz")))
+        return len(list(self.path.glob("[!.]*.npz")))
 
     def remove(self) -> None:
         """Remove the folder: the run is done."""
@@ -629,7 +629,7 @@ class StateStore:
 
 def find_states(
     title: str, crew: SampleWorkers, job: Job, asked: Sequence[np.ndarray], store: StateStore
-) -> tuple[list[States], list[str]]:
+) -> tuple[list[States | None], list[str]]:
     """States of chains: those of the store, the others computed and saved.
 
     Args:
@@ -640,7 +640,7 @@ def find_states(
         store: Keeps them.
 
     Returns:
-        The states of all chains that were not lost, in their order; and why others were lost.
+        The states of all chains in their order, None of those that were lost; and why these were.
     """
     known = [store.find(chain) for chain in asked]
     left = [(index, chain) for index, chain in enumerate(asked) if known[index] is None]
@@ -657,7 +657,7 @@ def find_states(
                 store.add(asked[index], states)
                 statuses = ["ok" if found else "not_converged" for found in states.is_found]
             shown.add(*statuses)
-    return [states for states in known if states is not None], causes
+    return known, causes
 
 
 def refuse_unreducible(scene: Scene, body: Body) -> None:

@@ -230,18 +230,22 @@ class DaskWorkers:
         except ImportError as error:
             raise MissingExtraError("distributed", "--scheduler needs it") from error
         self._distributed, self.address = distributed, address
+        self._client = self._connected()
+
+    def _connected(self):
         try:
-            self._client = distributed.Client(
-                address, timeout=CONNECTION_TIMEOUT
+            return self._distributed.Client(
+                self.address, timeout=CONNECTION_TIMEOUT
             )
         except (OSError, ValueError, TypeError) as error:
             # OSError is the base of the time-outs of sockets, too.
-            raise SchedulerError(address, f"cannot be reached: {error}") from error
+            raise SchedulerError(self.address, f"cannot be reached: {error}") from error
 
     def run(self, job: Job, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
-        """See `SampleWorkers.run`."""
+        """See `SampleWorkers.run`; each run has a connection of its own."""
+        client, self._client = self._client or self._connected(), None
         futures = {
-            self._client.submit(
+            client.submit(
                 compute_on_cluster, job, setpoints, pure=False, retries=MOST_TRIES - 1
             ): index
             for index, setpoints in samples
@@ -256,8 +260,8 @@ class DaskWorkers:
                     yield SampleOutcome(index, None, " ".join(str(cause).split()))
                 future.release()
         finally:
-            self._client.cancel(list(futures))
-            self._client.close()
+            client.cancel(list(futures))
+            client.close()
 
 
 _of_thread = threading.local()

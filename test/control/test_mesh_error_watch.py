@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.control.mesh_error_watch import MeshErrorWatch, framed
+from softrobot_twin.control.idle_process import framed
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.mesh_error import discretization_error
@@ -101,7 +102,7 @@ def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(diamond, wa
 def test_the_process_drops_an_inherited_priority(refused):
     """Also where SCHED_IDLE is refused."""
     code = (
-        "import os; from softrobot_twin.control import mesh_error_watch as process\n"
+        "import os; from softrobot_twin.control import idle_process as process\n"
         "os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))\n"
         "take = os.sched_setscheduler\n"
         "def allowed(process, policy, parameters):\n"

@@ -1,6 +1,7 @@
 """Messages and levels of the diagnostics for states of the control loop."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.full_model_error import FullError
 
 ROOT = Path(__file__).resolve().parents[2]
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -118,3 +120,35 @@ def test_a_large_tracking_error_is_a_warning_with_its_cause(diamond, late, cause
     watched.account("target")
     watched.tick()
     assert watched.account("target") == (OK, "following")
+
+
+class Judged(NamedTuple):
+    """What a `ReductionErrorWatch` has received."""
+
+    newest: dict
+    states: dict = {}
+    answers: int = 1
+    cause: str = ""
+
+
+def test_a_reduced_body_far_from_the_full_model_or_outside_its_range_is_a_warning(half_trained):
+    watched = Watched(Simulation(load_scene(half_trained), with_warnings=False))
+    watched.loop.targets.accept_point(0, (0.004, 0.0, 0.128), watched.arrival)
+    watched.tick(60)
+    diagnostics = watched.diagnostics
+    diagnostics._reduction = Judged({"body": FullError(1.0e-5, 0.002)})
+    assert watched.account("solver")[0] == OK
+    watched.tick()
+    diagnostics._reduction = Judged({"body": FullError(2.0e-3, 0.31)})
+    assert watched.account("solver") == (
+        WARN, "body: 2 mm (31 % of the displacement) from the full model"
+    )
+    for _ in range(150):
+        watched.loop.targets.accept_point(0, (0.030, 0.0, 0.115), watched.arrival)
+        watched.tick()
+    level, message = watched.account("solver")
+    assert level == WARN
+    assert message == (
+        "saturated; body: outside of the range of its reduction; "
+        "body: 2 mm (31 % of the displacement) from the full model"
+    )

@@ -266,6 +266,22 @@ def test_without_the_estimate_the_status_reports_it(world, make_twin, diagnostic
     assert diagnostics("solver").values["mesh_error"] == "not requested"
 
 
+def test_the_errors_of_a_reduced_body_are_reported(
+        world, make_twin, diagnostics, monkeypatch, half_trained):
+    from softrobot_twin.control import reduction_error_watch
+
+    program = reduction_error_watch._PROGRAM.format(False)
+    monkeypatch.setattr(reduction_error_watch, "_PROGRAM", program)
+    make_twin(scene_file=str(half_trained))
+    world.until(lambda: diagnostics.messages, 60.0)
+    solver = diagnostics(
+        "solver", lambda s: s.values["full_model"] == "compared", timeout=200.0
+    ).values
+    assert 0.0 <= float(solver["body_sampled_range"]) < 1.0
+    for key in ("body_reduction_error_mm", "body_full_model_error_mm"):
+        assert 0.0 < float(solver[key]) < 5.0
+
+
 LEVELS = {
     Status.OK: OK, Status.LINEARIZED: OK, Status.RATE_LIMITED: OK, Status.UNREACHABLE: WARN,
     Status.SATURATED: WARN, Status.NOT_CONVERGED: WARN, Status.INVERTED: WARN,

@@ -16,6 +16,7 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
+from softrobot_twin.simulation.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.body_reduction import (
     BodyReduction,
     reduction_fingerprints,
@@ -23,6 +24,7 @@ from softrobot_twin.simulation.body_reduction import (
 )
 from softrobot_twin.simulation.reduced_body import without_reductions
 from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.simulation.time_budget import StageClock
 from softrobot_twin.solvers.dense_cholesky import DenseCholesky
 
 from .conftest import MAPPING, SCENE_FILE
@@ -249,3 +251,23 @@ def test_a_file_that_is_no_reduction_is_refused(small, tmp_path):
         with pytest.raises(SceneError, match="is no reduced model"):
             Simulation(scene_from_mapping(mapping, SCENE_FILE), with_warnings=False)
 
+
+
+def test_the_compliance_and_its_derivative_are_those_of_the_full_model(pair):
+    """The derivative by the actuation goes through the coordinates, and is the same."""
+    found = []
+    for simulation in pair(coarse()):
+        command = CommandSetpoints(simulation.rest_setpoints - [0.004, 0.001, 0.002, 0.0], 1.0)
+        for _ in range(3):
+            efforts = simulation.step(command).efforts
+        newton, positions = simulation._newton, simulation.state.positions.copy()
+        newton.linearize(positions, efforts, StageClock())
+        stiffness = ApparentStiffness(simulation.model)
+        found.append(
+            stiffness.gradient(newton.linearized_state(positions, efforts), np.arange(3))
+        )
+    full, reduced = found
+    np.testing.assert_allclose(reduced.compliance, full.compliance, rtol=1e-8)
+    scale = np.abs(full.by_multiplier).max()
+    np.testing.assert_allclose(reduced.by_multiplier, full.by_multiplier, atol=1e-5 * scale)
+    np.testing.assert_allclose(reduced.free, full.free, rtol=1e-5)

@@ -9,24 +9,39 @@ import yaml
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study import choice
-from softrobot_twin.study.accuracy import hold_radius
+from softrobot_twin.study.accuracy import full_row, hold_radius, level_named
 from softrobot_twin.study.accuracy_study import (
     MESH,
     NEWTON,
     PRECISION,
     QP,
+    REDUCED,
     AccuracyError,
     Limits,
+    Setting,
     approximate_duration,
+    differences,
     mesh_family,
     read_rows,
     study_meshes,
+    study_reduced,
     with_hold_radius,
     write_rows,
+    write_scene_copy,
 )
 from softrobot_twin.study.bench_measurement import column_mesh, default_scene_path, write_mesh
+from softrobot_twin.study.body_training import reduce
 from softrobot_twin.study.choice import Measured, choose
 from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.reduced_models import (
+    STUDY,
+    beside,
+    every_level,
+    make_trial,
+    reduced_models,
+    study_options,
+    write_training_scene,
+)
 
 CELLS = {10: (1, 1, 5), 20: (2, 2, 10), 30: (3, 3, 15)}
 
@@ -68,11 +83,41 @@ def lonely(tmp_path_factory):
     return column_scene(folder, "column.vtk")
 
 
+@pytest.fixture(autouse=True)
+def no_trial(monkeypatch):
+    """No trial of reduced models, which takes seconds; returns the real one."""
+
+    def refuse(*_):
+        raise AccuracyError("column", "has no trial here")
+
+    monkeypatch.setattr(choice, "make_trial", refuse)
+    return make_trial
+
+
 @pytest.fixture(scope="module")
-def study(family, tmp_path_factory):
+def levels(family, tmp_path_factory):
     scene = load_scene(family)
-    levels = mesh_family(scene, tmp_path_factory.mktemp("none"))
+    held = with_hold_radius(scene, hold_radius(scene))
+    return mesh_family(held, tmp_path_factory.mktemp("none"))
+
+
+@pytest.fixture(scope="module")
+def study(levels):
     return study_meshes(levels, Limits(3_000, 8_000, 20), lambda words: None)
+
+
+FEW = replace(STUDY, snapshots=60, states=0, workers=1)
+
+
+@pytest.fixture(scope="module")
+def trained(family, levels, tmp_path_factory):
+    """File of the reduced model of the middle mesh, trained for a study."""
+    folder = tmp_path_factory.mktemp("trained")
+    scene, file = folder / "column_20.yaml", folder / "column_20_reduced.npz"
+    write_training_scene(scene, family, levels[1])
+    options = study_options(levels[1].scene, file)
+    reduce(scene, replace(FEW, output=file, ranges=options.ranges, tilt=options.tilt))
+    return file
 
 
 def test_a_mesh_family_is_found_by_the_numbers_in_its_file_names(family, tmp_path):
@@ -132,14 +177,16 @@ def test_rows_are_read_as_they_were_written(study, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_table_and_a_picture(family, tmp_path, call):
+def test_the_command_writes_a_table_and_a_picture(family, trained, tmp_path, call):
     done = call("accuracy", family, "--output", tmp_path / "out", "--timed-dof", 3000,
-                "--reference-dof", 8000)
+                "--reference-dof", 8000, "--reduced", trained, "--train", "column_10")
     assert done.code == 0, done.errors
-    assert "observed order" in done.output
+    assert "observed order" in done.output and "Reduced models: " in done.output
+    assert (tmp_path / "out" / "reduced" / "column_10_linear_reduced.npz").is_file()
     assert (tmp_path / "out" / "accuracy.png").read_bytes().startswith(b"\x89PNG")
     rows = read_rows(tmp_path / "out" / "accuracy.csv")
-    assert {row.knob for row in rows} == {MESH, NEWTON, QP, PRECISION}
+    assert {row.knob for row in rows} == {MESH, REDUCED, NEWTON, QP, PRECISION}
+    assert [row.mesh for row in rows if row.knob == REDUCED] == ["column_20", "column_10"]
     newton = [row.error_added for row in rows if row.knob == NEWTON]
     assert newton[1] < 0.1 * newton[0]
     double, single = (next(row.error_added for row in rows if row.setting.startswith(word))
@@ -287,3 +334,148 @@ def test_a_study_predicts_its_duration(lonely, tmp_path, monkeypatch, capsys):
     (1.0, "about 5 s"), (42.0, "about 40 s"), (300.0, "about 5 minutes")])
 def test_durations_are_printed_in_rounded_units(seconds, words):
     assert approximate_duration(seconds) == words
+
+
+def test_a_reduced_model_is_found_by_what_it_was_made_from(trained, levels):
+    (model,) = reduced_models((), beside(trained.parent), every_level(levels, ()))
+    assert (model.level.name, model.level.scene.body.element) == ("column_20", "linear")
+    assert model.mode_count % 3 == 0 and model.point_count > model.mode_count
+
+
+def test_a_file_of_another_body_is_refused_where_it_is_given_and_else_left_out(trained, levels):
+    others = [levels[0], levels[2]]
+    assert reduced_models((), (trained,), others) == []
+    with pytest.raises(AccuracyError, match="none of the meshes column_10, column_30"):
+        reduced_models((trained,), (), others)
+
+
+@pytest.mark.parametrize("name, reason", [("none.npz", "does not exist"), ("bad.npz", "is no ")])
+def test_a_file_that_is_no_reduced_model_is_refused(name, reason, levels, tmp_path):
+    (tmp_path / "bad.npz").write_text("not an archive")
+    with pytest.raises(AccuracyError, match=f"{name}: {reason}"):
+        reduced_models((tmp_path / name,), (), levels)
+
+
+def test_the_error_of_a_reduced_model_includes_that_of_its_mesh(trained, study, levels):
+    (model,) = reduced_models((trained,), (), levels)
+    row = study_reduced(model, study, 8, lambda words: None)
+    full = full_row(study.rows, row)
+    assert (row.knob, row.file, row.dof_count) == (REDUCED, trained.name, model.mode_count)
+    assert row.node_count == full.node_count
+    # The poses served for no choice; the mesh's own error is some 30 %.
+    for name in ("error_lengths", "error_weightless", "error_tensions"):
+        assert getattr(row, name) == pytest.approx(getattr(full, name), abs=0.02), name
+    assert full.error_lengths > 0.1
+    # What `choose` measures where there is no study is the distance from the full model.
+    apart = differences(model.level.scene, model.scene)
+    assert 0.0 < apart.moved < 0.02 and 0.0 < apart.pressed < 0.05
+
+
+def test_rows_of_reduced_models_are_read_as_they_were_written(study, tmp_path):
+    made = replace(study.rows[0], knob=REDUCED, file="a_reduced.npz", mode_count=45, point_count=3)
+    write_rows(tmp_path / "rows.csv", [made])
+    (read,) = read_rows(tmp_path / "rows.csv")
+    assert (read.file, read.mode_count, read.point_count) == ("a_reduced.npz", 45, 3)
+
+
+def test_a_file_of_before_there_were_reduced_models_is_read(study, tmp_path):
+    write_rows(tmp_path / "rows.csv", study.rows[:2])
+    lines = (tmp_path / "rows.csv").read_text().splitlines()
+    (tmp_path / "rows.csv").write_text(
+        "\n".join(line.rpartition(",")[0].rpartition(",")[0].rpartition(",")[0]
+                  for line in lines) + "\n")
+    assert [(row.file, row.mode_count) for row in read_rows(tmp_path / "rows.csv")] == [("", 0)] * 2
+
+
+def test_a_scene_with_patterns_is_copied_with_its_cables_written_out(tmp_path):
+    original = default_scene_path()
+    assert "repeat" in original.read_text()
+    scene = load_scene(original)
+    held = with_hold_radius(scene, 0.004)
+    write_scene_copy(tmp_path / "held.yaml", original, held,
+                     Setting("diamond_1600", "linear", "corotational", 2), [])
+    copied = load_scene(tmp_path / "held.yaml")
+    assert [cable.name for cable in copied.cables] == [cable.name for cable in scene.cables]
+    assert {cable.hold_radius for cable in copied.cables} == {0.004}
+
+
+def clock_of_reduced(scene, rate, iterations):
+    """A measurement in which only reduced models and the coarsest mesh are fast."""
+    is_small = (scene.mesh_path.stem, scene.body.element) == ("column_10", "linear")
+    time = (1e-4 if is_small or scene.body.reduced is not None else 1e-1) * iterations
+    return Measured(time, time, 1e-5)
+
+
+def test_choose_writes_a_scene_with_the_reduced_model_that_is_there(
+        family, trained, study, tmp_path, capsys):
+    write_rows(tmp_path / "rows.csv", study.rows)
+    written = tmp_path / "made" / "chosen.yaml"
+    written.parent.mkdir()
+    choose(family, 500.0, tmp_path / "rows.csv", written, clock_of_reduced, reduced=[trained])
+    told = capsys.readouterr().out
+    assert "column_20, linear tets, corotational law, reduced by column_20_reduced.npz" in told
+    assert "by mesh, element, law and reduction" in told
+    scene = load_scene(written)
+    assert scene.file_path(scene.body.reduced.file).samefile(trained)
+    simulation = Simulation(scene)
+    assert simulation.dof_count < 100 and simulation.node_count > 30
+    simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.01))
+
+    # From that scene on: its own reduced model is a candidate, and a full one may be chosen.
+    again = tmp_path / "again.yaml"
+    choose(written, 500.0, tmp_path / "rows.csv", again, clock_of_reduced)
+    assert load_scene(again).body.reduced is not None
+    choose(written, 1.0, tmp_path / "rows.csv", again, fake_clock)
+    assert load_scene(again).body.reduced is None
+
+
+def test_choose_takes_the_error_of_a_reduced_model_from_the_file_of_errors(
+        family, trained, study, levels, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(choice, "differences", lambda *_: 1 / 0)
+    (model,) = reduced_models((trained,), (), levels)
+    full = next(row for row in study.rows if row.mesh == "column_20")
+    known = replace(full, knob=REDUCED, file=model.name, mode_count=model.mode_count,
+                    point_count=model.point_count, error_lengths=0.0123, error_weightless=0.0)
+    write_rows(tmp_path / "rows.csv", [*study.rows, known])
+    choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", clock_of_reduced,
+           reduced=[trained])
+    assert "Expected error of the effector for given cable lengths: 1.23 %" in capsys.readouterr().out
+
+
+def test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_asked_to(
+        family, study, tmp_path, capsys, monkeypatch, no_trial):
+    monkeypatch.setattr(choice, "make_trial", no_trial)
+    few = replace(FEW, ranges=("a_shortening_m=0:0.006", "b_shortening_m=0:0.006",
+                               "c_shortening_m=0:0.006"))
+    rows, written = tmp_path / "rows.csv", tmp_path / "chosen.yaml"
+    write_rows(rows, study.rows)
+    choose(family, 500.0, rows, written, clock_of_reduced, options=few)
+    told = capsys.readouterr()
+    assert load_scene(written).body.reduced is None
+    assert "reduced, not trained" in told.out and "of training" in told.out
+    assert "Its training takes about " in told.out
+    assert f"choose {family} --rate 500 --accuracy {rows} --write {written} --train" in told.out
+
+    choose(family, 500.0, rows, written, clock_of_reduced, train=True, options=few)
+    told = capsys.readouterr()
+    scene = load_scene(written)
+    file = scene.file_path(scene.body.reduced.file)
+    assert file.parent == tmp_path and file.name.startswith("chosen_column_")
+    assert f"{file.name} is trained: about " in told.err
+    assert Simulation(scene).dof_count < 100
+    assert not list(tmp_path.glob("*.part"))
+
+    # It is found beside the scene: nothing is trained again.
+    choose(family, 500.0, rows, written, clock_of_reduced, train=True, options=few)
+    assert "nothing is trained" in capsys.readouterr().err
+    assert load_scene(written).body.reduced is not None
+
+
+def test_a_mesh_to_train_is_named_with_its_element(levels):
+    every = every_level(levels, ())
+    assert level_named("column_30:quadratic", every).scene.body.element == "quadratic"
+    assert level_named("column_30", every).scene.body.element == "linear"
+    with pytest.raises(AccuracyError, match="column_30:linear, column_30:quadratic"):
+        level_named("column_30:cubic", every)
+    with pytest.raises(AccuracyError, match="is not one of column_10:linear"):
+        level_named("row_1", every)

@@ -84,7 +84,7 @@ def test_two_processes_train_the_same(trained, column, call, tmp_path):
     assert done.code == 0, done.errors
     assert equal(trained, tmp_path / "r.npz")
     assert "48 of 48" in done.output and "8 fresh states" in done.output
-    assert "48/48 samples" in done.errors
+    assert "56/56 samples" in done.errors
 
 
 def test_the_scene_that_names_the_file_trains_it_again(trained, column, call, tmp_path):
@@ -235,3 +235,12 @@ def test_a_cluster_trains_the_same(trained, column, call, tmp_path):
                     cluster.scheduler_address, *SMALL)  # fmt: skip
     assert done.code == 0, done.errors
     assert equal(trained, tmp_path / "r.npz")
+
+
+def test_an_error_that_fresh_states_exceed_after_the_last_round_is_said(capsys):
+    options = body_training.TrainingOptions(error=0.01)
+    shares = np.array([0.001, 0.02, 0.005])
+    judged = body_training.Judgement(shares * 0.1, shares)
+    assert not body_training._tell_whether_met(options, [], True, judged)
+    assert "is exceeded at 1 of the 3 fresh states" in capsys.readouterr().err
+    assert body_training._tell_whether_met(options, [], True, judged._replace(shares=shares / 3))

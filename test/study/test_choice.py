@@ -2,15 +2,19 @@ from dataclasses import replace
 
 import pytest
 
-from softrobot_twin.study.accuracy_study import MESH, QP, AccuracyRow
+from softrobot_twin.study.accuracy_study import MESH, QP, REDUCED, AccuracyRow
 from softrobot_twin.study.choice import (
     MARGIN,
+    Foreseen,
     Measured,
     NoSettingError,
+    foresee,
     measure_candidates,
     pick,
     reference_uncertainty,
+    worth_training,
 )
+from softrobot_twin.study.reduced_models import Trial
 
 # Error and time [ms] of one linearization.
 FINE = {"coarse": (0.10, 0.5), "middle": (0.05, 1.5), "fine": (0.02, 6.0)}
@@ -81,3 +85,51 @@ def test_a_rate_that_no_setting_keeps_is_refused_with_the_highest_possible_rate(
     with pytest.raises(NoSettingError, match="keeps 1273 Hz") as refused:
         pick(measure_candidates(rows(), 5000.0, clock), 5000.0)
     assert refused.value.rate == 5000.0 and refused.value.nearest.setting.mesh == "coarse"
+
+
+def reduced_row(**changes):
+    """The fine mesh, reduced."""
+    return replace(rows()[2], knob=REDUCED, file="fine_reduced.npz", mode_count=45, **changes)
+
+
+def clock_of_reduced(setting):
+    return Measured(3e-4, 4e-4, 1e-4) if setting.reduced else clock(setting)
+
+
+def test_a_reduced_model_that_keeps_the_rate_is_chosen_before_a_coarser_mesh():
+    found = measure_candidates([*rows(), reduced_row()], 500.0, clock_of_reduced)
+    best = pick(found, 500.0).setting
+    assert (best.mesh, best.reduced) == ("fine", "fine_reduced.npz")
+    # The full model of this mesh is another setting, which is late.
+    late = [one for one in found if not one.keeps_rate]
+    assert [(one.setting.mesh, one.setting.reduced) for one in late] == [("fine", "")]
+
+
+def test_a_model_whose_error_under_forces_is_not_known_is_not_preferred_for_it():
+    alike = replace(reduced_row(), error_tensions=float("nan"))
+    found = measure_candidates([*rows(), alike], 100.0, clock_of_reduced)
+    assert pick(found, 100.0, reference_uncertainty=0.01).setting.reduced == ""
+
+
+def foreseen(error, seconds, time=4e-4):
+    return Foreseen(rows()[2], error, Measured(time, time, 0.0), seconds)
+
+
+def test_of_reduced_models_as_accurate_as_the_best_the_shortest_training_is_offered():
+    long, short, worse = foreseen(0.020, 600.0), foreseen(0.024, 60.0), foreseen(0.04, 6.0)
+    assert worth_training([long, short, worse], 500.0, 0.1, 0.005) is short
+    assert worth_training([long, short, worse], 500.0, 0.1, 0.0) is long
+
+
+def test_no_training_is_offered_that_is_late_or_not_better():
+    assert worth_training([foreseen(0.02, 1.0, time=4e-3)], 500.0, 0.1, 0.0) is None
+    assert worth_training([foreseen(0.095, 1.0)], 500.0, 0.1, 0.01) is None
+
+
+def test_a_foreseen_error_is_that_of_the_mesh_and_of_the_trial():
+    others = [*rows(), replace(rows()[2], law="linear", error_lengths=0.001), reduced_row()]
+    trial = Trial(None, 0.004, 100.0, 1.0, 10)
+    found = foresee(others, "corotational", trial, Measured(3e-4, 4e-4, 0.001),
+                    lambda row: 50.0 * row.step_ms)
+    assert [one.error for one in found] == pytest.approx([0.025, 0.055, 0.105])
+    assert [one.seconds for one in found] == pytest.approx([300.0, 75.0, 25.0])

@@ -136,7 +136,7 @@ def test_work_of_all_points_is_that_of_the_elements(body, rng):
     for state, total in zip(states, work.total.reshape(states.shape), strict=True):
         forces = forces_of(body, modes.basis @ state)
         along = -np.tensordot(forces, modes.basis, 2) / np.sqrt(modes.stiffness)
-        np.testing.assert_allclose(total, along, atol=1e-9 * np.abs(total).max())
+        np.testing.assert_allclose(total, along, atol=1e-6 * np.abs(total).max())
 
 
 def test_few_points_do_the_work_of_all_at_other_states(body, rng):
@@ -164,7 +164,8 @@ def test_of_many_points_the_drawn_ones_suffice(body, rng, monkeypatch):
     monkeypatch.setattr(reduction_basis, "CHUNK", 7)
     again = work_of(body, modes, states, np.random.default_rng(0), 60)
     np.testing.assert_array_equal(work.points.cells, again.points.cells)
-    np.testing.assert_allclose(work.total, again.total, rtol=1e-9, atol=1e-12)
+    # Gradients of some points are in single precision.
+    np.testing.assert_allclose(work.total, again.total, atol=1e-6 * np.abs(work.total).max())
     np.testing.assert_allclose(
         work.columns, again.columns, atol=1e-6 * np.abs(work.columns).max()
     )

@@ -1,0 +1,225 @@
+"""A process of the lowest priority beside a running twin, which answers requests of its tick.
+
+What takes longer than a tick cannot be done in a thread: it would hold Python's interpreter lock,
+which the tick needs; a separate process does not. The tick sends a few numbers from time to time
+and reads the answers that have arrived: it never waits.
+
+`IdleWatch` runs in the twin; `run` is the program of the other process.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, BinaryIO
+
+# `yield_to_all` runs before numpy is imported: threads of its libraries inherit the priority.
+if TYPE_CHECKING:
+    from softrobot_twin.simulation import Simulation
+
+LENGTH = struct.Struct("<I")
+"""The header of each message: its length in bytes."""
+STATE, UNKNOWN = "state", "unknown"
+"""Kinds of replies: one to a requested state, and the last one, with the reason."""
+
+# Pause before the next request, in durations of the last answer: a fifth of a processor at most.
+_PAUSE = 4.0
+_END_TIMEOUT = 2.0
+
+
+def framed(content: object) -> bytes:
+    """A message with its header."""
+    body = pickle.dumps(content)
+    return LENGTH.pack(len(body)) + body
+
+
+# --- in the twin ---------------------------------------------------------------------------------
+
+
+class IdleWatch:
+    """Requests answers and takes the newest; a kind of watch says what is asked and answered.
+
+    Attributes:
+        answers: Number of answered requests.
+        cause: Why there are no more answers; empty when there are, or will be.
+    """
+
+    def __init__(self, program: str, first: object):
+        """Starts the process.
+
+        Args:
+            program: Source of the program, which calls `run`.
+            first: The first message.
+        """
+        self.answers = 0
+        self.cause = ""
+        self._received = b""
+        self._unsent = framed(first)
+        self._waiting, self._next = True, 0.0
+        paths = os.pathsep.join(path for path in sys.path if path)
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+        for pipe in (self._process.stdin, self._process.stdout):
+            os.set_blocking(pipe.fileno(), False)
+        self._send()
+
+    def request_of(self, simulation: Simulation, forces_given: bool) -> object:
+        """What is asked about the present state; see `offer`."""
+        raise NotImplementedError
+
+    def take(self, kind: str, content: list) -> None:
+        """Keeps what was answered.
+
+        Args:
+            kind: Kind of the reply.
+            content: What it holds, without the duration.
+        """
+        raise NotImplementedError
+
+    def offer(self, simulation: Simulation, forces_given: bool, now: float) -> None:
+        """Takes answers that have arrived, and asks about the present state when due. Never waits.
+
+        Args:
+            simulation: The twin's simulation.
+            forces_given: True when its actuators keep efforts, false when they keep setpoints.
+            now: Time on a monotonic clock [s].
+        """
+        self._receive(now)
+        if not (self._waiting or self.cause) and now >= self._next:
+            self._waiting = True
+            self._unsent = framed(self.request_of(simulation, forces_given))
+        self._send()
+
+    def close(self) -> None:
+        """Ends the process."""
+        self._process.stdin.close()
+        self._process.terminate()
+        try:
+            self._process.wait(_END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+    def _send(self) -> None:
+        """Writes as much as the pipe accepts."""
+        while self._unsent:
+            try:
+                count = os.write(self._process.stdin.fileno(), self._unsent)
+            except BlockingIOError:
+                return
+            except OSError:
+                self.end("its process has ended")
+                return
+            self._unsent = self._unsent[count:]
+
+    def _receive(self, now: float) -> None:
+        while not self.cause:
+            try:
+                content = os.read(self._process.stdout.fileno(), 65536)
+            except BlockingIOError:
+                break
+            if not content:
+                self.end("its process has ended")
+                break
+            self._received += content
+            self._take_messages(now)
+
+    def _take_messages(self, now: float) -> None:
+        """Takes the messages that have arrived completely."""
+        while len(self._received) >= LENGTH.size:
+            end = LENGTH.size + LENGTH.unpack(self._received[: LENGTH.size])[0]
+            if len(self._received) < end:
+                return
+            self._take(pickle.loads(self._received[LENGTH.size : end]), now)
+            self._received = self._received[end:]
+
+    def _take(self, message: tuple, now: float) -> None:
+        kind, *content = message
+        self._waiting = False
+        if kind == UNKNOWN:
+            self.end(content[0])
+        elif kind == STATE:
+            *content, duration = content
+            self.take(kind, content)
+            self.answers += 1
+            self._next = now + _PAUSE * duration
+        else:
+            self.take(kind, content)
+
+    def end(self, cause: str) -> None:
+        """Records that there will be no more answers."""
+        self.cause = self.cause or cause
+        self._unsent = b""
+
+
+# --- in the other process ------------------------------------------------------------------------
+
+
+def yield_to_all() -> None:
+    """Sets the lowest priority; an inherited priority has no effect.
+
+    SCHED_IDLE where the system allows it, otherwise SCHED_OTHER, never a real-time policy; with the
+    greatest nice value in both cases.
+    """
+    for policy in (os.SCHED_IDLE, os.SCHED_OTHER):
+        try:
+            os.sched_setscheduler(0, policy, os.sched_param(0))
+            break
+        except OSError:
+            continue
+    os.nice(19)
+
+
+class Replies:
+    """Writes replies."""
+
+    def __init__(self, stream: BinaryIO):
+        self._stream = stream
+
+    def __call__(self, *content: object) -> None:
+        """Writes one: its kind, then what it holds; of a `STATE` the duration [s] comes last."""
+        self._stream.write(framed(content))
+        self._stream.flush()
+
+
+def read_message(stream: BinaryIO):
+    """The next message; None when the other end has closed."""
+    head = stream.read(LENGTH.size)
+    if len(head) < LENGTH.size:
+        return None
+    size = LENGTH.unpack(head)[0]
+    body = stream.read(size)
+    return pickle.loads(body) if len(body) == size else None
+
+
+def run(serve: Callable[[BinaryIO, Replies], None], yields: bool = True) -> None:
+    """Serves standard input and output. The twin, not this process, handles an interrupt.
+
+    Args:
+        serve: Answers requests until the other end closes; see `MeshErrorWatch`.
+        yields: Whether to set the lowest priority.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if yields:
+        yield_to_all()
+    replies = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # print() must not write between replies
+    reply = Replies(replies)
+    try:
+        try:
+            serve(sys.stdin.buffer, reply)
+        except BrokenPipeError:
+            raise
+        except Exception as error:  # noqa: BLE001 - the twin reports it; its stderr is not read
+            reply(UNKNOWN, f"it failed: {type(error).__name__}: {error}")
+    except BrokenPipeError:
+        pass  # The twin has ended.

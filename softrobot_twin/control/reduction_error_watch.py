@@ -1,0 +1,96 @@
+"""The errors of a running twin's reduced bodies, estimated by a process of lowest priority.
+
+The process holds the scene with the modes in use, with the spare ones too, and with all nodes. It
+gets states of the twin, and answers both estimates: by the spare modes (`simulation/
+reduction_error.py`), and by the full model, whose nodes it places by the coordinates of the bodies
+(`simulation/full_model_error.py`). The tick computes none of this; see `idle_process.py`.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import TYPE_CHECKING, BinaryIO
+
+from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, read_message, run
+
+# The other process lowers its priority before numpy is imported.
+if TYPE_CHECKING:
+    from softrobot_twin.simulation import Simulation
+    from softrobot_twin.simulation.full_model_error import FullError
+    from softrobot_twin.simulation.vertebrae_watch import ReductionState
+
+READY = "ready"
+"""Kind of the first reply: the models are built."""
+_PROGRAM = "from softrobot_twin.control.reduction_error_watch import main; main({})"
+
+
+class ReductionErrorWatch(IdleWatch):
+    """Requests errors of reduced bodies and keeps the newest.
+
+    Attributes:
+        is_ready: Whether the models are built.
+        states: How far each body can be believed, by the spare modes, in the newest judged state;
+            empty as `newest`.
+        newest: Error of each reduced body by the full model; NaN where that found no balance; empty
+            before the first answer, and when there are no more.
+        linearizations: Linearizations of the full model that the newest took.
+    """
+
+    def __init__(self, simulation: Simulation, yields: bool = True):
+        """Starts the process.
+
+        Args:
+            simulation: The twin's simulation, some of whose bodies are reduced.
+            yields: Whether the process has the lowest priority.
+        """
+        self.is_ready = False
+        self.states: dict[str, ReductionState] = {}
+        self.newest: dict[str, FullError] = {}
+        self.linearizations = 0
+        super().__init__(_PROGRAM.format(yields), simulation.scene)
+
+    def request_of(self, simulation: Simulation, forces_given: bool) -> object:
+        """The state itself: coordinates, setpoints and efforts; see `IdleWatch`."""
+        return simulation.state
+
+    def take(self, kind: str, content: list) -> None:
+        """Keeps an answer; see `IdleWatch`."""
+        if kind == READY:
+            self.is_ready = True
+        else:
+            self.states, self.newest, self.linearizations = content
+
+    def end(self, cause: str) -> None:
+        """Records that there will be no more answers."""
+        super().end(cause)
+        self.states, self.newest = {}, {}
+
+
+def serve(requests: BinaryIO, reply: Replies) -> None:
+    """Answers until the other end closes.
+
+    Args:
+        requests: The scene, then a `State` each.
+        reply: Takes ``(READY,)``, then ``(STATE, states by body, errors by body, linearizations,
+            duration [s])`` for each state; the errors and linearizations are those of the full model.
+    """
+    from softrobot_twin.simulation import Simulation
+    from softrobot_twin.simulation.full_model_error import FullModelError
+    from softrobot_twin.simulation.reduced_body import without_fallback
+
+    scene = read_message(requests)
+    if scene is None:
+        return
+    simulation = Simulation(without_fallback(scene), with_warnings=False)
+    judge = FullModelError(simulation)
+    reply(READY)
+    while (state := read_message(requests)) is not None:
+        begin = perf_counter()
+        simulation.restore(state)
+        states, errors = simulation.reduction_state(), judge.errors(state)
+        reply(STATE, states, errors, judge.linearizations, perf_counter() - begin)
+
+
+def main(yields: bool = True) -> None:
+    """The other process; see `run`."""
+    run(serve, yields)

@@ -1,0 +1,64 @@
+"""Facts of the full model beside a running twin with reduced bodies."""
+
+import os
+import time
+
+import pytest
+
+from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
+from softrobot_twin.control.idle_process import framed
+from softrobot_twin.scene import load_scene
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.full_model_error import FullModelError
+
+PATIENCE = 120.0
+
+
+@pytest.fixture(scope="module")
+def bent(half_trained):
+    """The reduced Diamond, two of whose cables are wound."""
+    simulation = Simulation(load_scene(half_trained), with_warnings=False)
+    lengths = simulation.rest_setpoints - [0.009, 0.0, 0.006, 0.0]
+    for _ in range(20):
+        simulation.step(CommandSetpoints(lengths, 0.05))
+    return simulation
+
+
+@pytest.fixture
+def watch(bent):
+    # A process of the lowest priority might never run on a busy machine.
+    started = ReductionErrorWatch(bent, yields=False)
+    yield started
+    started.close()
+
+
+def offer_until(watch, simulation, condition):
+    """Offers as the node does, until something is so."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        watch.offer(simulation, False, time.monotonic())
+        time.sleep(0.02)
+
+
+def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(bent, watch):
+    assert watch.newest == {} and not watch.is_ready
+    offer_until(watch, bent, lambda: watch.answers == 1)
+    assert watch.is_ready and watch.cause == ""
+    judge = FullModelError(bent)
+    for name, error in judge.errors(bent.state).items():
+        assert watch.newest[name] == pytest.approx(error, rel=1e-6)
+    for name, state in bent.reduction_state().items():
+        assert watch.states[name] == pytest.approx(state, rel=1e-6, nan_ok=True)
+    assert watch.linearizations == judge.linearizations >= 2
+    watch._unsent += framed("no state")
+    offer_until(watch, bent, lambda: watch.cause)
+    assert watch.cause.startswith("it failed: AttributeError: ")
+    assert watch.newest == watch.states == {}
+
+
+def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(bent):
+    watch = ReductionErrorWatch(bent)
+    offer_until(watch, bent, lambda: os.sched_getscheduler(watch._process.pid) == os.SCHED_IDLE)
+    watch.close()
+    assert watch._process.returncode is not None
