@@ -614,6 +614,26 @@ def add_clique(offsets, strides, matrix, storage):
                         storage[offset + b * strides[j, m] + a] += matrix[3 * j + a, 3 * m + b]
 
 
+def clique_slots(unknowns: np.ndarray, rank: np.ndarray, slots) -> tuple[np.ndarray, np.ndarray]:
+    """Places in the storage of the blocks of some unknowns that are all coupled.
+
+    Args:
+        unknowns: They, -1 where none, shape (width,).
+        rank: Place of each unknown in the elimination order.
+        slots: The factorization's `slots`.
+
+    Returns:
+        Offset of each block, -1 where it has none of its own, and distance of its columns, both of
+        shape (width, width).
+    """
+    rows, columns = np.meshgrid(unknowns, unknowns, indexing="ij")
+    lower = (rows >= 0) & (columns >= 0)
+    lower &= rank[rows] >= rank[columns]
+    offsets, strides = np.full(lower.shape, -1, np.int64), np.zeros(lower.shape, np.int64)
+    offsets[lower], strides[lower] = slots(rows[lower], columns[lower])
+    return offsets, strides
+
+
 class CommonUnknowns:
     """Stiffness between points that all depend on the same unknowns: Dᵀ K D by one product.
 
@@ -634,12 +654,7 @@ class CommonUnknowns:
         D = points.derivatives[own].transpose(0, 2, 1, 3)
         self.D = np.ascontiguousarray(D.reshape(3 * len(own), -1))
         self.half, self._loaded = np.empty_like(self.D), np.empty((0, 0))
-        rows, columns = np.meshgrid(unknowns, unknowns, indexing="ij")
-        lower = (rows >= 0) & (columns >= 0)
-        lower &= rank[rows] >= rank[columns]
-        self._offsets = np.full(lower.shape, -1, np.int64)
-        self._strides = np.zeros(lower.shape, np.int64)
-        self._offsets[lower], self._strides[lower] = slots(rows[lower], columns[lower])
+        self._offsets, self._strides = clique_slots(unknowns, rank, slots)
 
     def take_segments(self, ends: np.ndarray) -> None:
         """Take E of segments in place of D, three rows each, shape (3 segment_count, size)."""
