@@ -325,7 +325,9 @@ class Cables(ConstantRows):
             positions, self._nodes, self._coefficients, self._constants, self._least,
             self._rounding, self._cable, tensions, matrices,
         )  # fmt: skip
-        pulls = None if projected else self._pulls_on_carried_points(positions, tensions)
+        pulls = None
+        if self._folded.turns and not projected:
+            pulls = self._pulls_on_carried_points(positions, tensions)
         self._folded.add(positions, matrices, pulls, storage)
 
     def add_row_stiffness(

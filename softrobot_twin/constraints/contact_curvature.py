@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.mechanics.kinematics import CarriedPoints
+from softrobot_twin.mechanics.kinematics import CarriedPoints, clique_slots
 
 # A facet along a straight side would be infinitely stiff: its curvature is at least this share of
 # the curvature across. A greater share makes facets that are nearly along the side tilt too far:
@@ -361,10 +361,11 @@ class ContactCurvature:
             slots: The factorization's `slots`.
         """
         self._unknown_count = len(elimination_rank)
-        reduced = [pair for pair in self._pairs if self._is_reduced(pair)]
-        self._blocks = {
-            pair.index: self._coordinate_blocks(pair, elimination_rank, slots) for pair in reduced
-        }
+        for pair in self._pairs:
+            unknowns = self._coordinates_of(pair)
+            if unknowns is not None:
+                blocks = clique_slots(unknowns, elimination_rank, slots)
+                self._blocks[pair.index] = CoordinateBlocks(*blocks)
         plain = [pair.triangles for pair in self._pairs if pair.index not in self._blocks]
         triangles = np.unique(np.concatenate([np.empty((0, 3), np.int64), *plain]), axis=0)
         count = len(self._free_index)
@@ -390,26 +391,12 @@ class ContactCurvature:
                 0, np.zeros(1),
             )  # fmt: skip
 
-    def _is_reduced(self, pair: RoundPair) -> bool:
-        """Whether all corners of a surface are points of the coordinates of one reduced body."""
+    def _coordinates_of(self, pair: RoundPair) -> np.ndarray | None:
+        """Unknowns that carry all corners of a surface, as those of a reduced body; else None."""
         points = self._free_index[np.unique(pair.triangles)] - self._unknown_count
         if self._carried is None or not len(points) or points.min() < 0:
-            return False
-        unknowns = self._carried.unknowns[points]
-        # Nodes that ride on a rigid body turn with it: their derivatives are not constant.
-        constant = ~np.isin(unknowns, self._carried.turning_unknowns).any()
-        return bool(constant and (unknowns == unknowns[0]).all())
-
-    def _coordinate_blocks(self, pair: RoundPair, rank: np.ndarray, slots) -> CoordinateBlocks:
-        """Look up where the blocks of the coordinates of a pair's body go."""
-        point = self._free_index[pair.triangles[0, 0]] - self._unknown_count
-        unknowns = self._carried.unknowns[point]
-        rows, columns = np.meshgrid(unknowns, unknowns, indexing="ij")
-        lower = (rows >= 0) & (columns >= 0)
-        lower &= rank[rows] >= rank[columns]
-        offsets, strides = np.full(lower.shape, -1, np.int64), np.zeros(lower.shape, np.int64)
-        offsets[lower], strides[lower] = slots(rows[lower], columns[lower])
-        return CoordinateBlocks(offsets, strides)
+            return None
+        return self._carried.shared_unknowns(points)
 
     def add(
         self, contacts, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray

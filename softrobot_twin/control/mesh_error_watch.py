@@ -77,8 +77,8 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
 
     Args:
         requests: The scene, then `ActuatorLoads` for each state.
-        reply: Takes ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each state;
-            ``(UNKNOWN, reason)`` and the end when there is no estimate.
+        reply: Takes ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each
+            state; ``(UNKNOWN, reason)`` and the end when there is no estimate.
     """
     from softrobot_twin.simulation.mesh_error import (
         MeshErrorEstimator,

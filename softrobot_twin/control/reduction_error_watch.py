@@ -72,7 +72,7 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
     Args:
         requests: The scene, then a `State` each.
         reply: Takes ``(READY,)``, then ``(STATE, states by body, errors by body, linearizations,
-            duration [s])`` for each state; the errors and linearizations are those of the full model.
+            duration [s])`` for each state; errors and linearizations are those of the full model.
     """
     from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.full_model_error import FullModelError

@@ -578,6 +578,31 @@ def multiply_blocks(pairs, scratch, D, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def multiply_segments(matrices, ends, loaded, half):
+    """E and K E of the segments whose K is not zero, one after the other; gives their number.
+
+    Args:
+        matrices: K of each, shape (segment_count, 3, 3).
+        ends: E of each, shape (3 segment_count, size).
+        loaded: Takes E, same shape.
+        half: Takes K E, same shape.
+    """
+    count = 0
+    for s in range(len(matrices)):
+        K = matrices[s]
+        if K[0, 0] + K[1, 1] + K[2, 2] == 0.0:
+            continue
+        first, second, third = ends[3 * s], ends[3 * s + 1], ends[3 * s + 2]
+        for i in range(3):
+            loaded[3 * count + i] = ends[3 * s + i]
+            out = half[3 * count + i]
+            for c in range(len(out)):
+                out[c] = K[i, 0] * first[c] + K[i, 1] * second[c] + K[i, 2] * third[c]
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_clique(offsets, strides, matrix, storage):
     """Add the blocks of a symmetric matrix whose offset is not negative, (width, width) blocks."""
     for j in range(len(offsets)):
@@ -587,6 +612,26 @@ def add_clique(offsets, strides, matrix, storage):
                 for b in range(3):
                     for a in range(3):
                         storage[offset + b * strides[j, m] + a] += matrix[3 * j + a, 3 * m + b]
+
+
+def clique_slots(unknowns: np.ndarray, rank: np.ndarray, slots) -> tuple[np.ndarray, np.ndarray]:
+    """Places in the storage of the blocks of some unknowns that are all coupled.
+
+    Args:
+        unknowns: They, -1 where none, shape (width,).
+        rank: Place of each unknown in the elimination order.
+        slots: The factorization's `slots`.
+
+    Returns:
+        Offset of each block, -1 where it has none of its own, and distance of its columns, both of
+        shape (width, width).
+    """
+    rows, columns = np.meshgrid(unknowns, unknowns, indexing="ij")
+    lower = (rows >= 0) & (columns >= 0)
+    lower &= rank[rows] >= rank[columns]
+    offsets, strides = np.full(lower.shape, -1, np.int64), np.zeros(lower.shape, np.int64)
+    offsets[lower], strides[lower] = slots(rows[lower], columns[lower])
+    return offsets, strides
 
 
 class CommonUnknowns:
@@ -608,17 +653,24 @@ class CommonUnknowns:
         """
         D = points.derivatives[own].transpose(0, 2, 1, 3)
         self.D = np.ascontiguousarray(D.reshape(3 * len(own), -1))
-        self.half = np.empty_like(self.D)
-        rows, columns = np.meshgrid(unknowns, unknowns, indexing="ij")
-        lower = (rows >= 0) & (columns >= 0)
-        lower &= rank[rows] >= rank[columns]
-        self._offsets = np.full(lower.shape, -1, np.int64)
-        self._strides = np.zeros(lower.shape, np.int64)
-        self._offsets[lower], self._strides[lower] = slots(rows[lower], columns[lower])
+        self.half, self._loaded = np.empty_like(self.D), np.empty((0, 0))
+        self._offsets, self._strides = clique_slots(unknowns, rank, slots)
+
+    def take_segments(self, ends: np.ndarray) -> None:
+        """Take E of segments in place of D, three rows each, shape (3 segment_count, size)."""
+        self.D = np.ascontiguousarray(ends)
+        self.half, self._loaded = np.empty_like(self.D), np.empty_like(self.D)
 
     def add(self, storage: np.ndarray) -> None:
         """Add Dᵀ (K D), whose second factor is in `half`, to the system matrix."""
         add_clique(self._offsets, self._strides, self.D.T @ self.half, storage)
+
+    def add_segments(self, matrices: np.ndarray, storage: np.ndarray) -> None:
+        """Add Eᵀ K E with a matrix K of each segment, shape (segment_count, 3, 3)."""
+        count = 3 * multiply_segments(matrices, self.D, self._loaded, self.half)
+        if count:
+            matrix = self._loaded[:count].T @ self.half[:count]
+            add_clique(self._offsets, self._strides, matrix, storage)
 
 
 class FoldedStiffness:
@@ -821,6 +873,11 @@ class FoldedSegments:
         """Unknowns that each segment couples, -1 where none, shape (segment_count, count)."""
         return self._unknowns
 
+    @property
+    def turns(self) -> bool:
+        """Whether forces on the points add turning terms."""
+        return self._common is None
+
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the blocks in the storage; see `ForceTerm.bind`."""
         points = self._points
@@ -834,6 +891,16 @@ class FoldedSegments:
         same = reached[:, :, :, None] == ordered[:, None, None, :]
         self._places = np.where(reached >= 0, same.argmax(axis=3), -1)
         self._turning = TurningBlocks(points, self._unknowns, elimination_rank, slots)
+        own, free = points.own_of(self._nodes), points.free_count
+        shared = points.shared_unknowns(own)
+        self._common = None
+        if shared is not None and not ((self._nodes >= 0) & (self._nodes < free)).any():
+            self._common = CommonUnknowns(points, own, shared, elimination_rank, slots)
+            ends = self._common.D.reshape(len(own), 3, -1)
+            places = np.where(self._nodes >= 0, np.searchsorted(own, self._nodes - free), 0)
+            shares = np.where(self._nodes >= 0, self._coefficients, 0.0)
+            own_ends = np.einsum("sa,saiu->siu", shares, ends[places])
+            self._common.take_segments(own_ends.reshape(3 * len(places), -1))
 
     def add(
         self, positions: np.ndarray, matrices: np.ndarray, point_forces: np.ndarray | None,
@@ -849,6 +916,9 @@ class FoldedSegments:
         """
         points, bound = self._points, self._bound
         points.update(positions)
+        if self._common is not None:
+            self._common.add_segments(matrices, storage)
+            return
         fold_segments(
             matrices, self._nodes, self._coefficients, self._places, points.free_count,
             points.derivatives, bound.offsets, bound.strides, self._ends, storage,

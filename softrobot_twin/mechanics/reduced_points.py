@@ -13,8 +13,34 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.mechanics.kinematics import longest_row
+
+# Numbers that stay in the nearest cache while all coordinates are added.
+BLOCK = 1024
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_displacements(modes, coordinates, out):
+    """Φ q, with all products in double precision.
+
+    Args:
+        modes: Φ by coordinates, single or double, shape (mode_count, 3 point_count); the count is
+            a multiple of three.
+        coordinates: q [m], shape (mode_count,).
+        out: Takes the displacements [m], shape (3 point_count,).
+    """
+    out[:] = 0.0
+    for begin in range(0, len(out), BLOCK):
+        end = min(begin + BLOCK, len(out))
+        own = out[begin:end]
+        for m in range(0, len(coordinates), 3):
+            q, r, s = coordinates[m], coordinates[m + 1], coordinates[m + 2]
+            first, second = modes[m, begin:end], modes[m + 1, begin:end]
+            third = modes[m + 2, begin:end]
+            for k in range(len(own)):
+                own[k] += q * first[k] + r * second[k] + s * third[k]
 
 
 class Platform(NamedTuple):
@@ -68,10 +94,14 @@ class ReducedPoints:
         self._unknowns = np.asarray(unknowns, np.int64)
         self._points = slice(first_point, first_point + len(rest))
         self._rest, self._modes = np.asarray(rest, float), np.ascontiguousarray(modes, float)
-        self._rows = self._modes.reshape(3 * len(rest), self._modes.shape[2])
-        # Half as wide, for what is only compared with limits.
-        self._rough_rows = self._rows.astype(np.float32)
-        self._measured, self._longest = np.zeros(self._rows.shape[1]), 0.0
+        by_coordinate = self._modes.reshape(3 * len(rest), self._modes.shape[2]).T
+        # A basis is saved in single precision: nodes of a mesh that is not turned lose nothing, and
+        # a surface of thousands of points is read in half the time.
+        single = np.ascontiguousarray(by_coordinate, np.float32)
+        is_exact = (single == by_coordinate).all()
+        self._by_coordinate = single if is_exact else np.ascontiguousarray(by_coordinate)
+        self._moved = np.zeros(3 * len(rest))
+        self._measured, self._longest = np.zeros(len(by_coordinate)), 0.0
         self.carried_unknowns = np.tile(self._unknowns, (len(rest), 1))
         self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
 
@@ -86,7 +116,8 @@ class ReducedPoints:
             positions: Node positions [m], shape (node_count, 3); those of the points are written.
         """
         coordinates = positions[self.coordinate_nodes].ravel()
-        moved = (self._rows @ coordinates).reshape(-1, 3)
+        write_displacements(self._by_coordinate, coordinates, self._moved)
+        moved = self._moved.reshape(-1, 3)
         if self._platform is not None:
             moved += self._platform.displacement(positions)
         np.add(self._rest, moved, out=positions[self._points])
@@ -99,10 +130,13 @@ class ReducedPoints:
         if are_forces or not len(self._rest):
             return 0.0
         move = vectors[self._unknowns].ravel()
-        # A step asks for the same move several times; all points are a large product.
+        # A step asks for the same move several times, and in statics for the velocity, which is
+        # zero; all points are a large product.
+        if not move.any():
+            return 0.0
         if not np.array_equal(move, self._measured):
-            self._longest = longest_row((self._rough_rows @ move.astype(np.float32)).reshape(-1, 3))
-            self._measured = move
+            write_displacements(self._by_coordinate, move, self._moved)
+            self._longest, self._measured = longest_row(self._moved.reshape(-1, 3)), move
         return float(self._longest)
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:

@@ -41,7 +41,8 @@ class BodyReduction(NamedTuple):
         ranges: Largest magnitude of each coordinate in the training, spare ones included [m],
             shape (mode_count + spare_count,).
         measured: Median and largest error against the full model at fresh states, as a share of
-            the effectors' displacement; NaN before, shape (2,).
+            the effectors' displacement, or of a tenth of the largest one where that is more; NaN
+            before, shape (2,).
         training: How it was made: command, seed, numbers of states, errors, times.
     """
 

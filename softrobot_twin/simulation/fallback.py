@@ -6,9 +6,9 @@ spare modes (``enrich``), or all nodes (``full_model``). Both models are built w
 far its effectors move. Above the wanted error the simulation goes on with the better model, and it
 goes back where the difference is below half of it.
 
-Both models have the same actuators, so setpoints and efforts go over as they are, and limits of rates
-hold through the change. To more modes, coordinates stay and spare ones begin at zero; all nodes begin
-where the coordinates place them. Back, coordinates are those of the nearest shape of the basis.
+Both models have the same actuators, so setpoints and efforts go over as they are, and limits of
+rates hold through the change. To more modes, coordinates stay and spare ones begin at zero; all nodes
+begin where the coordinates place them. Back, coordinates are those of the nearest shape of the basis.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ full model to its own balance; how far its effectors move is the error of the re
 the basis cannot see has no part in it: it holds for loads that the training never had, where spare
 modes tell too little (`reduction_error.py`).
 
-It linearizes until the effectors move by less than a tenth of their distance so far (`SETTLED`). Where
-the reduced model is within some per cent these are two linearizations, of which the first is within
-4 % of the truth; at twice the training range of a strongly bent Diamond two to a dozen.
+It linearizes until the effectors move by less than a tenth of their distance so far (`SETTLED`).
+Where the reduced model is within some per cent these are two linearizations, of which the first is
+within 4 % of the truth; at twice the training range of a strongly bent Diamond two to a dozen.
 
 A linearization of the full model takes hundreds of times as long as a step of the reduced one: this
 is for the slack of a loop (`control/reduction_error_watch.py`) or for studies.

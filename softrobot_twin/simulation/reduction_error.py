@@ -20,6 +20,7 @@ never had, only the full model tells; see `full_model_error.py`.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -45,13 +46,13 @@ class CoordinateRange(NamedTuple):
 
     Attributes:
         name: The body.
-        nodes: Its coordinate nodes, shape (mode_count / 3,).
+        nodes: Its coordinate nodes, which follow each other.
         scales: One over the largest magnitude of each coordinate in the training, by the root of
             their number [1/m], shape (mode_count / 3, 3).
     """
 
     name: str
-    nodes: np.ndarray
+    nodes: slice
     scales: np.ndarray
 
     def share(self, positions: np.ndarray) -> float:
@@ -61,7 +62,7 @@ class CoordinateRange(NamedTuple):
             positions: Node positions [m], shape (node_count, 3).
         """
         shares = (positions[self.nodes] * self.scales).ravel()
-        return float(np.sqrt(shares @ shares))
+        return math.sqrt(shares @ shares)
 
 
 def reduced_bodies(model: Model) -> tuple[Body, ...]:
@@ -81,7 +82,8 @@ def _range_of(body: Body) -> CoordinateRange:
     # A coordinate that the training never moved has no range to leave but that of rounding.
     least = np.finfo(np.float32).eps * max(float(ranges.max(initial=0.0)), np.finfo(float).tiny)
     scales = 1.0 / (np.sqrt(count) * np.maximum(ranges, least))
-    return CoordinateRange(body.name, nodes.coordinate_nodes, scales.reshape(-1, 3))
+    own = slice(nodes.first_node, nodes.first_node + count // 3)
+    return CoordinateRange(body.name, own, scales.reshape(-1, 3))
 
 
 # --- the error -----------------------------------------------------------------------------------
@@ -134,8 +136,8 @@ class ReductionErrors:
         """A state of the judged simulation, with spare coordinates of zero."""
         positions = np.insert(state.positions, self._inserted, 0.0, axis=0)
         return State(
-            positions, state.setpoints, state.efforts, state.step_count, state.time, state.velocities,
-            None, state.slips, state.touches, state.history,
+            positions, state.setpoints, state.efforts, state.step_count, state.time,
+            state.velocities, None, state.slips, state.touches, state.history,
         )  # fmt: skip
 
     def moves(self, state: State) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.simulation.actuators import Actuators
-from softrobot_twin.study.explain import print_mesh_error
+from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.simulation.input_tables import CommandTable, read_commands
 from softrobot_twin.study.offline_run import actuator_cells, actuator_columns, spread
 from softrobot_twin.study.output_file import output_file
@@ -203,7 +203,7 @@ class DirectSummary:
         self._sums: list[np.ndarray] = []
         self._counts: list[int] = []
         self._compute_times: list[float] = []
-        self._residual = 0.0
+        self._residual = self.sampled_range = 0.0
         self.statuses: Counter[str] = Counter()
         self.failed = 0
 
@@ -217,6 +217,7 @@ class DirectSummary:
         self._counts.append(row.result.report.contact_count)
         self._compute_times.append(row.result.report.compute_time)
         self._residual = float(np.fmax(self._residual, row.result.report.residual))
+        self.sampled_range = max(self.sampled_range, row.result.report.sampled_range)
         self.statuses[row.result.status.value] += 1
         self.failed += row.result.status.is_failure
 
@@ -358,6 +359,7 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
         made.add_row("picture", str(picture.path))
     console().print(made)
     print_mesh_error(simulation.scene)
+    print_reduction_errors(simulation, summary.sampled_range)
     if summary.failed:
         warn(f"{summary.failed} steps found no solution; their rows contain the last safe "
              f"state, see column status of {output}")

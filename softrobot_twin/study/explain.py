@@ -21,6 +21,7 @@ from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.beam_bodies import BeamBody
 from softrobot_twin.simulation.cavity_actuator import wall_details
 from softrobot_twin.simulation.body_materials import MaterialPart
+from softrobot_twin.simulation.full_model_error import FullModelError
 from softrobot_twin.simulation.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.unit_checks import are_held, expected_sag
@@ -299,6 +300,30 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
         console().print(error.in_words())
 
 
+def print_reduction_errors(simulation: Simulation, largest_range: float) -> None:
+    """Prints how far reduced bodies can be believed after a run; nothing without them.
+
+    Args:
+        simulation: The simulation, where the run ended.
+        largest_range: Largest share of the trained range in the run.
+    """
+    if not simulation.has_reduced_bodies or simulation.falls_back:
+        return
+    with terminal_status("comparing with the full model"):
+        by_spare_modes = simulation.reduction_state()
+        by_full_model = FullModelError(simulation).errors(simulation.state)
+    for name, full in by_full_model.items():
+        error = by_spare_modes[name].error
+        spare = f", by its spare modes {1e3 * error:.3g} mm" if error == error else ""
+        console().print(
+            f"{name}: at the last pose the reduced model is {1e3 * full.distance:.3g} mm from the "
+            f"full one, {_percent(full.share)} of the displacement{spare}"
+        )
+    if largest_range > 1.0:
+        warn(f"the run left the range of the training, up to {largest_range:.1f} times of it: "
+             "train where the robot goes, see docs/reduced_models.md")  # fmt: skip
+
+
 def _by_load(error: MeshError) -> Table:
     forces, lengths = (f"{words} given" for words in error.given)
     made = table("Estimated error of the effectors' motion due to the mesh", "load",
@@ -494,6 +519,11 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
             f"{key}.reduced", f"{nodes.mode_count} modes of {entry.reduced.file}, "
             f"{len(kept.sampled.cells)} quadrature points stand for all",
             f"{nodes.mode_count} unknowns, {_measured_error(kept.measured)}"))
+        if entry.reduced.fallback is not None:
+            to = {"enrich": "the spare modes", "full_model": "all nodes"}[entry.reduced.fallback]
+            listed.append(Effect(
+                f"{key}.reduced.fallback", f"{entry.reduced.fallback}, above an error of "
+                f"{number(1e3 * entry.reduced.error)} mm", f"a second model with {to}"))
     listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
                for name, nodes in body.riding.items()]
     damping = entry.damping

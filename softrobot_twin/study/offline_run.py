@@ -18,7 +18,7 @@ from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.pulleys import ANGLE, TORQUE
-from softrobot_twin.study.explain import print_mesh_error
+from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.simulation.input_tables import TargetTable, read_targets
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
@@ -203,7 +203,7 @@ class RunSummary:
         self._stiffness: list[np.ndarray] = []
         self._compute_times: list[float] = []
         self.statuses: Counter[str] = Counter()
-        self._residual = 0.0
+        self._residual = self.sampled_range = 0.0
 
     def add(self, row: RunRow) -> None:
         """Adds one row."""
@@ -215,6 +215,7 @@ class RunSummary:
         self._compute_times.append(row.result.report.compute_time)
         self.statuses[row.result.status.value] += 1
         self._residual = float(np.fmax(self._residual, row.result.report.residual))
+        self.sampled_range = max(self.sampled_range, row.result.report.sampled_range)
 
     def lines(self) -> list[tuple[str, str]]:
         """The summary as names and values with units."""
@@ -274,6 +275,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     summary, failed = _run_and_write(simulation, rows, output, settle, picture)
     _print_summary(simulation.scene.name, summary, output, picture)
     print_mesh_error(simulation.scene)
+    print_reduction_errors(simulation, summary.sampled_range)
     if failed:
         warn(f"{failed} of {len(rows.times)} rows found no solution and contain the last safe "
              f"command, see column status of {output}")

@@ -28,11 +28,11 @@ import numpy as np
 
 from softrobot_twin.errors import SceneError, SoftRobotTwinError
 from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.reduced_points import Platform
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.mechanics.reduced_points import Platform
 from softrobot_twin.simulation.reduced_body import rides_on_a_slide, without_reductions
 from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.study.equilibrium import ANY_TIME

@@ -11,7 +11,7 @@ import pytest
 from softrobot_twin.__main__ import main
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("simulate", "explain", "workspace", "bench", "accuracy", "choose", "demo")
+COMMANDS = ("simulate", "explain", "workspace", "bench", "accuracy", "choose", "reduce", "demo")
 
 
 class Finished(NamedTuple):

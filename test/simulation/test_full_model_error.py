@@ -1,9 +1,12 @@
 """The full model tells the error of a reduced body, also of what the basis cannot see."""
 
+import copy
+
 import numpy as np
 import pytest
+import yaml
 
-from softrobot_twin.scene import load_scene
+from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
 from softrobot_twin.simulation.full_model_error import FullModelError
@@ -83,3 +86,64 @@ def test_judging_leaves_the_reduced_simulation_as_it_was(judge):
     before = reduced.state
     errors.errors(before)
     assert reduced.state is before
+
+
+@pytest.mark.parametrize("first", ["body", "beside"])
+def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
+    mapping = yaml.safe_load(half_trained.read_text())
+    body = {"name": "body", **mapping.pop("body")}
+    beside = copy.deepcopy(body)
+    beside.pop("reduced")
+    beside.update(name="beside")
+    beside["mesh"]["translation"] = [0.5, 0.0, 0.0]
+    beside["fixed"][0]["frame"] = "mesh"
+    mapping["bodies"] = [body, beside] if first == "body" else [beside, body]
+    body["reduced"] |= {"fallback": "enrich", "error": 1.0}
+    mapping.pop("markers")
+    for entry in (*mapping["cables"], *mapping["effectors"]):
+        entry["body"] = "body"
+    mapping["effectors"][0].pop("measured_by")
+    mapping["effectors"].append(
+        {"name": "other", "body": "beside", "points": [[0.5, 0.0, 0.125]]})  # fmt: skip
+    simulation = Simulation(scene_from_mapping(mapping, half_trained), with_warnings=False)
+    lengths = simulation.rest_setpoints - [0.006, 0.0, 0.002, 0.008]
+    for _ in range(12):
+        simulation.step(CommandSetpoints(lengths, ANY_TIME))
+    places, surface = simulation.effector_positions(), simulation.surface_positions()
+    judge = FullModelError(simulation)
+    judge.full.restore(judge.lifted(simulation.state))
+    np.testing.assert_allclose(judge.full.effector_positions(), places, atol=1e-12)
+    np.testing.assert_allclose(judge.full.surface_positions(), surface, atol=1e-12)
+    # Errors are those of the effectors on the reduced body.
+    assert list(judge.errors(simulation.state)) == ["body"]
+    found = simulation.reduction_state()
+    assert list(found) == ["body"] and 0.0 < found["body"].error < 1.0e-3
+    # The fallback's two models hold the same places.
+    fallback = simulation._fallback
+    better = fallback._better_state(simulation.state)
+    fallback._other.restore(better)
+    np.testing.assert_allclose(fallback._other.effector_positions(), places, atol=1e-12)
+    np.testing.assert_allclose(fallback._other.surface_positions(), surface, atol=1e-12)
+    back = fallback._reduced_state(better)
+    np.testing.assert_allclose(back.positions, simulation.state.positions, atol=1e-12)
+
+
+def test_in_contact_the_full_model_tells_the_error_too(half_trained):
+    mapping = yaml.safe_load(half_trained.read_text())
+    mapping["obstacles"] = [
+        {"name": "ball", "sphere": {"centre": [0.004, 0.002, 0.139], "radius": 0.01}}]  # fmt: skip
+    mapping["contact"] = {"between": [{"pair": ["body", "ball"]}], "alarm_distance": 0.01,
+                          "contact_distance": 0.0005}  # fmt: skip
+    mapping["solver"] = {"newton_iterations": 20, "residual_tolerance": 1.0e-8}
+    scene = scene_from_mapping(mapping, half_trained)
+    reduced = Simulation(scene, with_warnings=False)
+    full = Simulation(without_reductions(scene), with_warnings=False)
+    for shortening in (0.002, 0.004, 0.006, 0.008, 0.008):
+        for simulation in (full, reduced):
+            lengths = simulation.rest_setpoints - shortening
+            result = simulation.step(CommandSetpoints(lengths, ANY_TIME))
+    assert result.report.contact_count == 1
+    true = np.linalg.norm(reduced.effector_positions() - full.effector_positions())
+    judge = FullModelError(reduced)
+    assert judge.errors(reduced.state)["body"].distance == pytest.approx(true, rel=0.1)
+    assert 0.0 < reduced.reduction_state()["body"].error < true

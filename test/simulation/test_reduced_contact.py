@@ -1,9 +1,11 @@
 """Facts of reduced bodies in contact: as the full model where the basis spans everything, and
 pressed hard, sliding along a rod, released, on a slide and with friction."""
 
+import meshio
 import numpy as np
 import pytest
 
+from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.body_reduction import (
     BodyReduction,
@@ -216,6 +218,46 @@ def test_a_spanning_basis_rides_on_a_slide_as_the_full_model_does(spanned, rod):
     reduced.restore(state)
     again = reduced.step(FollowTargets(target + 0.001, 0.05))
     np.testing.assert_allclose(again.state.positions, on.state.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize("own_surface", [False, True], ids=["of_the_mesh", "of_a_file"])
+def test_a_guided_ball_pushes_a_spanning_basis_as_the_full_model(
+    spanned, write_surface, own_surface
+):
+    """The shape moves; the surface is that of the mesh, or one that the body carries."""
+
+    def change(mapping):
+        mapping["rigid_bodies"] = [{"name": "ball", "motion": "guided", "speed": 1.0,
+                                    "sphere": {"radius": 0.006}, "position": [0.028, 0.011, 0.083]}]
+        mapping["contact"] = {"between": [{"pair": ["beam", "ball"]}]}
+        if own_surface:
+            mapping["body"]["contact_surface"] = {"file": write_surface()}
+
+    full, reduced = spanned(change)
+    for x in (0.026, 0.0245, 0.023, 0.0215):
+        for simulation in (full, reduced):
+            simulation.model.guides.aim("ball", [x, 0.011, 0.083])
+        first, second = assert_same(full, reduced, Hold(1.0), 5, atol=1e-7)
+    assert pressing(second).sum() > 0.05
+    for simulation in (full, reduced):
+        simulation.model.guides.aim("ball", [0.03, 0.011, 0.083])
+    assert_same(full, reduced, Hold(1.0), 4, atol=1e-7)
+
+
+@pytest.fixture
+def write_surface(tmp_path, block):
+    """Writes a finer surface of the same beam; gives its file."""
+
+    def write() -> str:
+        mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 10), shake=0.0)
+        triangles = boundary_triangles(mesh.cells)
+        used, index = np.unique(triangles, return_inverse=True)
+        file = tmp_path / "skin.vtk"
+        cells = [("triangle", index.reshape(-1, 3))]
+        meshio.write(file, meshio.Mesh(mesh.node_positions[used], cells))
+        return str(file)
+
+    return write
 
 
 # --- few modes ------------------------------------------------------------------------------------

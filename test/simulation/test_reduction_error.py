@@ -80,7 +80,8 @@ def test_inside_of_its_training_a_body_is_not_named(pair):
     true, estimate, ranges, share, _, named = judged(pair, TRAINED * np.random.default_rng(
         4).random((20, 4)))  # fmt: skip
     assert not named.any() and (ranges < 1.0).all()
-    assert 0.5 < np.median(estimate / true) < 2.0
+    ratio = estimate / true
+    assert np.mean((ratio > 0.5) & (ratio < 2.0)) >= 0.9
     assert np.median(share) < 0.005
 
 
@@ -96,7 +97,8 @@ def test_steps_build_no_second_model_and_reading_changes_nothing(half_trained):
     read, unread = (Simulation(load_scene(half_trained), with_warnings=False) for _ in range(2))
     lengths = read.rest_setpoints - [0.004, 0.0, 0.006, 0.001]
     for number in range(6):
-        results = [simulation.step(CommandSetpoints(lengths, 0.05)) for simulation in (read, unread)]
+        command = CommandSetpoints(lengths, 0.05)
+        results = [simulation.step(command) for simulation in (read, unread)]
         np.testing.assert_array_equal(*(result.state.positions for result in results))
         np.testing.assert_array_equal(*(result.efforts for result in results))
         if number >= 2:

@@ -148,3 +148,21 @@ def test_targets_in_millimetres_are_warned_of(column, targets):
     assert far_target_warning(simulation, read_targets(targets(), *names)) is None
     slipped = targets("t,tip.x,tip.y,tip.z\n0,10.5,10,98\n")
     assert "in metres?" in far_target_warning(simulation, read_targets(slipped, *names))
+
+
+def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, command):
+    def run(*rows):
+        path = tmp_path / "targets.csv"
+        path.write_text("\n".join(["t,tip.x,tip.y,tip.z", *rows]) + "\n")
+        done = command(
+            "simulate", half_trained, "--targets", path, "--output", tmp_path / "run.csv"
+        )
+        assert done.code == 0, done.errors
+        return " ".join(done.output.split()), " ".join(done.errors.split())
+
+    output, errors = run("0,0.001,0,0.126", "0.2,0.002,0,0.126", "0.4,0.003,0.001,0.126")
+    assert "body: at the last pose the reduced model is" in output
+    assert "mm from the full one" in output and "by its spare modes" in output
+    assert "range of the training" not in errors
+    far = [f"{0.2 * k},{0.03 * k / 10},0,{0.132 - 0.012 * k / 10}" for k in range(11)]
+    assert "the run left the range of the training" in run(*far)[1]
