@@ -314,8 +314,8 @@ def add_accuracy(commands) -> None:
         "laws, linearizations, QP tolerances and the factor's precision, against an extrapolation "
         "from quadratic meshes. Meshes of one family are in the folder of the scene's mesh, and "
         "their names differ only in the number at the end; a mesh without a family is refined "
-        "uniformly. Meshes of hexahedra have _hexa before that number and are compared too. Reduced "
-        "models are measured beside their full ones: that of the scene, and those of --reduced and "
+        "uniformly. Meshes of hexahedra have _hexa before that number and are compared too. "
+        "Reduced models are measured beside their full ones: that of the scene, and those of --reduced and "
         "--train. This takes minutes.")
     add_scene(parser)
     parser.add_argument("--output", default=Path("out/accuracy"), metavar="FOLDER", type=Path,
@@ -336,8 +336,8 @@ def add_choose(commands) -> None:
     """Declares ``choose``."""
     parser = add_command(
         commands, "choose", _choose, "find the most accurate setting that keeps a rate",
-        "Time meshes, elements, laws, reduced models and numbers of linearizations on this machine, "
-        "print the most accurate setting that keeps the rate with a margin, and write its scene. "
+        "Time meshes, elements, laws, reduced models and numbers of linearizations on this "
+        "machine, print the most accurate setting that keeps the rate with a margin, and write its scene. "
         "Reduced models are that of the scene, files *_reduced.npz beside its mesh and beside "
         "the scene that is written, and those of --reduced. Where one that is not there would be "
         "better, a trial on the coarsest mesh tells its error and the time of its training.")
@@ -355,6 +355,10 @@ def add_choose(commands) -> None:
                         "one is expected to be better than what there is; the file is beside the "
                         "scene that is written. After Ctrl-C the same command goes on")
     sampled = parser.add_argument_group("what a training samples, see 'reduce'")
+    sampled.add_argument("--range", nargs="+", default=(), metavar="COLUMN=LOW:HIGH",
+                         dest="ranges",
+                         help="bounds of the actuators (default: cables up to 0.4 of their limits, "
+                         "as the poses in which errors are measured; others their own bounds)")
     sampled.add_argument("--targets", nargs="+", default=(), type=target_box, metavar="BOX",
                          help="targets in place of the box of the actuators: "
                          "NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]")
@@ -374,7 +378,10 @@ def _accuracy(chosen: argparse.Namespace) -> int:
 def _choose(chosen: argparse.Namespace) -> int:
     if chosen.train:
         enable_interrupts()
-    options = replace(STUDY, targets=tuple(chosen.targets), load=chosen.loads, tilt=chosen.tilts)
+    if chosen.targets and chosen.ranges:
+        raise OptionError("--range", "has no effect with --targets")
+    options = replace(STUDY, ranges=tuple(chosen.ranges), targets=tuple(chosen.targets),
+                      load=chosen.loads, tilt=chosen.tilts)
     return choose(chosen.scene, chosen.rate, chosen.accuracy, chosen.write,
                   reduced=chosen.reduced, train=chosen.train, options=options)
 

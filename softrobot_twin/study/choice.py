@@ -69,6 +69,7 @@ from softrobot_twin.study.reduced_models import (
     own_file,
     reduced_models,
     reduced_row,
+    with_ranges,
 )
 from softrobot_twin.study.reduction_states import TargetBox
 from softrobot_twin.study.terminal import console, table, warn
@@ -503,6 +504,7 @@ def choose(
         warn(f"{scene_path}: its reduced model {named} is not there, so it is no candidate")
         named = None
     scene = without_reductions(scene)
+    options = with_ranges(options, scene)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     hexahedra = hexahedral_family(held)
@@ -647,6 +649,8 @@ def _training_command(
         words += ["--accuracy", str(accuracy_file)]
     if reduced:
         words += ["--reduced", *map(str, reduced)]
+    if options.ranges:
+        words += ["--range", *options.ranges]
     if options.targets:
         words += ["--targets", *map(box_text, options.targets)]
     if options.load:
@@ -670,7 +674,7 @@ def _offer(wanted: Foreseen, best: Candidate | None) -> str:
             f"error of {100.0 * wanted.error:.2f} %{instead}, in {1e3 * measured.median:.2f} ms a "
             f"step (p99 {1e3 * measured.p99:.2f} ms; its full model takes {row.step_ms:.2f} ms in "
             f"the file of errors). Its training takes {approximate_duration(wanted.seconds)} on "
-            "this machine:")
+            "this machine, for the ranges or targets that this command names, and no others:")
 
 
 def _tuned(level: MeshLevel, setting: Setting) -> Scene:

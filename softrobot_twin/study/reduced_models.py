@@ -1,9 +1,10 @@
 """Reduced models in studies of meshes: of which mesh a file is, and what a training would give.
 
 What a reduced model of a fine mesh would be is told by a trial: one of the coarsest mesh of the
-family, whose training takes seconds. Motions of the robot have about as many modes on any mesh, and
-the time of a reduced step depends on modes and points only; so the trial is timed in its place. A
-training takes as many linearizations as the trial, each as long as a step of the fine mesh.
+family, with quadratic elements, whose training takes seconds. Motions of the robot have about as
+many modes on any mesh, and the time of a reduced step depends on modes and points only; so the trial
+is timed in its place. A training takes as many linearizations as the trial, each as long as a step
+of the fine mesh.
 """
 
 from __future__ import annotations
@@ -189,15 +190,24 @@ def study_options(scene: Scene, output: Path) -> TrainingOptions:
         scene: The scene.
         output: File to write.
     """
+    tilt = _ANY_TILT if any(scene.gravity) else 0.0
+    return replace(with_ranges(STUDY, scene), output=output, tilt=tilt)
+
+
+def with_ranges(options: TrainingOptions, scene: Scene) -> TrainingOptions:
+    """Options with the range of a study, in which errors of meshes are known too.
+
+    Those that say themselves what is sampled stay as they are.
+    """
+    if options.ranges or options.targets:
+        return options
     driven = {name for motor in scene.motors for name in motor.cables}
-    ranges = tuple(
+    return replace(options, ranges=tuple(
         f"{cable.name}_shortening_m=0:{_WOUND * cable.shortening[1]:.6g}"
         for cable in scene.cables
         if cable.name not in driven and np.isfinite(cable.shortening[1])
         and cable.shortening[0] <= 0.0 < cable.shortening[1]
-    )  # fmt: skip
-    tilt = _ANY_TILT if any(scene.gravity) else 0.0
-    return replace(STUDY, output=output, ranges=ranges, tilt=tilt)
+    ))  # fmt: skip
 
 
 class Trial(NamedTuple):
@@ -233,6 +243,9 @@ def make_trial(
 ) -> Trial:
     """Train a reduced model of the coarsest of some meshes, in this process.
 
+    Linear tetrahedra lock: a coarse mesh of them does not buckle where a fine one does, and is left
+    out where there are others.
+
     Args:
         original: The user's scene file.
         levels: Meshes, full.
@@ -242,7 +255,8 @@ def make_trial(
     Raises:
         SoftRobotTwinError: The scene cannot be trained.
     """
-    level = min(levels, key=dof_count)
+    soft = [level for level in levels if level.scene.body.element != "linear"]
+    level = min(soft or levels, key=dof_count)
     folder.mkdir(parents=True, exist_ok=True)
     scene, file = folder / "trial.yaml", folder / f"trial{SUFFIX}"
     write_training_scene(scene, original, level)
@@ -266,8 +280,10 @@ def make_trial(
 
 
 def _error(training: Training, reduction: BodyReduction, truth: States) -> float:
-    """Error against states of the full model, as that of a study: root mean square of the effectors'
-    distances by that of their displacements, over all states that the reduced model finds.
+    """Error against states of the full model, as that of a study.
+
+    It is the root mean square of the effectors' distances by that of their displacements, over all
+    states that the reduced model finds.
     """
     held = truth.held(columns_of(training.simulation))
     own = training.solve(reduction, "in_use", held)

@@ -40,6 +40,7 @@ from softrobot_twin.study.reduced_models import (
     make_trial,
     reduced_models,
     study_options,
+    with_ranges,
     write_training_scene,
 )
 
@@ -454,7 +455,8 @@ def test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_aske
     assert load_scene(written).body.reduced is None
     assert "reduced, not trained" in told.out and "of training" in told.out
     assert "Its training takes about " in told.out
-    assert f"choose {family} --rate 500 --accuracy {rows} --write {written} --train" in told.out
+    assert f"choose {family} --rate 500 --accuracy {rows} --range " in told.out
+    assert f" c_shortening_m=0:0.006 --write {written} --train\n" in told.out
 
     choose(family, 500.0, rows, written, clock_of_reduced, train=True, options=few)
     told = capsys.readouterr()
@@ -479,3 +481,11 @@ def test_a_mesh_to_train_is_named_with_its_element(levels):
         level_named("column_30:cubic", every)
     with pytest.raises(AccuracyError, match="is not one of column_10:linear"):
         level_named("row_1", every)
+
+
+def test_a_training_of_choose_has_the_range_of_the_study_or_the_one_that_is_asked_for(family):
+    scene = load_scene(family)
+    assert with_ranges(STUDY, scene).ranges == tuple(
+        f"{name}_shortening_m=0:0.008" for name in "abc")
+    asked = replace(STUDY, ranges=("a_shortening_m=0:0.02",))
+    assert with_ranges(asked, scene) is asked
