@@ -35,7 +35,12 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import divided, dot, negated, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
-from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedSegments, size_of_points
+from softrobot_twin.mechanics.kinematics import (
+    CarriedPoints,
+    FoldedSegments,
+    points_among,
+    size_of_points,
+)
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 
@@ -228,7 +233,7 @@ class Cables(ConstantRows):
         self._points, self._folded = None, None
         if points is not None and (self._free >= points.free_count).any():
             self._points, self._folded = points, FoldedSegments(points, self._free, self._coefficients)
-            self._carriers = points.own_of(self._free)
+            self._carriers = points_among(self._free, points.free_count)
         vectors = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
         lengths = np.linalg.norm(vectors + self._constants, axis=1)
         self._least = NO_LENGTH * self._scale(lengths, rest_positions)

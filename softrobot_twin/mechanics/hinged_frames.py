@@ -68,7 +68,7 @@ from softrobot_twin.geometry.vector3 import (
 )
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.kinematics import fold_forces
+from softrobot_twin.mechanics.kinematics import fold_own_forces
 from softrobot_twin.mechanics.rigid_bodies import (
     NOTHING_ATTACHED,
     AttachedNodes,
@@ -554,9 +554,12 @@ class HingedTwists:
             self.derivatives,
         )  # fmt: skip
 
-    def fold_forces(self, twists: np.ndarray, forces: np.ndarray) -> None:
+    def fold_forces(self, twists: np.ndarray, forces: np.ndarray, own: np.ndarray) -> None:
         """Add Dᵀ of forces [N] and moments [N m], shape (count, 3); see `CarriedPoints`."""
-        fold_forces(self.unknowns, self.derivatives, twists, forces)
+        fold_own_forces(own, self.unknowns, self.derivatives, twists, forces)
+
+    def shared_unknowns(self, own: np.ndarray) -> None:
+        """None: their derivatives are not constant; see `CarriedPoints`."""
 
     def turning(self, positions: np.ndarray, twists: np.ndarray) -> np.ndarray:
         """Turning terms of forces and moments, shape (turning_count, 3, 3)."""

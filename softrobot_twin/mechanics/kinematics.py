@@ -245,6 +245,16 @@ class Nodes:
         return largest
 
 
+def points_among(indices: np.ndarray, free_count: int) -> np.ndarray:
+    """The carried points among unknowns and points, each once, numbered from 0.
+
+    Args:
+        indices: Unknowns and carried points, -1 where there is none.
+        free_count: Number of unknowns.
+    """
+    return np.unique(indices[indices >= free_count]) - free_count
+
+
 class CarriedPoints:
     """All carried points of a scene, and their derivatives by the unknowns.
 
@@ -348,14 +358,6 @@ class CarriedPoints:
         write_point_moves(own, self.unknowns, self.derivatives, moves, moves[self.free_count :])
         return moves
 
-    def own_of(self, indices: np.ndarray) -> np.ndarray:
-        """The carried points among unknowns and points, each once, numbered from 0.
-
-        Args:
-            indices: Unknowns and carried points, -1 where there is none.
-        """
-        return np.unique(indices[indices >= self.free_count]) - self.free_count
-
     def shared_unknowns(self, own: np.ndarray) -> np.ndarray | None:
         """The unknowns that some points have in common, if their derivatives are constant.
 
@@ -387,20 +389,8 @@ def write_point_moves(own, unknowns, derivatives, moves, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fold_forces(unknowns, derivatives, point_forces, forces):
-    """Add Dᵀ f of every carried point to the forces on its unknowns."""
-    for p in range(len(unknowns)):
-        for j in range(unknowns.shape[1]):
-            u = unknowns[p, j]
-            if u >= 0:
-                for i in range(3):
-                    for k in range(3):
-                        forces[u, i] += derivatives[p, j, k, i] * point_forces[p, k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def fold_own_forces(own, unknowns, derivatives, point_forces, forces):
-    """The same of some carried points."""
+    """Add Dᵀ f of some carried points to the forces on their unknowns."""
     for p in own:
         for j in range(unknowns.shape[1]):
             u = unknowns[p, j]
@@ -728,7 +718,7 @@ class FoldedStiffness:
         plain = (p < free) & (q < free)
         self._sources = 9 * np.flatnonzero(plain)
         self._offsets, self._strides = slots(p[plain], q[plain])
-        own = points.own_of(np.concatenate([p, q]))
+        own = points_among(np.concatenate([p, q]), free)
         unknowns = points.shared_unknowns(own)
         self._common = None
         if unknowns is not None and (p[~plain] >= free).all() and (q[~plain] >= free).all():
@@ -891,7 +881,8 @@ class FoldedSegments:
         same = reached[:, :, :, None] == ordered[:, None, None, :]
         self._places = np.where(reached >= 0, same.argmax(axis=3), -1)
         self._turning = TurningBlocks(points, self._unknowns, elimination_rank, slots)
-        own, free = points.own_of(self._nodes), points.free_count
+        free = points.free_count
+        own = points_among(self._nodes, free)
         shared = points.shared_unknowns(own)
         self._common = None
         if shared is not None and not ((self._nodes >= 0) & (self._nodes < free)).any():
@@ -978,7 +969,7 @@ class CarriedTerm(ForceTerm):
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))
-        self._own = points.own_of(term.stencils())
+        self._own = points_among(term.stencils(), points.free_count)
 
     @property
     def on_points(self) -> ForceTerm:
