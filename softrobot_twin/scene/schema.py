@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -285,6 +286,13 @@ class Scene(Entry):
     def deformables(self) -> tuple[Body, ...]:
         """All deformable bodies."""
         return self.bodies if self.body is None else (self.body,)
+
+    def with_deformables(self, bodies: Iterable[Body]) -> Scene:
+        """The same scene with other deformable bodies in the place of these."""
+        if self.body is None:
+            return self.model_copy(update={"bodies": tuple(bodies)})
+        (body,) = bodies
+        return self.model_copy(update={"body": body})
 
     def file_path(self, file: Path) -> Path:
         """The path of a file in an entry, relative to the folder of the scene file."""

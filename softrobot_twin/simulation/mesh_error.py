@@ -139,7 +139,7 @@ def still(scene: Scene) -> Scene:
     # Free rigid bodies are fixed: without contact they are not supported.
     placed = {"motion": "guided", "speed": None, "turn_rate": None}
     rigid = tuple(body.model_copy(update=placed) for body in scene.rigid_bodies)
-    return _with_bodies(scene, bodies).model_copy(update={
+    return scene.with_deformables(bodies).model_copy(update={
         "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
         "motors": (), "markers": (), "cables": cables, "cavities": cavities, "solver": solver,
         "rigid_bodies": rigid,
@@ -155,16 +155,11 @@ def _position_of(effector):
     })  # fmt: skip
 
 
-def _with_bodies(scene: Scene, bodies: tuple) -> Scene:
-    if scene.body is not None:
-        return scene.model_copy(update={"body": bodies[0]})
-    return scene.model_copy(update={"bodies": bodies})
-
-
 def with_element(scene: Scene, element: str) -> Scene:
     """The scene with all deformable bodies of one kind of element, ``linear`` or ``quadratic``."""
-    bodies = [body.model_copy(update={"element": element}) for body in scene.deformables]
-    return _with_bodies(scene, tuple(bodies))
+    return scene.with_deformables(
+        body.model_copy(update={"element": element}) for body in scene.deformables
+    )
 
 
 def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:

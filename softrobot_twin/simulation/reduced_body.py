@@ -54,13 +54,10 @@ def with_reduced_entries(scene: Scene, changes: dict) -> Scene:
 
 def with_entries(scene: Scene, reduced: dict) -> Scene:
     """The same scene with other entries `reduced` of some bodies, by their names."""
-    bodies = tuple(
+    return scene.with_deformables(
         body.model_copy(update={"reduced": reduced[body.name]}) if body.name in reduced else body
         for body in scene.deformables
     )
-    if scene.body is not None:
-        return scene.model_copy(update={"body": bodies[0]})
-    return scene.model_copy(update={"bodies": bodies})
 
 
 class Placed:

@@ -155,10 +155,9 @@ def node_masses(body: Body) -> np.ndarray:
 
 def without_vertebrae(scene: Scene) -> Scene:
     """The same scene with all nodes of its bodies as unknowns."""
-    bodies = tuple(body.model_copy(update={"vertebrae": None}) for body in scene.deformables)
-    if scene.body is not None:
-        return scene.model_copy(update={"body": bodies[0]})
-    return scene.model_copy(update={"bodies": bodies})
+    return scene.with_deformables(
+        body.model_copy(update={"vertebrae": None}) for body in scene.deformables
+    )
 
 
 def divide(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Division:

@@ -36,7 +36,7 @@ from softrobot_twin.simulation.body_reduction import (
 )
 from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.input_tables import read_targets
-from softrobot_twin.simulation.reduced_body import without_reductions
+from softrobot_twin.simulation.reduced_body import with_entries, without_reductions
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.reduction_basis import (
     Modes,
@@ -258,23 +258,9 @@ def reduction_of(
     )  # fmt: skip
 
 
-def with_all_modes(reduction: BodyReduction) -> BodyReduction:
-    """The same with the spare modes in use."""
-    return reduction._replace(
-        mode_count=reduction.basis.shape[2], sampled=reduction.spare_sampled
-    )
-
-
 def reduced_scene(scene: Scene, body: str, file: Path) -> Scene:
     """A scene in which a body is reduced by a file."""
-    entry = Reduced(file=file.resolve())
-    bodies = tuple(
-        own.model_copy(update={"reduced": entry}) if own.name == body else own
-        for own in scene.deformables
-    )
-    if scene.body is not None:
-        return scene.model_copy(update={"body": bodies[0]})
-    return scene.model_copy(update={"bodies": bodies})
+    return with_entries(scene, {body: Reduced(file=file.resolve())})
 
 
 # --- a run ---------------------------------------------------------------------------------------
@@ -547,7 +533,7 @@ def train_by_need(training: Training) -> tuple[Trained, States, list[Round], boo
             return trained, states, rounds, True
         if number == MOST_ROUNDS:
             break
-        better = training.judge(with_all_modes(reduction), "all", fresh)
+        better = training.judge(reduction.with_spare_modes(), "all", fresh)
         if _typical(better.shares) <= (1.0 - MODES_HELP) * _typical(judged.shares):
             mode_count = min(trained.mode_count + MORE_MODES, MOST_MODES)
         else:
@@ -588,7 +574,7 @@ def _estimates(
     held = found.held(columns_of(training.simulation))
     # Where the reduced model is lost, the full one is asked for the sample itself.
     held = np.where(found.is_found[:, None], held, found.samples)
-    finder = training.finder(with_all_modes(reduction), "all")
+    finder = training.finder(reduction.with_spare_modes(), "all")
     all_modes = finder(held)
     return held, training.compared(found.effectors, all_modes.effectors).shares
 
