@@ -137,7 +137,7 @@ def test_choose_speaks_of_volumes_and_keeps_what_the_scene_controls(
     assert choose(scene, 100.0, tmp_path / "rows.csv", written, fake_clock) == 0
     output = capsys.readouterr().out
     assert "for given cavity volumes: " in output
-    assert "For given cavity pressures the same mesh has" in output
+    assert "For given cavity pressures the same model has" in output
     chosen = load_scene(written)
     assert chosen.cavities[0].control == "pressure" and chosen.cavities[0].rate == 1.0e4
 
