@@ -214,7 +214,8 @@ class Simulation(Readouts):
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
         # No move of a warm-up folds elements, and most scenes never see one that does.
-        self._newton.folds(before.positions, before.positions)
+        # It ends beside the state, of which elements know their deformation already.
+        self._newton.folds(before.positions, before.positions + np.spacing(1.0))
         run_every_path(self)
         self._direct.warm_up()
         self.restore(before)
