@@ -21,6 +21,7 @@ from softrobot_twin.geometry.point_location import extrapolated_weights, locate_
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL, element_named
+from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import Region
@@ -115,6 +116,11 @@ class Body:
     def density(self) -> float | np.ndarray:
         """Its mass per volume [kg/m³]: one for all cells, or of each cell, shape (cell_count,)."""
         return cell_values(self.materials, "density", self.mesh.cell_count)
+
+    def node_masses(self) -> np.ndarray:
+        """Mass of each node where the mass is diagonal, none negative [kg], shape (node_count,)."""
+        spread = uniform_masses if self.entry.mass_model == "uniform" else lumped_masses
+        return spread(self.mesh, self.density)
 
     def mapping(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
         """Nodes and weights of points inside its cells; see `CellMesh.carriers`."""

@@ -25,8 +25,6 @@ from softrobot_twin.mechanics.inertia import (
     MassDamping,
     borne_masses,
     coupled_to,
-    lumped_masses,
-    uniform_masses,
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.liquid_filling import LiquidFilling
@@ -252,7 +250,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
         elif body.entry.mass_model == "consistent":
             bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
         else:
-            bodies.append(_nodal_masses(body))
+            bodies.append(body.node_masses())
     points = [
         np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
     ]
@@ -293,12 +291,6 @@ def _check_resisted(layout: Layout) -> None:
         )  # fmt: skip
 
 
-def _nodal_masses(body: Body) -> np.ndarray:
-    """Mass of each node where the mass is diagonal, none negative [kg], shape (node_count,)."""
-    spread = uniform_masses if body.entry.mass_model == "uniform" else lumped_masses
-    return spread(body.mesh, body.density)
-
-
 def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
     """Elements with nodes attached to free rigid bodies; None without such nodes."""
     free = {part.name for part in layout.rigid if part.is_free}
@@ -321,7 +313,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
             mesh = layout.mesh_among_nodes(body)
             lumped = _lumped_elements(layout, body)
             yield ConsistentInertia(mesh, free_index, density, nodes, lumped)
-        masses = _nodal_masses(body)[own]
+        masses = body.node_masses()[own]
         if dynamic and is_diagonal:
             yield LumpedInertia(nodes, free_index[nodes], masses)
         if alpha > 0.0:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.inertia import borne_masses, lumped_masses, uniform_masses
+from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.reduced_points import Platform, ReducedPoints
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body_fingerprints import changed_since
@@ -199,11 +199,8 @@ class ReducedNodes:
             body: The body.
             gravity: Acceleration [m/s²], shape (3,).
         """
-        if body.entry.mass_model == "consistent":
-            masses = borne_masses(body.mesh, body.density, None)
-        else:
-            spread = uniform_masses if body.entry.mass_model == "uniform" else lumped_masses
-            masses = spread(body.mesh, body.density)
+        is_consistent = body.entry.mass_model == "consistent"
+        masses = borne_masses(body.mesh, body.density) if is_consistent else body.node_masses()
         return np.einsum("n,i,nim->m", masses, gravity, self.basis, optimize=True).reshape(-1, 3)
 
 

@@ -13,7 +13,6 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry import shapes
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
-from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.hinged_frames import HingedFrames, Hinges
 from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
@@ -241,10 +240,9 @@ def _attached_to(name: str, bodies: list[Body]) -> tuple[np.ndarray, np.ndarray,
     for body in bodies:
         if name in body.riding:
             nodes = body.riding[name]
-            uniform = body.entry.mass_model == "uniform"
             # Elements at attached nodes have lumped masses in every mass model; see `coupled_to`.
-            masses = (uniform_masses if uniform else lumped_masses)(body.mesh, body.density)
-            found.append((nodes + body.first_node, body.mesh.node_positions[nodes], masses[nodes]))
+            masses = body.node_masses()[nodes]
+            found.append((nodes + body.first_node, body.mesh.node_positions[nodes], masses))
     nodes, points, masses = (np.concatenate(column) for column in zip(*found, strict=True))
     return nodes, points, masses
 

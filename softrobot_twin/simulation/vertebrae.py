@@ -35,7 +35,6 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
-from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.superelements import SuperelementFit
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body_fingerprints import (
@@ -124,10 +123,6 @@ class Division(NamedTuple):
     walls: tuple[Wall, ...]
     positions: np.ndarray
 
-    def node_masses(self) -> np.ndarray:
-        """Mass of each node [kg], shape (node_count,)."""
-        return node_masses(self.body)
-
     def shares(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertebrae that carry each node, and their shares, each of shape (node_count, 2).
 
@@ -145,12 +140,6 @@ class Division(NamedTuple):
             ends[nodes] = vertebra
             shares[nodes] = 1.0, 0.0
         return ends, shares
-
-
-def node_masses(body: Body) -> np.ndarray:
-    """Mass of each node [kg], shape (node_count,)."""
-    spread = uniform_masses if body.entry.mass_model == "uniform" else lumped_masses
-    return spread(body.mesh, body.density)
 
 
 def without_vertebrae(scene: Scene) -> Scene:
@@ -418,7 +407,7 @@ class ReducedBody:
         Returns:
             Shape (part_count, 8).
         """
-        carriers, masses = self.node_carriers(), node_masses(self.division.body)
+        carriers, masses = self.node_carriers(), self.division.body.node_masses()
         found = np.zeros((len(self.reduction.fits), 8))
         for own, part in zip(found, self.division.parts, strict=True):
             own[:] = masses[part.inner] @ carriers.barycentric_weights[part.inner]
@@ -481,7 +470,7 @@ def reduced_body(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Body:
 def _vertebra_parts(division: Division) -> tuple[FramePart, ...]:
     """The vertebrae with the masses that they carry."""
     body = division.body
-    masses = node_masses(body)
+    masses = body.node_masses()
     ends, shares = division.shares()
     points = body.mesh.node_positions
     rotation = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()

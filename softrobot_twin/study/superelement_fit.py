@@ -117,7 +117,7 @@ class SoftPartModel:
             # Of all nodes only the forces are asked for, which need no places of stiffness.
             term.bind(every, lambda rows, columns: (np.zeros_like(rows), np.zeros_like(columns)))
         self._factorization = self._factorize_pattern()
-        self.masses = division.node_masses()[part.inner]
+        self.masses = division.body.node_masses()[part.inner]
         self.rest_volumes = self.rest_areas = np.empty(0)
         if self._cavities is not None:
             self.rest_volumes = self._cavities.rest_volumes
