@@ -179,9 +179,9 @@ class Fallback:
         nodes = own.reduction
         if nodes is None:
             return positions[own.first_node : own.first_node + _node_count(own)]
-        coordinates = positions[nodes.coordinate_nodes]
         if more.reduction is None:
-            return nodes.rest + nodes.basis @ coordinates.ravel()
+            return nodes.mesh_positions(positions)
+        coordinates = positions[nodes.coordinate_nodes]
         better = np.zeros((more.reduction.node_count, 3))
         better[: len(coordinates)] = coordinates
         return better

@@ -83,8 +83,7 @@ class FullModelError:
         for body in reduced_bodies(self.model):
             nodes = body.reduction
             parts.append(state.positions[first : nodes.first_node])
-            coordinates = state.positions[nodes.coordinate_nodes].ravel()
-            parts.append(nodes.rest + nodes.basis @ coordinates)
+            parts.append(nodes.mesh_positions(state.positions))
             first = nodes.first_node + nodes.node_count
         parts.append(state.positions[first:])
         return State(

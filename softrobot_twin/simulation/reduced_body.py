@@ -169,6 +169,17 @@ class ReducedNodes:
         """Its nodes at rest: coordinates, which are zero, then points [m], (node_count, 3)."""
         return np.vstack([np.zeros((self.mode_count // 3, 3)), self.point_modes()[0]])
 
+    def mesh_positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """All nodes of its mesh where the coordinates place them [m], shape (mesh_node_count, 3).
+
+        Args:
+            node_positions: Node positions of the scene [m], shape (node_count, 3).
+        """
+        placed = self.rest + self.basis @ node_positions[self.coordinate_nodes].ravel()
+        if self.platform is not None:
+            placed += self.platform.displacement(node_positions)
+        return placed
+
     def are_points(self) -> np.ndarray:
         """Which of its nodes are points, and no unknowns themselves, shape (node_count,)."""
         return np.arange(self.node_count) >= self.mode_count // 3

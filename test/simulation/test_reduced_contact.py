@@ -12,6 +12,7 @@ from softrobot_twin.simulation.body_reduction import (
     reduction_fingerprints,
     write_body_reduction,
 )
+from softrobot_twin.simulation.full_model_error import FullModelError
 from softrobot_twin.study.body_training import reduced_scene
 
 from .test_reduced_body import every_point, spanning_basis
@@ -218,6 +219,19 @@ def test_a_spanning_basis_rides_on_a_slide_as_the_full_model_does(spanned, rod):
     reduced.restore(state)
     again = reduced.step(FollowTargets(target + 0.001, 0.05))
     np.testing.assert_allclose(again.state.positions, on.state.positions, atol=1e-9)
+
+
+def test_the_full_model_judges_a_body_where_its_slide_has_brought_it(spanned):
+    full, reduced = spanned(on_a_cart)
+    setpoints = wound(full, 0.006)
+    setpoints[-1] = 0.006
+    for simulation in (full, reduced):
+        for _ in range(8):
+            simulation.step(CommandSetpoints(setpoints, 1.0))
+    judge = FullModelError(reduced)
+    lifted = judge.lifted(reduced.state)
+    np.testing.assert_allclose(lifted.positions, full.state.positions, atol=1e-8)
+    assert judge.errors(reduced.state)["beam"].distance < 1e-8
 
 
 @pytest.mark.parametrize("own_surface", [False, True], ids=["of_the_mesh", "of_a_file"])
