@@ -21,15 +21,13 @@ import numpy as np
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.reduced_body import with_entries
 from softrobot_twin.simulation.reduction_error import (
-    LONG,
     largest_on_each_body,
-    present_touches,
     reduced_bodies,
+    step_held,
 )
 from softrobot_twin.simulation.state import State
 
@@ -112,8 +110,7 @@ class Fallback:
         state = simulation.state
         other = self._reduced_state(state) if self.is_active else self._better_state(state)
         self._other.restore(other)
-        command = CommandSetpoints(state.setpoints, LONG)
-        result = self._other.step(command, touched=present_touches(state))
+        result = step_held(self._other, state)
         apart = np.linalg.norm(
             result.effector_positions - simulation.effector_positions(), axis=1
         )
@@ -167,7 +164,7 @@ class Fallback:
             model: The other model.
             parts: Each body of the state's model, and its nodes in the other one [m].
         """
-        tail = sum(_node_count(body) for body, _ in parts)
+        tail = sum(body.scene_node_count for body, _ in parts)
         positions = np.concatenate([*(nodes for _, nodes in parts), state.positions[tail:]])
         for kind in model.nodes.kinds:
             if isinstance(kind, ReducedPoints):
@@ -178,7 +175,7 @@ class Fallback:
         """Nodes of a body in the better model, points left out of account [m]."""
         nodes = own.reduction
         if nodes is None:
-            return positions[own.first_node : own.first_node + _node_count(own)]
+            return positions[own.first_node : own.first_node + own.scene_node_count]
         if more.reduction is None:
             return nodes.mesh_positions(positions)
         coordinates = positions[nodes.coordinate_nodes]
@@ -190,7 +187,7 @@ class Fallback:
         """Nodes of a body in the reduced model, points left out of account [m]."""
         nodes, first = own.reduction, more.first_node
         if nodes is None:
-            return positions[first : first + _node_count(more)]
+            return positions[first : first + more.scene_node_count]
         reduced = np.zeros((nodes.node_count, 3))
         count = nodes.mode_count // 3
         if more.reduction is None:
@@ -206,13 +203,6 @@ class Fallback:
             basis = body.reduction.basis.reshape(-1, body.reduction.mode_count)
             self._inverses[body.name] = np.linalg.solve(basis.T @ basis, basis.T)
         return self._inverses[body.name]
-
-
-def _node_count(body: Body) -> int:
-    """Nodes of a body among those of the scene; none of a body that is reduced to vertebrae."""
-    if body.vertebrae is not None:
-        return 0
-    return body.mesh.node_count if body.reduction is None else body.reduction.node_count
 
 
 def _refuse(model: Model, bodies: tuple[Body, ...]) -> None:

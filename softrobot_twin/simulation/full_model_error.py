@@ -16,20 +16,19 @@ is for the slack of a loop (`control/reduction_error_watch.py`) or for studies.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.reduced_body import without_reductions
 from softrobot_twin.simulation.reduction_error import (
-    LONG,
     largest_on_each_body,
-    present_touches,
     reduced_bodies,
     shares_of_displacement,
+    step_held,
 )
 from softrobot_twin.simulation.state import State
 
@@ -86,10 +85,7 @@ class FullModelError:
             parts.append(nodes.mesh_positions(state.positions))
             first = nodes.first_node + nodes.node_count
         parts.append(state.positions[first:])
-        return State(
-            np.concatenate(parts), state.setpoints, state.efforts, state.step_count, state.time,
-            state.velocities, None, state.slips, state.touches, state.history,
-        )  # fmt: skip
+        return replace(state, positions=np.concatenate(parts), past=None)
 
     def moves(self, state: State) -> np.ndarray:
         """How far each effector moves to the balance of the full model [m].
@@ -108,8 +104,7 @@ class FullModelError:
         full.restore(self.lifted(state))
         begin = places = effectors.positions(state.positions)
         for self.linearizations in range(1, MOST_LINEARIZATIONS + 1):
-            before, touched = places, present_touches(state)
-            result = full.step(CommandSetpoints(state.setpoints, LONG), touched=touched)
+            before, result = places, step_held(full, state)
             if result.status.is_failure:
                 return np.full(len(begin), np.nan)
             places = result.effector_positions

@@ -21,6 +21,7 @@ never had, only the full model tells; see `full_model_error.py`.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.reduced_body import with_reduced_entries, without_fallback
+from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.simulation.vertebrae_watch import ReductionState
@@ -96,12 +98,18 @@ def with_spare_modes(scene: Scene) -> Scene:
     return extended.model_copy(update={"solver": solver})
 
 
-def present_touches(state: State) -> Touched | None:
-    """The forces of a state's touches as what is measured; None in a scene without touches."""
-    if state.touches is None:
-        return None
-    forces = state.touches.forces
-    return Touched(forces, np.full_like(forces, np.nan))
+def step_held(simulation: Simulation, state: State) -> StepResult:
+    """One step of another model of a scene, with what holds its actuators and touches it kept.
+
+    Args:
+        simulation: The other model, in the state to step from.
+        state: A state of the scene, whose setpoints and forces of touches are kept.
+    """
+    touched = None
+    if state.touches is not None:
+        forces = state.touches.forces
+        touched = Touched(forces, np.full_like(forces, np.nan))
+    return simulation.step(CommandSetpoints(state.setpoints, LONG), touched=touched)
 
 
 def has_spare_modes(model: Model) -> bool:
@@ -135,10 +143,7 @@ class ReductionErrors:
     def lifted(self, state: State) -> State:
         """A state of the judged simulation, with spare coordinates of zero."""
         positions = np.insert(state.positions, self._inserted, 0.0, axis=0)
-        return State(
-            positions, state.setpoints, state.efforts, state.step_count, state.time,
-            state.velocities, None, state.slips, state.touches, state.history,
-        )  # fmt: skip
+        return replace(state, positions=positions, past=None)
 
     def moves(self, state: State) -> np.ndarray:
         """How far the spare modes would move each effector [m], shape (effector_count,).
@@ -153,9 +158,7 @@ class ReductionErrors:
         if effectors is None:
             return np.empty(0)
         extended.restore(self.lifted(state))
-        result = extended.step(
-            CommandSetpoints(state.setpoints, LONG), touched=present_touches(state)
-        )
+        result = step_held(extended, state)
         if result.status.is_failure:
             return np.full(len(result.effector_positions), np.nan)
         before = effectors.positions(state.positions)
