@@ -56,7 +56,7 @@ from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.solvers.dense_cholesky import DenseCholesky
+from softrobot_twin.solvers.dense_cholesky import DenseCholesky, write_rows
 from softrobot_twin.solvers.factorization import (
     Condensed,
     Factorization,
@@ -488,9 +488,10 @@ class AugmentedDense:
     def factor(self, positions: np.ndarray) -> bool:
         """Factorize A + Hᵀ ρ H, from the tangent A in storage."""
         rows, count = self._rows, len(self._factorization.elimination_rank)
-        H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+        H = np.empty((rows.row_count, 3 * count))
+        write_rows(rows.row_index, rows.node_index, rows.blocks, H)
         matrix = self._factorization.storage.reshape(3 * count, 3 * count)
-        add_squared_rows(H.transposed(count).T.copy(), self._row_stiffness(), matrix)
+        add_squared_rows(H, self._row_stiffness(), matrix)
         return self._factorization.factor()
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:

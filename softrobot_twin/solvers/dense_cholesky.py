@@ -16,19 +16,20 @@ from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, No
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_transposed(row_index, node_index, blocks, b, columns):
-    """Write [Hᵀ b] by columns."""
-    count = columns.shape[0]
-    for c in range(count - 1):
-        for i in range(columns.shape[1]):
-            columns[c, i] = 0.0
+def write_rows(row_index, node_index, blocks, out):
+    """Write H, whose entries are those of `NodeRows`, as a dense array.
+
+    Args:
+        row_index: Row of each entry, shape (entry_count,).
+        node_index: Unknown of each entry, same shape.
+        blocks: Derivative by that unknown, shape (entry_count, 3).
+        out: Takes H, shape (row_count, 3 node_count).
+    """
+    out[:] = 0.0
     for e in range(len(row_index)):
         r, n = row_index[e], 3 * node_index[e]
         for i in range(3):
-            columns[r, n + i] += blocks[e, i]
-    for n in range(len(b)):
-        for i in range(3):
-            columns[count - 1, 3 * n + i] = b[n, i]
+            out[r, n + i] += blocks[e, i]
 
 
 class DenseCholesky:
@@ -91,7 +92,8 @@ class DenseCholesky:
     def _solve_lower(self, H: NodeRows, b: np.ndarray) -> np.ndarray:
         """L⁻¹ [Hᵀ b], shape (3 node_count, row_count + 1)."""
         columns = np.empty((H.row_count + 1, self._size))
-        write_transposed(H.row_index, H.node_index, H.blocks, b, columns)
+        write_rows(H.row_index, H.node_index, H.blocks, columns[:-1])
+        columns[-1] = b.ravel()
         self._solved = dtrsm(1.0, self._factor, columns.T, lower=1, overwrite_b=1)
         return self._solved
 
