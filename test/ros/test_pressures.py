@@ -278,10 +278,10 @@ def test_the_help_of_the_nodes_states_units_of_pressure_topics():
         assert "sensor_msgs/FluidPressure" in line and "Pa (absolute)" in line
     assert "<twin>/measured_pressures/<cavity>" in device
     assert "ambient_pressure (default 101325.0 Pa)" in twin
-    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "topics.md").read_text()
     for topic in ("`~/pressures/<cavity>` out", "`~/command/pressures/<cavity>` in",
                   "`~/measured_pressures/<cavity>` in"):
-        assert f"| {topic} | sensor_msgs/FluidPressure | Pa, absolute" in readme
+        assert f"| {topic} | sensor_msgs/FluidPressure | Pa, absolute" in page
 
 
 @pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")
