@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = "softrobot_twin"
-SHARED_SUFFIXES = {".csv", ".inp", ".msh", ".npz", ".vtk", ".vtu", ".yaml"}
+SHARED_SUFFIXES = {".csv", ".inp", ".msh", ".npz", ".rviz", ".vtk", ".vtu", ".yaml"}
 
 
 def shared_files(folder: str) -> list[tuple[str, list[str]]]:
@@ -29,8 +29,10 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         *shared_files("config"),
+        *shared_files("launch"),
         *shared_files("meshes"),
     ],
+    package_data={PACKAGE: ["py.typed"]},
     python_requires=">=3.12",
     # Each lower bound is installed and tested: requirements/oldest.txt.
     install_requires=[
@@ -45,6 +47,7 @@ setup(
         "rerun-sdk>=0.23.1,<0.42",
         "rich>=13.7.1",
         "scipy>=1.11.4",
+        "shtab>=1.7.1",
     ],
     extras_require={
         "study": ["matplotlib>=3.8"],
@@ -52,11 +55,21 @@ setup(
         "cluster": ["dask>=2024.2.1", "distributed>=2024.2.1"],
         # Only for comparisons by tools/compare_solvers.py; pypardiso installs the proprietary MKL.
         "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
-        # gmsh has no wheel for aarch64; only making meshes needs it.
-        "mesh": ["gmsh>=4.12"],
+        # Builds docs/ as a site: make docs.
+        "docs": ["mkdocs-material>=9.5"],
+        # The gymnasium environment.
+        "learning": ["gymnasium>=1.0"],
+        # Meshes from CAD files. gmsh has no wheel for aarch64.
+        "mesh": ["gmsh>=4.12; platform_machine == 'x86_64'"],
+        # The parameter `record` of the twin, and `replay`.
+        "record": ["mcap>=1.2"],
         # colcon uses commands that setuptools 80 removed.
         "test": [
             "colcon-common-extensions",
+            "ipykernel>=6",
+            "mypy>=1.11",
+            "nbclient>=0.10",
+            "pandas>=2.2",
             "pytest>=8",
             "pytest-timeout>=2.3",
             "pytest-xdist>=3.5",
@@ -67,6 +80,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"device = {PACKAGE}.ros.process:device",
+            f"softrobot_twin = {PACKAGE}.__main__:main",
             f"target = {PACKAGE}.ros.process:target",
             f"twin = {PACKAGE}.ros.process:twin",
         ],

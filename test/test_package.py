@@ -41,7 +41,7 @@ def manifest():
 
 def requirements(metadata: Path) -> dict[str, str]:
     """Specifier of each distribution that setup.py requires, including extras."""
-    lines = re.split(r"\s+", (metadata / "requires.txt").read_text())
+    lines = (metadata / "requires.txt").read_text().splitlines()
     return dict(re.fullmatch(r"([\w-]+)(.*)", line).groups()
                 for line in lines if line and not line.startswith("["))
 
@@ -68,7 +68,7 @@ def test_colcon_takes_the_manifest_without_a_warning():
 def test_every_executable_has_a_main(metadata):
     points = configparser.ConfigParser()
     points.read(metadata / "entry_points.txt")
-    assert set(points["console_scripts"]) == {"device", "target", "twin"}
+    assert set(points["console_scripts"]) == {"device", "softrobot_twin", "target", "twin"}
     for place in points["console_scripts"].values():
         module, function = place.split(":")
         assert callable(getattr(import_module(module), function))

@@ -57,8 +57,9 @@ install_packages() {
     # What a sourced ROS puts on the PYTHONPATH is not pip's to count as installed.
     local pip=(env -u PYTHONPATH "$python" -m pip install --quiet --disable-pip-version-check)
     "${pip[@]}" --requirement requirements/build.txt
-    "${pip[@]}" --use-pep517 --no-build-isolation --editable '.[cluster,study,test]' "$@"
-    "$python" -c 'import rclpy, diagnostic_msgs.msg, sensor_msgs.msg, std_srvs.srv' ||
+    local extras='cluster,docs,learning,mesh,record,study,test'
+    "${pip[@]}" --use-pep517 --no-build-isolation --editable ".[$extras]" "$@"
+    "$python" -c 'import rclpy, diagnostic_msgs.msg, sensor_msgs.msg, std_srvs.srv, visualization_msgs.msg' ||
         refuse "The ROS 2 found lacks rclpy or common messages, as said above: install\
  ros-jazzy-rclpy and ros-jazzy-common-interfaces."
 }

@@ -7,7 +7,11 @@ import math
 import signal
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from textwrap import fill
+
+import shtab
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.study.accuracy import accuracy
@@ -41,8 +45,11 @@ from softrobot_twin.study.stiffness import print_stiffness
 from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
 from softrobot_twin.study.workspace import workspace
 
-EXIT_CODES = """exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or
-an argument cannot be used, 130 stopped by Ctrl-C"""
+TEXT_WIDTH = 78
+"""Columns of the texts of a command's help."""
+
+EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or "
+                  "an argument cannot be used, 130 stopped by Ctrl-C", TEXT_WIDTH)
 
 
 class OptionError(SoftRobotTwinError):
@@ -53,7 +60,8 @@ class OptionError(SoftRobotTwinError):
 
 
 def add_command(
-    commands, name: str, run: Callable[[argparse.Namespace], int], purpose: str, description: str
+    commands, name: str, run: Callable[[argparse.Namespace], int], purpose: str, description: str,
+    examples: tuple[str, ...],
 ) -> argparse.ArgumentParser:
     """Declares a command.
 
@@ -63,12 +71,18 @@ def add_command(
         run: Runs the command with the parsed arguments and returns the exit code.
         purpose: Short purpose, for the list of commands.
         description: Text of the command's own help.
+        examples: Arguments of some uses, shown below the options; a percent sign is written twice.
 
     Returns:
         Its parser, to which its arguments are added.
     """
-    parser = commands.add_parser(name, help=purpose, description=description, epilog=EXIT_CODES)
-    parser.set_defaults(run=run)
+    # argparse fills a text of one paragraph or none at all; here the examples keep their lines.
+    shown = "\n".join(f"  %(prog)s {arguments}" for arguments in examples)
+    parser = commands.add_parser(
+        name, help=purpose, description=fill(description, TEXT_WIDTH),
+        epilog=f"examples:\n{shown}\n\n{EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.set_defaults(run=run, examples=examples)
     return parser
 
 
@@ -143,7 +157,14 @@ def add_simulate(commands) -> None:
         "<cable>_shortening_m, <cable>_length_m or <cable>_tension_N, <motor>_shortening_m for all "
         "its cables, <cavity>_pressure_Pa, or <cavity>_growth_m3 or _volume_m3 where the scene "
         "controls its volume, <guided body>_x_m, _y_m, _z_m and, for rotations, _qx, _qy, _qz, "
-        "_qw; interpolated between rows.")
+        "_qw; interpolated between rows.",
+        examples=(
+            "config/scenes/diamond.yaml --targets config/targets/diamond_circle.csv --output run.csv",
+            "config/scenes/grasper.yaml --commands config/commands/grasper_lift.csv \\\n"
+            "    --output run.csv --picture run.png --picture-at 0.2 2 14",
+            "config/scenes/cantilever.yaml --seconds 1 --rate 500 --output run.csv",
+        ),
+    )
     add_scene(parser)
     driven = parser.add_mutually_exclusive_group(required=True)
     driven.add_argument("--targets", metavar="FILE.csv", type=Path,
@@ -174,7 +195,12 @@ def add_explain(commands) -> None:
     parser = add_command(
         commands, "explain", _explain, "show the effects of a scene and the terms they become",
         "Print the effects that a scene names, the terms that they become, the stages of a "
-        "step, the size of the mesh, and an estimate of its error.")
+        "step, the size of the mesh, and an estimate of its error.",
+        examples=(
+            "config/scenes/diamond.yaml",
+            "config/scenes/diamond.yaml --stiffness --at north_shortening_m=0.01",
+        ),
+    )
     add_scene(parser)
     parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
                         help="leave out this estimate, which takes longer than everything else")
@@ -244,7 +270,12 @@ def add_bench(commands) -> None:
         "factorization of the same matrices and with dense products. Without "
         "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
         "Grasper and the Octoleg while they hold. With --contacts: one block on 10 to 200 "
-        "contacts. tools/compare_solvers.py compares factorizations and QP solvers.")
+        "contacts. tools/compare_solvers.py compares factorizations and QP solvers.",
+        examples=(
+            "",
+            "config/scenes/diamond.yaml config/scenes/fetch_reduced.yaml --steps 300",
+        ),
+    )
     parser.add_argument("scenes", metavar="SCENE", type=Path, nargs="*", help="scene file (YAML)")
     parser.add_argument("--output", metavar="FOLDER", type=Path,
                         help="write bench.csv and bench.png (needs matplotlib) there")
@@ -276,7 +307,12 @@ def add_workspace(commands) -> None:
         "sample; samples that do not come to rest are written with their status. Sample 0 is the "
         "robot at rest; each other one is reached from there on a straight line of setpoints, so "
         "that the file does not depend on the workers. After Ctrl-C the rows so far are in "
-        "FILE.csv.part, and the same command goes on from there.")
+        "FILE.csv.part, and the same command goes on from there.",
+        examples=(
+            "config/scenes/diamond.yaml --samples 160 --output workspace.csv --picture workspace.png",
+            "config/scenes/diamond.yaml --range north_shortening_m=0:0.01 --output workspace.csv",
+        ),
+    )
     add_scene(parser)
     parser.add_argument("--output", required=True, metavar="FILE.csv", type=Path,
                         help="file to write")
@@ -316,7 +352,12 @@ def add_accuracy(commands) -> None:
         "their names differ only in the number at the end; a mesh without a family is refined "
         "uniformly. Meshes of hexahedra have _hexa before that number and are compared too. "
         "Reduced models are measured beside their full ones: that of the scene, and those of --reduced and "
-        "--train. This takes minutes.")
+        "--train. This takes minutes.",
+        examples=(
+            "config/scenes/diamond.yaml",
+            "config/scenes/diamond.yaml --train diamond_600:quadratic",
+        ),
+    )
     add_scene(parser)
     parser.add_argument("--output", default=Path("out/accuracy"), metavar="FOLDER", type=Path,
                         help="folder for accuracy.csv and accuracy.png (default out/accuracy)")
@@ -340,7 +381,11 @@ def add_choose(commands) -> None:
         "machine, print the most accurate setting that keeps the rate with a margin, and write its scene. "
         "Reduced models are that of the scene, files *_reduced.npz beside its mesh and beside "
         "the scene that is written, and those of --reduced. Where one that is not there would be "
-        "better, a trial on the coarsest mesh tells its error and the time of its training.")
+        "better, a trial on the coarsest mesh tells its error and the time of its training.",
+        examples=(
+            "config/scenes/diamond.yaml --rate 200",
+        ),
+    )
     add_scene(parser)
     parser.add_argument("--rate", required=True, type=rate, metavar="HZ", help="rate to keep [Hz]")
     parser.add_argument("--accuracy", metavar="FILE.csv", type=Path,
@@ -399,7 +444,12 @@ def add_demo(commands) -> None:
         commands, "demo", _demo, "drive a simulated robot live over ROS 2",
         "Start twin, device and target as three processes, follow a path open loop "
         "and again closed loop, and report the tracking errors; a robot that is driven directly "
-        "plays its commands, and the device is compared with the twin.")
+        "plays its commands, and the device is compared with the twin.",
+        examples=(
+            "",
+            "--robot trunk --seconds 10 --no-view",
+        ),
+    )
     parser.add_argument("--robot", default="diamond", metavar="NAME",
                         help="name of a file config/NAME.yaml (default diamond)")
     parser.add_argument("--output", default=Path("out/demo"), metavar="FOLDER", type=Path,
@@ -436,6 +486,9 @@ def add_reduce_vertebrae(commands) -> None:
         "Make the superelements of a scene's bodies with vertebrae where there are none, or where "
         "mesh, material, vertebrae or walls of cavities have changed, and state the error of the "
         "reduced model against the full one at fresh states of the whole range of the actuators.",
+        examples=(
+            "config/scenes/fetch_reduced.yaml",
+        ),
     )
     add_scene(parser)
     parser.add_argument("--again", action="store_true", help="make them even where they are current")
@@ -458,7 +511,13 @@ def add_reduce(commands) -> None:
         "the scene names by 'reduced: {file: ...}'. The result is judged at fresh states. What the "
         "robot will meet must be sampled: loads, tilts, and the whole range of the actuators. "
         "After Ctrl-C the states so far are in a folder beside the file, and the same command goes "
-        "on from there.")
+        "on from there.",
+        examples=(
+            "config/scenes/diamond.yaml --error 1%% \\\n    --targets tip=-0.02:0.02,-0.02:0.02,0.122:0.140",
+            "config/scenes/fetch.yaml --snapshots 200 --modes 48",
+            "config/scenes/diamond_reduced.yaml --export robot.npz",
+        ),
+    )
     add_scene(parser)
     parser.add_argument("--body", metavar="NAME", help="body to reduce, where there are several")
     parser.add_argument("--output", metavar="FILE.npz", type=Path,
@@ -520,6 +579,25 @@ def add_reduce(commands) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="compute states on the Dask cluster of this scheduler instead, such "
                         "as tcp://10.0.0.1:8786 (needs distributed)")
+
+
+def add_completion(commands) -> None:
+    """Declares ``completion``."""
+    parser = add_command(
+        commands, "completion", _completion, "print what lets a shell complete these commands",
+        "Print a script that lets the Tab key complete commands, options and file names of "
+        "'softrobot_twin'. A shell reads it when it starts.",
+        examples=(
+            "bash > ~/.local/share/bash-completion/completions/softrobot_twin",
+            'zsh > "${fpath[1]}/_softrobot_twin"',
+        ),
+    )
+    parser.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="shell to write for")
+
+
+def _completion(chosen: argparse.Namespace) -> int:
+    print(shtab.complete(program("softrobot_twin"), chosen.shell))
+    return 0
 
 
 def positive(text: str) -> float:
@@ -593,3 +671,45 @@ def _reduce(chosen: argparse.Namespace) -> int:
     if chosen.export is not None:
         return reduce_and_export(chosen.scene, options, chosen.export)
     return reduce(chosen.scene, options)
+
+
+COMMANDS = (
+    add_simulate, add_explain, add_workspace, add_bench, add_accuracy, add_choose, add_reduce,
+    add_reduce_vertebrae, add_demo, add_completion,
+)  # fmt: skip
+"""What declares each command, in the order of the list of commands."""
+
+
+def program(name: str) -> argparse.ArgumentParser:
+    """The one parser of all commands.
+
+    Args:
+        name: How the program was called.
+    """
+    made = argparse.ArgumentParser(
+        prog=name, description="Simulate and control soft robots. All values are in SI units.",
+        epilog=f"COMMAND --help shows the options of a command, with examples.\n\n{EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
+    commands = made.add_subparsers(title="commands", dest="command", metavar="COMMAND",
+                                   required=True)
+    for add in COMMANDS:
+        add(commands)
+    for command in commands.choices.values():
+        _complete_paths(command)
+    return made
+
+
+def _complete_paths(command: argparse.ArgumentParser) -> None:
+    """Tells shells which arguments are files and folders."""
+    for action in command._actions:  # argparse has no public list of them
+        if action.type is Path:
+            is_folder = action.metavar == "FOLDER"
+            action.complete = shtab.DIRECTORY if is_folder else shtab.FILE
+
+
+def _version() -> str:
+    try:
+        return version("softrobot_twin")
+    except PackageNotFoundError:
+        return "(not installed)"

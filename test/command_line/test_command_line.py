@@ -1,6 +1,7 @@
 """The command line without a scene: help, errors and exit codes."""
 
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -9,9 +10,19 @@ from typing import NamedTuple
 import pytest
 
 from softrobot_twin.__main__ import main
+from softrobot_twin.command_line.commands import program
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("simulate", "explain", "workspace", "bench", "accuracy", "choose", "reduce", "demo")
+
+
+def parsers() -> dict:
+    """The parser of each command."""
+    return program("softrobot_twin")._subparsers._group_actions[0].choices
+
+
+COMMANDS = tuple(parsers())
+EXAMPLES = [(name, example.replace("%%", "%").replace("\\\n", "")) for name, parser in parsers().items()
+            for example in parser.get_default("examples")]
 
 
 class Finished(NamedTuple):
@@ -47,6 +58,40 @@ def test_without_a_command_the_usage_is_shown():
 def test_help_needs_no_scene_and_lists_the_exit_codes(typed, arguments):
     done = typed(*arguments, "--help")
     assert done.returncode == 0 and "exit codes" in done.stdout
+
+
+@pytest.mark.parametrize("name, example", EXAMPLES)
+def test_every_example_of_the_help_is_understood_and_its_inputs_exist(name, example):
+    arguments = shlex.split(example.partition(" > ")[0])
+    chosen = program("softrobot_twin").parse_args([name, *arguments])
+    shipped = [text for text in arguments if text.startswith(("config/", "meshes/"))]
+    assert all((ROOT / text).is_file() for text in shipped)
+    assert chosen.command == name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_has_an_example(typed, name):
+    first = typed(name, "--help").stdout.partition("examples:\n")[2].splitlines()[0]
+    assert f"softrobot_twin {name}" in first
+
+
+@pytest.mark.parametrize("typed_so_far, expected", [
+    ("softrobot_twin sim", "simulate"),
+    ("softrobot_twin simulate --tar", "--targets"),
+    ("softrobot_twin explain REA", "README.md"),
+])  # fmt: skip
+def test_bash_completes_commands_options_and_files(typed, tmp_path, typed_so_far, expected):
+    script = tmp_path / "completion.bash"
+    script.write_text(typed("completion", "bash").stdout)
+    asked = """
+    source "$0"
+    COMP_WORDS=($1); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMP_LINE=$1; COMP_POINT=${#1}
+    $(complete -p softrobot_twin | sed 's/.*-F \\([^ ]*\\) .*/\\1/') softrobot_twin
+    printf '%s\\n' "${COMPREPLY[@]}"
+    """
+    done = subprocess.run(["bash", "-c", asked, script, typed_so_far], cwd=ROOT,
+                          capture_output=True, text=True, timeout=60)
+    assert expected in done.stdout.split(), done.stderr
 
 
 def test_the_version_is_printed(typed):
