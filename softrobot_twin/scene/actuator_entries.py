@@ -40,6 +40,7 @@ class ActuatorEntry(Entry):
     noun: ClassVar[str]
 
     name: Name
+    """Its name, in topics, commands and columns."""
 
     def check_references(self, scene, key: str) -> None:
         """Refuses names of objects that the scene does not have.
@@ -99,6 +100,7 @@ class Cable(ActuatorEntry):
     frame: Literal["world", "mesh"] = "world"
     """Its points are coordinates of the world, or of its body's mesh before its placement."""
     pull_point: Vector
+    """Where the cable is pulled: its winch or motor, at rest."""
     pull_point_on: Name = "world"
     """``world``, ``body`` for its own bodies, or the name of a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
@@ -252,6 +254,7 @@ class SealedCavity(Entry):
     placed: ClassVar[dict[str, str]] = {}
 
     name: Name
+    """Its name, in topics and columns."""
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
     """Its closed surfaces."""
     pressure: Annotated[float, unit("Pa")] = 0.0
@@ -277,7 +280,9 @@ class Motor(Entry):
     placed: ClassVar[dict[str, str]] = {}
 
     name: Name
+    """Its name, in commands."""
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
+    """Names of its cables."""
     pulley: Pulley | None = None
     """Pulley that winds them all; none of them then has a pulley of its own."""
 
@@ -289,6 +294,7 @@ class Slide(ActuatorEntry):
     placed: ClassVar[dict[str, str]] = {"axis": "direction"}
 
     body: Name
+    """The guided rigid body that it moves."""
     axis: Annotated[tuple[float, float, float], unit("")]
     """Direction of positive positions, in the world."""
     travel: Annotated[tuple[float, float], AfterValidator(check_range), unit("m")]
@@ -317,6 +323,7 @@ class HingeMotor(ActuatorEntry):
     placed: ClassVar[dict[str, str]] = {}
 
     beam: Name
+    """The beam that it turns."""
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """The point of the beam that is joined by the hinge."""
     angle: Annotated[tuple[float, float], AfterValidator(check_range), unit("rad")]

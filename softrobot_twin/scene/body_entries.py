@@ -41,8 +41,11 @@ class Mesh(Entry):
     file: Path
     """Mesh file, relative to the scene file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    """Metres in a unit of the file: 0.001 for millimetres."""
     rotation: Angles = (0.0, 0.0, 0.0)
+    """Angles about the x, y and z axes of the world, in this order; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
+    """Displacement; after the rotation."""
     merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
     """Nodes nearer than this are merged; by default only coincident nodes that would separate the
     mesh into several parts; 0 merges none."""
@@ -287,6 +290,7 @@ class Material(ElasticEntry):
 
     law: Annotated[str, registered("law", law_names)] = "corotational"
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
+    """Mass by volume."""
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """The mass of the whole body, in place of a density."""
     viscosity: tuple[ViscosityTerm, ...] = ()
@@ -319,7 +323,9 @@ class BoxRegion(Entry):
     """Nodes inside an axis-aligned box."""
 
     minimum: Vector
+    """Lower corner."""
     maximum: Vector
+    """Upper corner."""
 
     @model_validator(mode="after")
     def _ordered(self):
@@ -359,7 +365,9 @@ class SphereRegion(Entry):
     placed: ClassVar[dict[str, str]] = {"centre": "point"}
 
     centre: Vector
+    """Centre."""
     radius: Annotated[float, unit("m", gt=0.0)]
+    """Radius."""
 
 
 class Region(Entry):
@@ -372,6 +380,7 @@ class Region(Entry):
     box: BoxRegion | None = None
     sphere: SphereRegion | None = None
     nodes: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    """Nodes, by their index in the mesh file."""
 
     @model_validator(mode="after")
     def _one_kind(self):
@@ -394,9 +403,11 @@ class Vertebra(Entry):
     placed: ClassVar[dict[str, str]] = {"box": "box"}
 
     name: Name
+    """Its name."""
     region: str | None = None
     """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
     box: BoxRegion | None = None
+    """The nodes in it."""
     frame: Literal["world", "mesh"] = "mesh"
     """Coordinates of the box: of the mesh before its placement, or of the world."""
 
@@ -464,6 +475,7 @@ class Visual(Entry):
     file: Path
     """Surface mesh, relative to the scene file; placed like the body's own mesh."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    """Metres in a unit of the file."""
 
 
 class ContactSurface(Entry):
@@ -472,6 +484,7 @@ class ContactSurface(Entry):
     file: Path
     """Surface mesh, relative to the scene file; placed like the body's own mesh."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    """Metres in a unit of the file."""
 
 
 class Body(Entry):
@@ -481,6 +494,7 @@ class Body(Entry):
                                          "attached": "regions", "vertebrae": "inside"}  # fmt: skip
 
     name: Name = "body"
+    """Its name, by which other entries refer to it."""
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
     """Name of a registered kind: linear or quadratic, hexahedral, or one from outside the package.
@@ -492,7 +506,9 @@ class Body(Entry):
     """Materials of parts of it; no two of them claim the same cell, and cells that none claims
     have `material`."""
     fixed: tuple[Region, ...] = ()
+    """Nodes that do not move."""
     attached: tuple[Attachment, ...] = ()
+    """Nodes that move with a rigid body."""
     volume: Literal["per_element", "patches"] = "per_element"
     """Where changes of volume are resisted: in every element, or in patches of elements, which do not
     lock as Poisson's ratio approaches 0.5. Patches are for hyperelastic laws with a bulk modulus."""
@@ -602,12 +618,14 @@ class RectangleSection(Entry):
     thickness: Annotated[float, unit("m", gt=0.0)]
     """Its extent along the `thickness_direction` of the beam."""
     width: Annotated[float, unit("m", gt=0.0)]
+    """Its extent at right angles to that."""
 
 
 class CircleSection(Entry):
     """A full circle."""
 
     radius: Annotated[float, unit("m", gt=0.0)]
+    """Radius."""
 
 
 class TubeSection(Entry):
@@ -616,6 +634,7 @@ class TubeSection(Entry):
     radius: Annotated[float, unit("m", gt=0.0)]
     """The outer radius."""
     wall: Annotated[float, unit("m", gt=0.0)]
+    """Thickness of the wall."""
 
     @model_validator(mode="after")
     def _is_hollow(self):
@@ -628,12 +647,15 @@ class GivenSection(Entry):
     """A cross-section by its constants; y is the `thickness_direction`, z = tangent × y."""
 
     area: Annotated[float, unit("m²", gt=0.0)]
+    """Area."""
     inertia_y: Annotated[float, unit("m⁴", gt=0.0)]
     """∫ z² dA, of bending that deflects along z."""
     inertia_z: Annotated[float, unit("m⁴", gt=0.0)]
     """∫ y² dA, of bending that deflects along y."""
     torsion: Annotated[float, unit("m⁴", gt=0.0)]
+    """Torsion constant."""
     shear_area_y: Annotated[float | None, unit("m²", gt=0.0)] = None
+    """Of shear along y; by default 5/6 of the area."""
     shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
     """By default 5/6 of the area."""
     radius: Annotated[float | None, unit("m", gt=0.0)] = None
@@ -665,8 +687,11 @@ class BeamMaterial(Entry):
     """The material of a beam, isotropic and linear elastic."""
 
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
+    """E."""
     poisson_ratio: Annotated[float, unit("", gt=-1.0, le=0.5)]
+    """ν."""
     density: Annotated[float, unit("kg/m³", gt=0.0)]
+    """Mass by volume."""
 
 
 class BeamJoint(Entry):
@@ -702,6 +727,7 @@ class Beam(Entry):
                                         "joined": "regions"}  # fmt: skip
 
     name: Name
+    """Its name, by which other entries refer to it."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
     """Its axis at rest; a node of the beam lies at each point."""
     curve: Literal["straight", "smooth"] = "straight"
@@ -750,7 +776,9 @@ class PlaneShape(Entry):
     """A half space; its normal points to the free side."""
 
     point: Vector = (0.0, 0.0, 0.0)
+    """A point of the plane."""
     normal: Annotated[tuple[float, float, float], unit("")] = (0.0, 0.0, 1.0)
+    """Direction to the free side."""
 
     @model_validator(mode="after")
     def _has_direction(self):
@@ -763,14 +791,18 @@ class SphereShape(Entry):
     """A ball."""
 
     centre: Vector = (0.0, 0.0, 0.0)
+    """Centre."""
     radius: Radius
+    """Radius."""
 
 
 class CapsuleShape(Entry):
     """A cylinder with hemispheres at its ends."""
 
     ends: tuple[Vector, Vector]
+    """Centres of the hemispheres."""
     radius: Radius
+    """Radius."""
 
     @model_validator(mode="after")
     def _has_length(self):
@@ -781,7 +813,9 @@ class CylinderShape(Entry):
     """A cylinder with flat ends."""
 
     ends: tuple[Vector, Vector]
+    """Centres of the two flat ends."""
     radius: Radius
+    """Radius."""
 
     @model_validator(mode="after")
     def _has_length(self):
@@ -792,6 +826,7 @@ class BoxShape(Entry):
     """A box."""
 
     centre: Vector = (0.0, 0.0, 0.0)
+    """Centre."""
     size: Annotated[
         tuple[
             Annotated[float, unit("m", gt=0.0)],
@@ -802,6 +837,7 @@ class BoxShape(Entry):
     ]
     """Lengths of its edges."""
     rotation: Angles = (0.0, 0.0, 0.0)
+    """Angles about the x, y and z axes, in this order."""
 
 
 class SurfaceShape(Entry):
@@ -810,8 +846,11 @@ class SurfaceShape(Entry):
     file: Path
     """Mesh file, relative to the scene file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    """Metres in a unit of the file."""
     rotation: Angles = (0.0, 0.0, 0.0)
+    """Angles about the x, y and z axes, in this order; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
+    """Displacement; after the rotation."""
 
 
 SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
@@ -823,6 +862,7 @@ class Shaped(Entry):
     placed: ClassVar[dict[str, str]] = {"position": "point", "rotation": "angles"}
 
     position: Vector = (0.0, 0.0, 0.0)
+    """Where the origin of the shape is."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the world's x, y and z axes, in this order."""
     plane: PlaneShape | None = None
@@ -860,6 +900,7 @@ class Obstacle(Shaped):
     """A shape that does not move."""
 
     name: Name
+    """Its name, in pairs of contact."""
 
 
 class RigidBody(Shaped):
@@ -869,11 +910,15 @@ class RigidBody(Shaped):
                                          "angular_velocity": "direction"}  # fmt: skip
 
     name: Name
+    """Its name, in topics, columns and pairs of contact."""
     motion: Literal["free", "guided"] = "free"
+    """Free: it moves by forces. Guided: it follows commanded poses, or stays."""
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
+    """Mass of a free body."""
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """A free body has a mass or a density, uniform over its shape."""
     velocity: Annotated[tuple[float, float, float], unit("m/s")] = (0.0, 0.0, 0.0)
+    """Initial velocity in a dynamic scene."""
     angular_velocity: Annotated[tuple[float, float, float], unit("rad/s")] = (0.0, 0.0, 0.0)
     """Initial velocities in a dynamic scene."""
     damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
@@ -905,7 +950,9 @@ class SpringEnd(Entry):
     placed: ClassVar[dict[str, str]] = {"point": "point"}
 
     on: Name = "world"
+    """Name of a body, or ``world``."""
     point: Vector
+    """Where it is at rest."""
 
 
 class Spring(Entry):
@@ -914,11 +961,14 @@ class Spring(Entry):
     placed: ClassVar[dict[str, str]] = {"ends": "inside"}
 
     name: Name
+    """Its name."""
     ends: tuple[SpringEnd, SpringEnd]
     stiffness: Annotated[float, unit("N/m", gt=0.0)]
+    """Force by change of length."""
     rest_length: Annotated[float | None, unit("m", ge=0.0)] = None
     """By default the distance of the ends at rest."""
     damping: Annotated[float, unit("N s/m", ge=0.0)] = 0.0
+    """Force by rate of change of length."""
 
 
 class Tube(Entry):
@@ -927,8 +977,11 @@ class Tube(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
+    """Its name."""
     on: Name | None = None
+    """The deformable body; optional when there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
+    """Its path at rest."""
     axial_stiffness: Annotated[float, unit("N", gt=0.0)]
     """EA: the force that would double its length."""
 
@@ -943,7 +996,9 @@ class Helix(Entry):
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the axis."""
     direction: Annotated[tuple[float, float, float], unit("")] = (0.0, 0.0, 1.0)
+    """Direction of the axis."""
     radius: Annotated[float, unit("m", gt=0.0)]
+    """Distance of the threads from the axis."""
     pitch: Annotated[float, unit("m", gt=0.0)]
     """Advance along the axis in one turn. The angle between thread and axis has the tangent
     2π radius / pitch."""
@@ -952,10 +1007,12 @@ class Helix(Entry):
     count: Annotated[int, Field(ge=1, le=1000)] = 1
     """Number of threads of each handedness, at equal angles."""
     handedness: Literal["right", "left", "both"] = "both"
+    """Sense in which the threads wind about the direction of the axis."""
     phase: Annotated[float, unit("rad")] = 0.0
     """Angle at which the first thread begins, about the axis, from x; for an axis within 45° of x,
     from y."""
     segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
+    """Straight pieces of a thread in one turn."""
 
     @model_validator(mode="after")
     def _has_direction_and_length(self):
@@ -983,10 +1040,12 @@ class Fibre(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point", "helix": "helix"}
 
     name: Name
+    """Its name."""
     on: Name | None = None
     """The deformable body; optional when there is only one."""
     helix: Helix | None = None
     points: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
+    """Path of one thread at rest."""
     edges: str | None = None
     """Name of line elements in the mesh file: a physical group of Gmsh, an element set of
     Abaqus."""
@@ -1009,14 +1068,19 @@ class MassSpringBody(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
+    """Its name."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    """Places of the masses at rest."""
     masses: tuple[Annotated[float, unit("kg", gt=0.0)], ...]
     """One for each point, or one for all."""
     springs: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = ()
     """Pairs of points, by their index in the list."""
     stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0
+    """Of each spring: force by change of length."""
     damping: Annotated[float, unit("N s/m", ge=0.0)] = 0.0
+    """Of each spring: force by rate of change of length."""
     fixed: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    """Points that do not move, by their index in the list."""
 
     @model_validator(mode="after")
     def _fits(self):

@@ -49,6 +49,7 @@ class Touching(Entry):
     placed: ClassVar[dict[str, str]] = {}
 
     pair: tuple[Name, Name]
+    """Names of the two; of a body with itself the same name twice."""
     friction: Annotated[float | None, unit("", ge=0.0)] = None
     """Coefficient µ of Coulomb's law; by default that of the contact section."""
 
@@ -59,6 +60,7 @@ class TouchingPoint(Entry):
     placed: ClassVar[dict[str, str]] = {"point": "point", "against": "point"}
 
     on: Name | None = None
+    """The deformable body; optional when there is only one."""
     point: Vector
     """The nearest node of the surface is used."""
     against: Vector
@@ -69,7 +71,9 @@ class Contact(Entry):
     """Which bodies may touch, and how contact is solved."""
 
     between: tuple[Touching, ...] = ()
+    """Pairs that may touch; all others pass through each other."""
     points: tuple[TouchingPoint, ...] = ()
+    """Points of a body that may touch given triangles of the same body."""
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
     """µ of pairs without their own value."""
     alarm_distance: Annotated[float, unit("m", gt=0.0)] = 0.003
@@ -101,9 +105,11 @@ class Marker(Entry):
     placed: ClassVar[dict[str, str]] = {"id": "numbers", "point": "point"}
 
     id: Annotated[int, Field(ge=0, lt=2**32)]
+    """Its number in messages of markers."""
     body: Name | None = None
     """The body it is on; optional when there is only one."""
     point: Vector
+    """Where it is at rest."""
 
 
 WantedStiffness = Annotated[float | None, unit("N/m", gt=0.0)]
@@ -119,6 +125,7 @@ class EffectorOrientation(Entry):
     """Points of a deformable body whose best-fit rotation it is, three or more; by default those of
     the effector. On a rigid body or a vertebra it is the body's rotation, and needs none."""
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    """Weight of the error of the orientation."""
     length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
     """Displacement that counts as much as one radian; by default the size of the robot."""
 
@@ -149,11 +156,15 @@ class Effector(Entry):
                                          "measured_by": "numbers"}  # fmt: skip
 
     name: Name
+    """Its name, in topics and columns."""
     body: Name | None = None
     """The body it is on; optional when there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    """Their mean is the effector, at rest."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
+    """Axes of the world along which a target counts."""
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    """Weight of its error against those of other effectors."""
     orientation: EffectorOrientation | None = None
     """Directions may be empty with it."""
     stiffness: EffectorStiffness | None = None
@@ -176,6 +187,7 @@ class Touch(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
 
     name: Name
+    """Its name, in topics and columns."""
     body: Name | None = None
     """The deformable body it is on; optional when there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
@@ -199,7 +211,9 @@ class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
     factorization: Literal[*FACTORIZATIONS] = "multifrontal"
+    """How the stiffness is factorized: multifrontal Cholesky, or SuperLU as a reference."""
     qp_solver: Literal["osqp", "daqp"] = "osqp"
+    """Solver of the inverse problem."""
     energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
     """ε of eq. (17): makes redundant actuation unique, with a small tracking error. Values below
     1.5e-8, the limit of the arithmetic, count as 1.5e-8."""
@@ -215,7 +229,9 @@ class Scene(Entry):
     """Everything that is simulated."""
 
     name: Name
+    """Its name, in reports and pictures."""
     gravity: Acceleration = (0.0, 0.0, -9.81)
+    """Acceleration of gravity; zeros for none."""
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
     """Equilibrium in every step; viscous motion without inertia; motion with inertia."""
     time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
