@@ -85,6 +85,7 @@ class _StopRequest:
         self.received = False
         self._exits_at_once = True
         self._raises = False
+        self._has_raised = False
         # The ROS wheels restart Python when rclpy is imported. Signals blocked here stay blocked in
         # the new process and are delivered in `listen`.
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
@@ -112,12 +113,14 @@ class _StopRequest:
         if self._exits_at_once:
             os._exit(0)
         if self._raises:
-            self._raises = False
+            self._raises, self._has_raised = False, True
             raise _Interrupted
 
     def _drop_interrupts(self, unraisable) -> None:
-        """Hides an interrupt that Python could not raise, for instance inside a destructor."""
-        if not (self.received and unraisable.exc_type is _Interrupted):
+        """Hides an interrupt that Python could not raise, for instance inside a destructor, and
+        what destructors say of objects that it left half made.
+        """
+        if not self._has_raised:
             sys.__unraisablehook__(unraisable)
 
 
