@@ -1,0 +1,326 @@
+"""The topics and services of the three nodes: each is declared once, with its type, its quality of
+service, its unit and its meaning.
+
+The nodes open topics by these tables only, and ``docs/topics.md`` and ``--help`` are made from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from typing import NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped, WrenchStamped
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
+
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+
+NEWEST = QoSProfile(depth=1, reliability=RELIABLE)
+"""Of targets, commands and results: only the newest counts, and it is sent again if it is lost."""
+LAST_FEW = QoSProfile(depth=5, reliability=RELIABLE)
+"""Of commands that arrive during a step of the simulated device: with a delay, an older one takes
+effect."""
+STREAM = QoSProfile(depth=1, reliability=BEST_EFFORT)
+"""Of what is measured many times a second: a subscription of this kind accepts both kinds of
+publishers."""
+LATCHED = QoSProfile(depth=1, reliability=RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of what changes rarely: who subscribes late receives the last message."""
+DIAGNOSTICS = QoSProfile(depth=10, reliability=RELIABLE)
+TRANSFORMS = QoSProfile(depth=100, reliability=RELIABLE)
+"""That of tf2."""
+
+
+class Direction(Enum):
+    """Whether a node receives a topic or publishes it."""
+
+    IN = "in"
+    OUT = "out"
+
+
+IN, OUT = Direction.IN, Direction.OUT
+
+
+class Topic(NamedTuple):
+    """One topic, or one for each object of a kind.
+
+    Attributes:
+        name: Its name; ``~`` is the node, ``<twin>`` the parameter ``twin``, and a further word in
+            brackets the object, such as ``~/target/<effector>``.
+        direction: Whether the node receives or publishes it.
+        kind: Class of its messages, or its name where the package may be missing.
+        quality: Quality of service with which the node opens it.
+        unit: Units of its values, or an empty string.
+        meaning: What it means, in markdown; no upper case at its beginning.
+    """
+
+    name: str
+    direction: Direction
+    kind: type | str
+    quality: QoSProfile
+    unit: str
+    meaning: str
+
+    @property
+    def type_name(self) -> str:
+        """Name of the type, such as ``sensor_msgs/JointState``."""
+        return self.kind if isinstance(self.kind, str) else type_name(self.kind)
+
+    @property
+    def quality_in_words(self) -> str:
+        """Its quality of service, such as ``reliable, newest 1``."""
+        return quality_in_words(self.quality)
+
+    def full_name(self, name: str = "", twin: str = "") -> str:
+        """Name by which it is opened.
+
+        Args:
+            name: Name of the object, for a topic of each object of a kind.
+            twin: Value of the parameter ``twin``, for a topic of another node's twin.
+        """
+        found = self.name.replace("<twin>", twin)
+        if "<" in found:
+            found = found[: found.index("<")] + name + found[found.index(">") + 1 :]
+        return found
+
+
+class Service(NamedTuple):
+    """One service.
+
+    Attributes:
+        name: Its name; ``~`` is the node.
+        kind: Class of its requests and responses.
+        meaning: What it does, in markdown.
+    """
+
+    name: str
+    kind: type
+    meaning: str
+
+    @property
+    def type_name(self) -> str:
+        """Name of the type, such as ``std_srvs/SetBool``."""
+        return type_name(self.kind)
+
+
+def type_name(kind: type) -> str:
+    """Name of the class of a message or service, such as ``sensor_msgs/JointState``."""
+    return f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+
+
+def quality_in_words(quality: QoSProfile) -> str:
+    """A quality of service, such as ``reliable, newest 1``, ``reliable, latched, newest 1``."""
+    words = ["reliable" if quality.reliability == RELIABLE else "best effort"]
+    if quality.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+        words.append("latched")
+    return ", ".join([*words, f"newest {quality.depth}"])
+
+
+def open_publisher(node: Node, topic: Topic, name: str = "", twin: str = "") -> Publisher:
+    """Publishes a declared topic; see `Topic.full_name`."""
+    if topic.direction is not OUT:
+        raise ValueError(f"{topic.name} is declared as a topic that the node receives")
+    return node.create_publisher(topic.kind, topic.full_name(name, twin), topic.quality)
+
+
+def open_subscription(
+    node: Node, topic: Topic, receive: Callable, name: str = "", twin: str = ""
+) -> Subscription:
+    """Receives a declared topic; see `Topic.full_name`."""
+    if topic.direction is not IN:
+        raise ValueError(f"{topic.name} is declared as a topic that the node publishes")
+    return node.create_subscription(
+        topic.kind, topic.full_name(name, twin), receive, topic.quality
+    )
+
+
+def _by_name(*topics: Topic) -> dict[str, Topic]:
+    return {topic.name: topic for topic in topics}
+
+
+TWIN_TOPICS = _by_name(
+    Topic("~/target/<effector>", IN, PointStamped, NEWEST, "m",
+          "the newest is used, limited to the workspace; messages that are not finite, stale, out "
+          "of order or in another frame are refused and counted"),
+    Topic("~/target_pose/<effector>", IN, PoseStamped, NEWEST, "m",
+          "of effectors with `orientation`: position, and turn from the rest shape; as "
+          "`~/target/<effector>`, and quaternions that are not of unit length within 1 % are "
+          "refused. A point or a velocity that follows moves the position, and the orientation "
+          "stays wanted; with `directions: []` the position is checked, and not used"),
+    Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
+          "along x, y and z of the world, NaN where it is free; of effectors with `stiffness`, in "
+          "place of its `target` until `~/reset` or `~/enable`; stale, out of order, infinite, in "
+          "another frame, or not above 0 is refused and counted. One alone, without a target "
+          "position, is followed too"),
+    Topic("~/target_velocity", IN, Twist, NEWEST, "m/s",
+          "integrated, limited in speed, stopped after `velocity_timeout`, limited to the "
+          "workspace"),
+    Topic("~/touch_force/<touch>", IN, WrenchStamped, STREAM, "N",
+          "force on the robot; torques are not used. Zero or NaN ends the touch. Refused: infinite, "
+          "above `force_limit`, stale, out of order, in another frame"),
+    Topic("~/touch_position/<touch>", IN, PointStamped, STREAM, "m",
+          "place of the touched point: it is held there. NaN ends the touch. Refused: infinite, far "
+          "from the robot, stale, out of order, in another frame"),
+    Topic("~/markers", IN, PointCloud2, STREAM, "m",
+          "x y z float32, id uint32; NaN = hidden; implausible markers are left out and reported"),
+    Topic("~/measured_cables", IN, JointState, STREAM, "m, N",
+          "what the hardware measures, cavities as in `~/cables`; setpoints that no actuator of the "
+          "scene can have are refused; cavities with `control: pressure` and cables with pulleys "
+          "may be omitted"),
+    Topic("~/measured_angles", IN, JointState, STREAM, "rad, N m",
+          "angle in `position`, torque in `effort` (optional); of pulleys, by the names of their "
+          "cables or motors, any of them; in place of lengths in `~/measured_cables` or in "
+          "addition, the newest counts. Checked like these"),
+    Topic("~/measured_pressures/<cavity>", IN, FluidPressure, STREAM, "Pa, absolute",
+          "measured pressure, of a cavity with `control: pressure` in place of a value in "
+          "`~/measured_cables` or in addition; `frame_id` names the sensor and is not checked, "
+          "`variance` is not used"),
+    Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
+          "m in `position`, or N in `effort`, of motors of hinges rad or N m; `mode: direct`. Names "
+          "are cables, slides or motors, and each cable is named once; a motor's position is the "
+          "length of its first cable [m], and its other cables are shortened by the same length; "
+          "its effort is the tension of each cable. Of a cavity `position` is the gauge pressure "
+          "[Pa] or, with `control: volume`, the volume [m³], and `effort` the gauge pressure [Pa]; "
+          "a cavity with `control: pressure` may be omitted and stays as it is. In `mode: inverse` "
+          "the message commands some actuators by length, pressure or volume, and the others are "
+          "optimised; an empty message commands none"),
+    Topic("~/command/angles", IN, JointState, NEWEST, "rad",
+          "in `position`; of any pulleys, by the names of their cables or motors. The other "
+          "actuators stay as they are: in `mode: direct` at their setpoints, in `mode: inverse` "
+          "optimised or commanded as before; there the cables stay commanded until a message on "
+          "`~/command/cables` names them or is empty. Torques are refused. Only in scenes with "
+          "pulleys"),
+    Topic("~/command/pressures/<cavity>", IN, FluidPressure, NEWEST, "Pa, absolute",
+          "above 0; commands this cavity, and the other actuators stay as they are: in `mode: "
+          "direct` at their setpoints, in `mode: inverse` optimised or commanded as before. There "
+          "the cavity stays commanded until a message on `~/command/cables` names it or is empty. "
+          "Checked like targets, but the frame may be empty. Refused for `control: volume`, whose "
+          "volume is commanded on `~/command/cables`"),
+    Topic("~/command/pose/<guided body>", IN, PoseStamped, NEWEST, "m",
+          "frame, finiteness, rotation and age are checked, the scene limits speed and turn rate, "
+          "the newest is used, limited to the workspace"),
+    Topic("~/cables", OUT, JointState, NEWEST, "m, N",
+          "`position` = length [m], `effort` = tension [N]; of a slide its position and the force "
+          "that holds it; of a motor of a hinge its angle [rad] and torque [N m]; of a cavity its "
+          "gauge pressure [Pa] in both, or with `control: volume` its volume [m³] and gauge "
+          "pressure [Pa]"),
+    Topic("~/angles", OUT, JointState, NEWEST, "rad, N m",
+          "`position` = angle [rad], `effort` = torque that holds the cables [N m], about the axis "
+          "in the positive sense; of each pulley, by the name of its cable or motor, with the same "
+          "stamp as `~/cables`; only in scenes with pulleys"),
+    Topic("~/pressures/<cavity>", OUT, FluidPressure, NEWEST, "Pa, absolute",
+          "gauge plus `ambient_pressure`; commanded or, with `control: volume`, predicted pressure, "
+          "with the same stamp as `~/cables`; of a sealed cavity its predicted pressure; `variance` "
+          "0 (unknown)"),
+    Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m", "predicted position"),
+    Topic("~/effector_poses/<effector>", OUT, PoseStamped, NEWEST, "m",
+          "of effectors with `orientation`: predicted position, and turn from the rest shape"),
+    Topic("~/stiffness/<effector>", OUT, Vector3Stamped, NEWEST, "N/m",
+          "of effectors with `stiffness`, in ticks that follow one: the stiffness shown, NaN along "
+          "axes where none is wanted; of the new shape, to first order"),
+    Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
+          "names x, y, z: `position` = displacement of the point since the touch began [m], "
+          "`effort` = force on the robot [N]; zero without a touch"),
+    Topic("~/compliance/<effector>", OUT, Float64MultiArray, NEWEST, "m/N",
+          "3×3: motion of the effector by a force on it (columns x, y, z) while the actuators hold "
+          "what they hold; computed only while somebody receives it"),
+    Topic("~/jacobian/<effector>", OUT, Float64MultiArray, NEWEST, "m per unit of the actuator",
+          "3 × actuators, in the order of `~/cables`: motion [m] of the effector by each actuator, "
+          "the others held. The label of the second dimension names each column with its unit, such "
+          "as `north_shortening_m` (m/m), `air_pressure_Pa` (m/Pa); by a shortening, not by the "
+          "length, which has the other sign. Computed only while somebody receives it"),
+    Topic("~/predicted_markers", OUT, PointCloud2, NEWEST, "m",
+          "markers of the model, as in `~/markers`; only while somebody receives it"),
+    Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
+          "predicted pose; only while somebody receives it"),
+    Topic("~/poses/<guided body>", OUT, PoseStamped, NEWEST, "m",
+          "commanded pose of a guided body, for the device"),
+    Topic("~/contacts", OUT, PointCloud2, STREAM, "m, N",
+          "x y z fx fy fz float32: each contact, and its force on the first body of its pair; a "
+          "pair's resultant and sum of magnitudes are in `/diagnostics`"),
+    Topic("~/visualization", OUT, MarkerArray, NEWEST, "m",
+          "for RViz and Foxglove, `visualization_rate` times a second and only while somebody "
+          "receives it: the deformed surfaces, cables coloured by tension, cavities coloured by "
+          "pressure, rigid bodies, obstacles, effectors and targets, each kind in a namespace of "
+          "its own; they vanish when the twin ends"),
+    Topic("~/status", OUT, DiagnosticStatus, LATCHED, "",
+          "when it changes: what the loop does (`disabled`, `resynchronising`, `returning`, "
+          "`holding`, `following`, `commanded`) and why, the status of the step, the active "
+          "limits; `level` as in `/diagnostics`"),
+    Topic("/tf", OUT, "tf2_msgs/TFMessage", TRANSFORMS, "m",
+          "from `frame_id` to each rigid body and effector (`tf_prefix` and its name; turned from "
+          "rest where it has `orientation`), and from `tf_base_frame` to `frame_id` where that is "
+          "given; with the stamp of `~/cables`; only while somebody receives it, and where "
+          "tf2_msgs is installed"),
+    Topic("/diagnostics", OUT, DiagnosticArray, DIAGNOSTICS, "",
+          "1 Hz, and at once when the clock was set or another node or publisher of the same name "
+          "appears: `<node>: loop`, `solver`, `limits`, `markers`, `device`, `target`, `view`, "
+          "`graph`, and `contact` and `touch` where a scene has them; `<node>` is the full name "
+          "without its first slash"),
+)  # fmt: skip
+"""Topics of the twin, by name."""
+
+TWIN_SERVICES = (
+    Service("~/enable", SetBool,
+            "starts disabled with `use_device`; starts from the measured setpoints, or answers why "
+            "it cannot; refused while two nodes have the same name or publish on the same topic"),
+    Service("~/reset", Trigger,
+            "back to the rest shape, within the rate limits; with a device only the model returns, "
+            "and the twin is disabled"),
+)  # fmt: skip
+"""Services of the twin."""
+
+DEVICE_TOPICS = _by_name(
+    Topic("<twin>/cables", IN, JointState, LAST_FEW, "m, N",
+          "setpoints to which the robot moves, as the twin publishes them"),
+    Topic("<twin>/poses/<guided body>", IN, PoseStamped, LAST_FEW, "m",
+          "pose to which a guided body moves"),
+    Topic("<twin>/measured_cables", OUT, JointState, NEWEST, "m, N",
+          "measured lengths and tensions, cavities as in the twin's `~/cables`"),
+    Topic("<twin>/measured_angles", OUT, JointState, NEWEST, "rad, N m",
+          "measured angles and torques of pulleys; only in scenes with pulleys"),
+    Topic("<twin>/measured_pressures/<cavity>", OUT, FluidPressure, NEWEST, "Pa, absolute",
+          "measured pressure; `variance` [Pa²] as the sensor has it"),
+    Topic("<twin>/markers", OUT, PointCloud2, NEWEST, "m",
+          "measured markers: x y z float32, id uint32; NaN = hidden"),
+    Topic("<twin>/touch_position/<touch>", OUT, PointStamped, NEWEST, "m",
+          "with `device_touch` and `device_touch_sends: position`: the touched point, NaN without a "
+          "touch"),
+    Topic("<twin>/touch_force/<touch>", OUT, WrenchStamped, NEWEST, "N",
+          "with `device_touch` and `device_touch_sends: force`: the force on the robot, zero "
+          "without a touch"),
+    Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
+          "what the fingertip measures, as the twin's `~/touch/<touch>`; with `device_touch`"),
+    Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m",
+          "true position, for evaluation only"),
+    Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
+          "true pose, for evaluation only"),
+)  # fmt: skip
+"""Topics of the device, by name."""
+
+TARGET_TOPICS = _by_name(
+    Topic("<twin>/effectors/<effector>", IN, PointStamped, NEWEST, "m",
+          "start of the path; received until it began"),
+    Topic("<twin>/effector_poses/<effector>", IN, PoseStamped, NEWEST, "m",
+          "the same for a path with orientations"),
+    Topic("<twin>/target/<effector>", OUT, PointStamped, NEWEST, "m", "present point of the path"),
+    Topic("<twin>/target_pose/<effector>", OUT, PoseStamped, NEWEST, "m",
+          "in place of it, along a path with orientations"),
+    Topic("<twin>/target_stiffness/<effector>", OUT, Vector3Stamped, NEWEST, "N/m",
+          "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
+    Topic("<twin>/command/cables", OUT, JointState, NEWEST, "m, N",
+          "setpoint of `target_actuator`; with `target_commands` those of all actuators"),
+    Topic("<twin>/command/pose/<guided body>", OUT, PoseStamped, NEWEST, "m",
+          "pose of a guided body; with `target_commands` that have columns of it"),
+)  # fmt: skip
+"""Topics of the target, by name."""
+
+NODES = {"twin": TWIN_TOPICS, "device": DEVICE_TOPICS, "target": TARGET_TOPICS}
+"""Topics by name of each node."""
