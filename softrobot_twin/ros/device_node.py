@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from geometry_msgs.msg import PoseStamped
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from softrobot_twin.control.actuator_names import ActuatorNames
@@ -40,11 +39,9 @@ from softrobot_twin.ros.messages import (
 from softrobot_twin.ros.parameters import DEVICE, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
+from softrobot_twin.ros.topics import DEVICE_TOPICS as TOPICS
+from softrobot_twin.ros.topics import open_publisher, open_subscription
 from softrobot_twin.simulation import Simulation
-
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-# Commands that arrive during a step are queued: with a delay, an older one takes effect.
-LAST_FEW = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class DeviceNode(TickingNode):
@@ -121,45 +118,42 @@ class DeviceNode(TickingNode):
         return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]), presses)
 
     def _open(self, twin: str) -> None:
-        self._cables = self.create_publisher(JointState, f"{twin}/measured_cables", NEWEST)
-        self._markers = self.create_publisher(PointCloud2, f"{twin}/markers", NEWEST)
+        self._cables = open_publisher(self, TOPICS["<twin>/measured_cables"], "", twin)
+        self._markers = open_publisher(self, TOPICS["<twin>/markers"], "", twin)
         wound = self.device.pulleys if isinstance(self.device, WoundDevice) else None
         self._pulleys = wound if wound is not None and wound.count else None
         if self._pulleys is not None:
-            self._angles = self.create_publisher(JointState, f"{twin}/measured_angles", NEWEST)
+            self._angles = open_publisher(self, TOPICS["<twin>/measured_angles"], "", twin)
         measured = self.device.cavity_names if isinstance(self.device, PressurisedDevice) else ()
+        pressures = TOPICS["<twin>/measured_pressures/<cavity>"]
         self._pressures = {
-            self.device.actuator_names.index(name): self.create_publisher(
-                FluidPressure, f"{twin}/measured_pressures/{name}", NEWEST
-            )
+            self.device.actuator_names.index(name): open_publisher(self, pressures, name, twin)
             for name in measured
         }
         self._effectors = [
-            self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
+            open_publisher(self, TOPICS["~/effectors/<effector>"], name)
             for name in self.device.effector_names
         ]
         self._open_touches(twin)
         carried = self._carried
         self._bodies = [
-            self.create_publisher(PoseStamped, f"~/bodies/{name}", NEWEST)
+            open_publisher(self, TOPICS["~/bodies/<rigid body>"], name)
             for name in (() if carried is None else carried.rigid_names)
         ]
-        commands = [self._listen(JointState, f"{twin}/cables", self._take)]
+        commands = [self._listen("<twin>/cables", self._take, "", twin)]
         for name in () if carried is None else carried.guided_names:
-            commands.append(
-                self._listen(PoseStamped, f"{twin}/poses/{name}", partial(self._take_pose, name))
-            )
+            take = partial(self._take_pose, name)
+            commands.append(self._listen("<twin>/poses/<guided body>", take, name, twin))
         angles = () if self._pulleys is None else (self._angles,)
         self.watch_topics((self._cables, *angles, self._markers, *self._pressures.values(),
                            *(one for _, one in self._touches), *commands))
 
     def _open_touches(self, twin: str) -> None:
         names = self.device.touch_names if isinstance(self.device, TouchedDevice) else ()
-        kind = WrenchStamped if self._sends_force else PointStamped
         topic = "touch_force" if self._sends_force else "touch_position"
         self._touches = [
-            (self.create_publisher(JointState, f"~/touch/{name}", NEWEST),
-             self.create_publisher(kind, f"{twin}/{topic}/{name}", NEWEST))
+            (open_publisher(self, TOPICS["~/touch/<touch>"], name),
+             open_publisher(self, TOPICS[f"<twin>/{topic}/<touch>"], name, twin))
             for name in names
         ]  # fmt: skip
 
@@ -176,14 +170,14 @@ class DeviceNode(TickingNode):
                 place = touches.points[index] if is_touched else np.full(3, np.nan)
                 one.publish(point_message(place, header))
 
-    def _listen(self, kind, topic: str, take) -> Subscription:
-        """Subscribes; logs a warning for each refused message."""
-        warn = self.warner()
+    def _listen(self, topic: str, take, name: str, twin: str) -> Subscription:
+        """Receives a topic of the table; logs a warning for each refused message."""
+        warn, shown = self.warner(), TOPICS[topic].full_name(name, twin)
 
         def receive(message) -> None:
-            warn(topic, take(message))
+            warn(shown, take(message))
 
-        return self.create_subscription(kind, topic, receive, LAST_FEW)
+        return open_subscription(self, TOPICS[topic], receive, name, twin)
 
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
         arrival = self.arrival(message.header)

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, Vector3Stamped
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -26,10 +25,11 @@ from softrobot_twin.ros.messages import point_message, pose_message, read_pose, 
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
+from softrobot_twin.ros.topics import TARGET_TOPICS as TOPICS
+from softrobot_twin.ros.topics import open_publisher, open_subscription
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.input_tables import CommandTable, read_commands
 
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _WAIT_WARNING = 5.0
 _UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -71,11 +71,11 @@ class TargetNode(TickingNode):
         self.start(1.0 / values["target_rate"])
         published = (self._targets, self._commands, self._stiffnesses, *self._poses.values())
         self.watch_topics((), tuple(one for one in published if one is not None))
-        kind = PoseStamped if self._turns else PointStamped
         group = "effector_poses" if self._turns else "effectors"
-        self._topic = f"{self._twin}/{group}/{self._effector}"
+        topic = TOPICS[f"<twin>/{group}/<effector>"]
+        self._topic = topic.full_name(self._effector, self._twin)
         take = self._take_start_pose if self._turns else self._take_start
-        self._listener = self.create_subscription(kind, self._topic, take, NEWEST)
+        self._listener = open_subscription(self, topic, take, self._effector, self._twin)
         self.get_logger().info(f"ready: {what}")
 
     def _open_path(self, values: Mapping[str, object]) -> str:
@@ -95,9 +95,8 @@ class TargetNode(TickingNode):
         )
         self._turn = _UNTURNED
         self._turns = has_orientations(self._path)
-        kind = PoseStamped if self._turns else PointStamped
-        topic = "target_pose" if self._turns else "target"
-        self._targets = self.create_publisher(kind, f"{self._twin}/{topic}/{effector}", NEWEST)
+        topic = "<twin>/target_pose/<effector>" if self._turns else "<twin>/target/<effector>"
+        self._targets = open_publisher(self, TOPICS[topic], effector, self._twin)
         self._actuator = str(values["target_actuator"])
         if self._actuator:
             self._setpoints = ToAndFro(
@@ -115,8 +114,8 @@ class TargetNode(TickingNode):
         if min(ends) <= 0.0:
             raise ParameterError("target_stiffness", ends, "N/m", "must be above zero, or zeros")
         self._stiffness_axis = str(values["target_stiffness_axis"])
-        topic = f"{self._twin}/target_stiffness/{self._effector}"
-        self._stiffnesses = self.create_publisher(Vector3Stamped, topic, NEWEST)
+        topic = TOPICS["<twin>/target_stiffness/<effector>"]
+        self._stiffnesses = open_publisher(self, topic, self._effector, self._twin)
 
     def _publish_stiffness(self, since: float, header: Header) -> None:
         """Publishes the wanted stiffness at a time since the path began [s]."""
@@ -137,12 +136,12 @@ class TargetNode(TickingNode):
         if self._table.kind != "hold":
             self._open_commands()
         for name in self._table.poses:
-            topic = f"{self._twin}/command/pose/{name}"
-            self._poses[name] = self.create_publisher(PoseStamped, topic, NEWEST)
+            topic = TOPICS["<twin>/command/pose/<guided body>"]
+            self._poses[name] = open_publisher(self, topic, name, self._twin)
         return f"the commands of {file}"
 
     def _open_commands(self) -> None:
-        self._commands = self.create_publisher(JointState, f"{self._twin}/command/cables", NEWEST)
+        self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
 
     @property
     def _has_begun(self) -> bool:

@@ -15,10 +15,9 @@ from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped, 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from softrobot_twin.control.arrival import Refusal
@@ -48,13 +47,12 @@ from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
+from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
+from softrobot_twin.ros.topics import open_publisher, open_subscription
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 from softrobot_twin.view.frame import OtherActuator
-
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class SolidOutputs:
@@ -71,17 +69,17 @@ class SolidOutputs:
     def __init__(self, node: Node, simulation: Simulation):
         self._simulation = simulation
         self._bodies = [
-            node.create_publisher(PoseStamped, f"~/bodies/{name}", NEWEST)
+            open_publisher(node, TOPICS["~/bodies/<rigid body>"], name)
             for name in simulation.rigid_names
         ]
         self._sent = {
-            name: node.create_publisher(PoseStamped, f"~/poses/{name}", NEWEST)
+            name: open_publisher(node, TOPICS["~/poses/<guided body>"], name)
             for name in simulation.guided_names
         }
         self.commands = tuple(self._sent.values())
         self._contacts = None
         if simulation.scene.contact is not None:
-            self._contacts = node.create_publisher(PointCloud2, "~/contacts", STREAM)
+            self._contacts = open_publisher(node, TOPICS["~/contacts"])
 
     def publish(self, outcome: TickOutcome, header: Header) -> None:
         """Publishes a tick; commanded poses are published only together with a cable command, and
@@ -117,7 +115,7 @@ class ComplianceOutputs:
         self._loop = loop
         self._compliance: EffectorCompliance | None = None
         self._compliances, self._jacobians = (
-            [node.create_publisher(Float64MultiArray, f"~/{topic}/{name}", NEWEST)
+            [open_publisher(node, TOPICS[f"~/{topic}/<effector>"], name)
              for name in loop.simulation.effector_names]
             for topic in ("compliance", "jacobian")
         )  # fmt: skip
@@ -329,7 +327,6 @@ class ViewFeed:
         self.mirror.close()
 
 
-NEWEST_OF_A_SENSOR = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DIAGNOSTICS_PERIOD = 1.0
 _WARN_EVERY = 2.0
 _TABLE = {entry.name: entry for entry in TWIN}
@@ -406,104 +403,88 @@ class TwinNode(TickingNode):
 
     def _open_outputs(self) -> None:
         simulation = self.loop.simulation
-        self._cables = self.create_publisher(JointState, "~/cables", NEWEST)
+        self._cables = open_publisher(self, TOPICS["~/cables"])
         self._pressures = {
-            name: self.create_publisher(FluidPressure, f"~/pressures/{name}", NEWEST)
+            name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
         }
         self._angles = None
         if self.loop.pulleys.count:
-            self._angles = self.create_publisher(JointState, "~/angles", NEWEST)
+            self._angles = open_publisher(self, TOPICS["~/angles"])
         self._effectors = [
-            self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
+            open_publisher(self, TOPICS["~/effectors/<effector>"], name)
             for name in simulation.effector_names
         ]
         self._effector_poses = {
-            index: self.create_publisher(PoseStamped, f"~/effector_poses/{name}", NEWEST)
+            index: open_publisher(self, TOPICS["~/effector_poses/<effector>"], name)
             for index, name in enumerate(simulation.effector_names)
             if simulation.oriented_effectors[index]
         }
         self._stiffness = {
-            index: self.create_publisher(Vector3Stamped, f"~/stiffness/{name}", NEWEST)
+            index: open_publisher(self, TOPICS["~/stiffness/<effector>"], name)
             for index, name in enumerate(simulation.effector_names)
             if simulation.stiff_effectors[index]
         }
         self._markers = None
         if len(simulation.marker_ids):
-            self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
+            self._markers = open_publisher(self, TOPICS["~/predicted_markers"])
         self._touches = [
-            self.create_publisher(JointState, f"~/touch/{name}", NEWEST)
+            open_publisher(self, TOPICS["~/touch/<touch>"], name)
             for name in simulation.touch_names
         ]
         self._solids = SolidOutputs(self, simulation)
         self._compliances = ComplianceOutputs(self, self.loop)
-        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
 
     def _open_inputs(self) -> None:
         self._commands: list[Subscription] = []
         self._measurements: list[Subscription] = []
         commands, measurements = self._commands, self._measurements
+        simulation = self.loop.simulation
         if self.loop.mode is Mode.INVERSE:
-            for index, name in enumerate(self.loop.simulation.effector_names):
-                commands.append(self._listen(PointStamped, f"~/target/{name}", NEWEST,
-                                             partial(self._take_target, index)))
-                if self.loop.simulation.oriented_effectors[index]:
-                    commands.append(self._listen(PoseStamped, f"~/target_pose/{name}", NEWEST,
-                                                 partial(self._take_target_pose, index)))
-                if self.loop.simulation.stiff_effectors[index]:
-                    commands.append(
-                        self._listen(Vector3Stamped, f"~/target_stiffness/{name}", NEWEST,
-                                     partial(self._take_target_stiffness, index))
-                    )
-            if self.loop.simulation.effector_names:
+            for index, name in enumerate(simulation.effector_names):
                 commands.append(
-                    self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
+                    self._listen("~/target/<effector>", partial(self._take_target, index), name)
                 )
-        commands.append(self._listen(JointState, "~/command/cables", NEWEST, self._take_command))
-        for name in self.loop.simulation.guided_names:
-            commands.append(self._listen(PoseStamped, f"~/command/pose/{name}", NEWEST,
-                                         partial(self._take_pose, name)))
-        for name in self.loop.cavities.names:
-            commands.append(self._listen(FluidPressure, f"~/command/pressures/{name}", NEWEST,
-                                         partial(self._take_pressure, name)))
-            measurements.append(
-                self._listen(FluidPressure, f"~/measured_pressures/{name}", NEWEST_OF_A_SENSOR,
-                             partial(self._take_measured_pressure, name))
-            )
-        if self.loop.pulleys.count:
+                if simulation.oriented_effectors[index]:
+                    take = partial(self._take_target_pose, index)
+                    commands.append(self._listen("~/target_pose/<effector>", take, name))
+                if simulation.stiff_effectors[index]:
+                    take = partial(self._take_target_stiffness, index)
+                    commands.append(self._listen("~/target_stiffness/<effector>", take, name))
+            if simulation.effector_names:
+                commands.append(self._listen("~/target_velocity", self._take_velocity))
+        commands.append(self._listen("~/command/cables", self._take_command))
+        for name in simulation.guided_names:
             commands.append(
-                self._listen(JointState, "~/command/angles", NEWEST, self._take_angles)
+                self._listen("~/command/pose/<guided body>", partial(self._take_pose, name), name)
             )
-            measurements.append(
-                self._listen(JointState, "~/measured_angles", NEWEST_OF_A_SENSOR,
-                             self._take_measured_angles)
-            )
+        for name in self.loop.cavities.names:
+            take, take_measured = (partial(take, name) for take in (
+                self._take_pressure, self._take_measured_pressure))  # fmt: skip
+            commands.append(self._listen("~/command/pressures/<cavity>", take, name))
+            measurements.append(self._listen("~/measured_pressures/<cavity>", take_measured, name))
+        if self.loop.pulleys.count:
+            commands.append(self._listen("~/command/angles", self._take_angles))
+            measurements.append(self._listen("~/measured_angles", self._take_measured_angles))
         for index, name in enumerate(self.loop.touches.names):
-            measurements.append(
-                self._listen(WrenchStamped, f"~/touch_force/{name}", NEWEST_OF_A_SENSOR,
-                             partial(self._take_touch_force, index))
-            )
-            measurements.append(
-                self._listen(PointStamped, f"~/touch_position/{name}", NEWEST_OF_A_SENSOR,
-                             partial(self._take_touch_position, index))
-            )
-        measurements.append(
-            self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
-        )
-        measurements.append(
-            self._listen(JointState, "~/measured_cables", NEWEST_OF_A_SENSOR, self._take_measured)
-        )
+            take_force, take_place = (partial(take, index) for take in (
+                self._take_touch_force, self._take_touch_position))  # fmt: skip
+            measurements.append(self._listen("~/touch_force/<touch>", take_force, name))
+            measurements.append(self._listen("~/touch_position/<touch>", take_place, name))
+        measurements.append(self._listen("~/markers", self._take_markers))
+        measurements.append(self._listen("~/measured_cables", self._take_measured))
         self.create_service(SetBool, "~/enable", self._enable)
         self.create_service(Trigger, "~/reset", self._reset)
 
-    def _listen(self, kind, topic: str, quality: QoSProfile, take) -> Subscription:
-        """Subscribes; logs a warning for each refused message."""
-        warn = self.warner()
+    def _listen(self, topic: str, take, name: str = "") -> Subscription:
+        """Receives a topic of the table; logs a warning for each refused message."""
+        warn, shown = self.warner(), TOPICS[topic].full_name(name)
 
         def receive(message) -> None:
-            warn(topic, take(message))
+            warn(shown, take(message))
 
-        return self.create_subscription(kind, topic, receive, quality)
+        return open_subscription(self, TOPICS[topic], receive, name)
 
     def _take_target(self, effector: int, message: PointStamped) -> Refusal | None:
         point = message.point

@@ -15,7 +15,8 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import contacts_message
-from softrobot_twin.ros.twin_node import STREAM, TwinNode
+from softrobot_twin.ros.topics import STREAM
+from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.view.recording import CAN_SERVE
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -275,13 +275,9 @@ def test_the_help_of_the_nodes_states_units_of_pressure_topics():
     for topic in ("~/pressures/<cavity>", "~/command/pressures/<cavity>",
                   "~/measured_pressures/<cavity>"):
         line = next(line for line in twin.splitlines() if f" {topic} " in line)
-        assert "sensor_msgs/FluidPressure" in line and "Pa (absolute)" in line
+        assert "sensor_msgs/FluidPressure" in line and "Pa, absolute" in line
     assert "<twin>/measured_pressures/<cavity>" in device
     assert "ambient_pressure (default 101325.0 Pa)" in twin
-    page = (Path(__file__).resolve().parents[2] / "docs" / "topics.md").read_text()
-    for topic in ("`~/pressures/<cavity>` out", "`~/command/pressures/<cavity>` in",
-                  "`~/measured_pressures/<cavity>` in"):
-        assert f"| {topic} | sensor_msgs/FluidPressure | Pa, absolute" in page
 
 
 @pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")

@@ -14,7 +14,8 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.target_path import read_waypoints
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.target_node import TargetNode
-from softrobot_twin.ros.twin_node import STREAM, TwinNode
+from softrobot_twin.ros.topics import STREAM
+from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Status
 

@@ -1,0 +1,110 @@
+"""The table of topics is what the nodes open: name, type, quality of service."""
+
+import re
+
+import pytest
+
+from softrobot_twin.ros.device_node import DeviceNode
+from softrobot_twin.ros.target_node import TargetNode
+from softrobot_twin.ros.topics import (
+    DEVICE_TOPICS,
+    LATCHED,
+    NEWEST,
+    NODES,
+    TARGET_TOPICS,
+    TWIN_SERVICES,
+    TWIN_TOPICS,
+    Direction,
+    open_publisher,
+    open_subscription,
+    quality_in_words,
+)
+
+ROOT_TOPICS = ("/rosout", "/parameter_events", "/clock")
+
+
+def opened_by(node, world):
+    """Triples of name, type and direction of what a node has open, and their qualities."""
+    graph, found = world.probe, {}
+    name, space = node.get_name(), node.get_namespace()
+    for direction, by_node, infos in (
+        (Direction.OUT, graph.get_publisher_names_and_types_by_node,
+         graph.get_publishers_info_by_topic),
+        (Direction.IN, graph.get_subscriber_names_and_types_by_node,
+         graph.get_subscriptions_info_by_topic),
+    ):  # fmt: skip
+        for topic, kinds in by_node(name, space):
+            if topic in ROOT_TOPICS:
+                continue
+            own = [info for info in infos(topic) if info.node_name == name]
+            found[topic, kinds[0].replace("/msg/", "/"), direction] = own[0].qos_profile
+    return found
+
+
+def declared(topics, node, twin):
+    """Patterns of the full names of declared topics."""
+    for topic in topics.values():
+        name = topic.name.replace("<twin>", twin).replace("~", node)
+        yield re.compile(re.sub(r"<[^>]+>", r"[^/]+", name)), topic
+
+
+@pytest.mark.parametrize(("kind", "topics", "least"), [
+    ("twin", TWIN_TOPICS, 11), (DeviceNode, DEVICE_TOPICS, 4), (TargetNode, TARGET_TOPICS, 2),
+])  # fmt: skip
+def test_a_node_opens_what_its_table_declares_and_nothing_else(
+    world, make_twin, small_scene_file, kind, topics, least
+):
+    if kind == "twin":
+        node = make_twin()
+    elif kind is DeviceNode:
+        node = world.add(DeviceNode, device_scene_file=str(small_scene_file))
+    else:
+        node = world.add(TargetNode, target_center=[0.0, 0.0, 0.13])
+    world.until(lambda: len(opened_by(node, world)) >= least)
+    patterns = list(declared(topics, node.get_fully_qualified_name(), "/twin"))
+    for (name, type_name, direction), quality in opened_by(node, world).items():
+        found = [topic for pattern, topic in patterns
+                 if pattern.fullmatch(name) and topic.direction is direction]  # fmt: skip
+        assert len(found) == 1, (name, direction)
+        assert found[0].type_name == type_name
+        # The graph of some middlewares does not tell the depth.
+        assert quality.reliability == found[0].quality.reliability, name
+        assert quality.durability == found[0].quality.durability, name
+
+
+def test_the_twin_offers_the_services_of_its_table(world, make_twin):
+    make_twin()
+    found = {}
+
+    def offered():
+        found.update(world.probe.get_service_names_and_types_by_node("twin", "/"))
+        return "/twin/reset" in found
+
+    world.until(offered)
+    for service in TWIN_SERVICES:
+        name = service.name.replace("~", "/twin")
+        assert found[name] == [service.type_name.replace("/", "/srv/")]
+
+
+def test_every_topic_has_a_unit_and_a_meaning():
+    for topics in NODES.values():
+        for topic in topics.values():
+            assert len(topic.meaning) > 8 and "|" not in topic.meaning, topic.name
+            assert topic.unit or topic.type_name.startswith("diagnostic_msgs/"), topic.name
+
+
+def test_a_quality_of_service_is_told_in_words():
+    assert quality_in_words(NEWEST) == "reliable, newest 1"
+    assert quality_in_words(LATCHED) == "reliable, latched, newest 1"
+
+
+def test_an_input_is_not_published_and_an_output_is_not_received(world):
+    with pytest.raises(ValueError, match="receives"):
+        open_publisher(world.probe, TWIN_TOPICS["~/markers"])
+    with pytest.raises(ValueError, match="publishes"):
+        open_subscription(world.probe, TWIN_TOPICS["~/cables"], print)
+
+
+def test_the_name_of_an_object_and_of_the_twin_are_put_in():
+    topic = DEVICE_TOPICS["<twin>/poses/<guided body>"]
+    assert topic.full_name("palm", "/lab/left/twin") == "/lab/left/twin/poses/palm"
