@@ -7,7 +7,15 @@ computed.
 Importing the package sets the number of BLAS threads to one and the folder of numba's compiled
 kernels, unless the environment sets them. Both must be set before numpy and numba are first
 imported.
+
+    import softrobot_twin as st
+    robot = st.load("finger.yaml")
+    result = robot.step(st.targets(tip=[0.01, 0.0, 0.12]))
+
+See docs/python.md.
 """
+
+from __future__ import annotations
 
 import os
 import re
@@ -17,6 +25,37 @@ import time
 from hashlib import sha1
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softrobot_twin.errors import SoftRobotTwinError
+
+if TYPE_CHECKING:
+    from softrobot_twin.scripting import (
+        Pose,
+        Result,
+        Robot,
+        SceneWarning,
+        build,
+        efforts,
+        hold,
+        load,
+        setpoints,
+        targets,
+    )
+
+__all__ = [
+    "Pose",
+    "Result",
+    "Robot",
+    "SceneWarning",
+    "SoftRobotTwinError",
+    "build",
+    "efforts",
+    "hold",
+    "load",
+    "setpoints",
+    "targets",
+]
 
 _SECONDS_KEPT = 7 * 24 * 3600
 _CONSTANT = re.compile(rb"\b[A-Z][A-Z_]+\b")
@@ -71,3 +110,22 @@ def _kernel_folder() -> str:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "NUMBA_CACHE_DIR" not in os.environ:
     os.environ["NUMBA_CACHE_DIR"] = _kernel_folder()
+
+
+def __getattr__(name: str) -> Any:
+    """Imports the names of `scripting` when the first of them is used.
+
+    They bring numpy, numba and the whole simulation, a second or more. A node must listen to signals
+    before it imports these, and a worker process may need a few modules only.
+    """
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import softrobot_twin.scripting as scripting
+
+    found = getattr(scripting, name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

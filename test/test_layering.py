@@ -29,6 +29,7 @@ ALLOWED_ROOMS = {
     "view": set(),
     "ros": CORE | {"control", "view"},
     "study": CORE,
+    "scripting": CORE | {"control", "study", "view"},
     "command_line": {"study", "ros", "demo_command"},
 }
 # The files at the top besides commands, which put rooms together and end in "_command".
@@ -41,6 +42,7 @@ ROS_SUFFIXES = ("_msgs", "_interfaces")
 DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
 # Our own modules that are imported inside functions, by the file that does, and why they wait.
 LATER_IMPORTS = {
+    "__init__.py": "a node listens to signals before it imports the simulation",
     "command_line/commands.py": "only the demo needs ROS",
     "control/mesh_error_watch.py": "numpy must be imported after the process has lowered its "
                                    "priority, because threads of its libraries inherit it",
@@ -132,6 +134,12 @@ def test_a_room_imports_only_the_rooms_it_may():
     def broken(path, found):
         room, other = place_of(path), room_of(found.module)
         return room and other and other not in ALLOWED_ROOMS[room] | {room, "errors"}
+    assert violations(broken) == []
+
+
+def test_nobody_imports_the_room_for_users_but_the_entrance_of_the_package():
+    def broken(path, found):
+        return room_of(found.module) == "scripting" and place_of(path) not in ("", "scripting")
     assert violations(broken) == []
 
 

@@ -85,8 +85,22 @@ def run_commands(
             simulation.model.guides.aim(name, *pose.at(time))
         touched = table.touched(time, simulation) if table.touches else None
         result = simulation.step(table.command(time, time_step), None, touched)
-        yield DirectRow(step, float(time), result, rigid_poses(simulation),
-                        *_pair_forces(result, names))
+        yield direct_row(simulation, step, float(time), result, names)
+
+
+def direct_row(simulation: Simulation, step: int, time: float, result: StepResult,
+               names: Sequence[tuple[str, str]] | None = None) -> DirectRow:
+    """The row of a step, just after it.
+
+    Args:
+        simulation: At the state that the step led to.
+        step: Steps before this one.
+        time: The commands' time at its end [s].
+        result: Its result.
+        names: See `pair_names`; None to look them up.
+    """
+    pairs = pair_names(simulation) if names is None else names
+    return DirectRow(step, time, result, rigid_poses(simulation), *_pair_forces(result, pairs))
 
 
 def rigid_poses(simulation: Simulation) -> np.ndarray:
@@ -105,7 +119,7 @@ def pair_names(simulation: Simulation) -> tuple[tuple[str, str], ...]:
     return tuple(dict.fromkeys(tuple(pair.names) for pair in simulation.model.contacts.pairs))
 
 
-def _pair_forces(result: StepResult, names: tuple) -> tuple[np.ndarray, np.ndarray]:
+def _pair_forces(result: StepResult, names: Sequence) -> tuple[np.ndarray, np.ndarray]:
     """Resultant and sum of magnitudes of each pair [N]."""
     if result.contacts is None:
         return np.zeros((len(names), 3)), np.zeros(len(names))

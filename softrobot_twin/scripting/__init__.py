@@ -1,0 +1,33 @@
+"""A robot in Python, by names and units: load, build, step, run, plot."""
+
+from softrobot_twin.scripting.named_commands import (
+    Efforts,
+    HoldAll,
+    NamedCommand,
+    Setpoints,
+    Targets,
+    efforts,
+    hold,
+    setpoints,
+    targets,
+)
+from softrobot_twin.scripting.robot import Robot, SceneWarning, build, load
+from softrobot_twin.scripting.step_outcome import Pose, Result
+
+__all__ = [
+    "Efforts",
+    "HoldAll",
+    "NamedCommand",
+    "Pose",
+    "Result",
+    "Robot",
+    "SceneWarning",
+    "Setpoints",
+    "Targets",
+    "build",
+    "efforts",
+    "hold",
+    "load",
+    "setpoints",
+    "targets",
+]

@@ -1,0 +1,531 @@
+"""Commands by names and units, as in the columns of a commands file, and their reading for a scene.
+
+`targets`, `setpoints`, `efforts` and `hold` know no robot: they check numbers and shapes. A
+`CommandReader` knows the names of one scene, and makes the arrays of a `Command`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from softrobot_twin.errors import CommandError
+from softrobot_twin.scene.refusal_messages import nearest
+from softrobot_twin.simulation import (
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+    Simulation,
+    Touched,
+)
+from softrobot_twin.simulation.pulleys import ANGLE
+
+Numbers: TypeAlias = tuple[float, ...]
+NOTHING: Mapping[str, Numbers] = MappingProxyType({})
+
+# Names in a message, at most.
+_MOST_NAMES = 16
+_AXES = ("x", "y", "z")
+# Ends of the names that targets take for an effector: all numbers at once, and one by one.
+_PARTS: dict[str, tuple[str, ...]] = {
+    "": ("_x_m", "_y_m", "_z_m"),
+    "_quaternion": ("_qx", "_qy", "_qz", "_qw"),
+    "_stiffness_N_per_m": ("_kx_N_per_m", "_ky_N_per_m", "_kz_N_per_m"),
+}
+# A quaternion whose length differs more from one is no rounding but a mistake.
+_NOT_UNIT = 1.0e-2
+
+
+@dataclass(frozen=True, repr=False)
+class NamedCommand:
+    """What a step is asked for, by names.
+
+    Attributes:
+        values: The numbers by their names, such as ``tip`` or ``north_shortening_m``.
+    """
+
+    values: Mapping[str, Numbers] = field(default_factory=lambda: NOTHING)
+
+    def __repr__(self) -> str:
+        word = type(self).__name__.lower()
+        given = (f"{name}={_shown(numbers)}" for name, numbers in self.values.items())
+        return f"{word}({', '.join(given)})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (type(self), dict(self.values))
+
+
+class Targets(NamedCommand):
+    """Effectors follow targets; see `targets`."""
+
+
+class Setpoints(NamedCommand):
+    """Actuators go to setpoints; see `setpoints`."""
+
+
+class Efforts(NamedCommand):
+    """Actuators act with efforts; see `efforts`."""
+
+
+class HoldAll(NamedCommand):
+    """Actuators keep their setpoints; see `hold`."""
+
+    def __repr__(self) -> str:
+        return "hold()"
+
+
+def targets(positions: Mapping[str, Any] | None = None, /, **named: Any) -> Targets:
+    """Where effectors shall go: the step finds the actuation, by the inverse problem.
+
+    An effector without a target is free, and actuators without a command are optimised.
+
+    Args:
+        positions: The same as the keywords, as a mapping.
+        **named: By name, all in SI units:
+
+            - ``tip=[x, y, z]``: position of the effector ``tip`` [m];
+            - ``tip_quaternion=[qx, qy, qz, qw]``: its turn from rest, if it asks for orientation;
+            - ``tip_stiffness_N_per_m=[kx, ky, kz]``: its stiffness, None along a free axis;
+            - ``north_shortening_m=0.01`` and all names of `setpoints`: an actuator that is
+              commanded while the others are optimised around it;
+            - the columns of a targets file, such as ``tip_x_m=0.0``, in place of a list.
+
+    Raises:
+        CommandError: Nothing is named, or a value is not a finite number or has another shape.
+    """
+    return Targets(_numbers_of("targets", positions, named, may_be_free="stiffness"))
+
+
+def setpoints(values: Mapping[str, Any] | None = None, /, **named: Any) -> Setpoints:
+    """Setpoints of actuators: lengths, pressures, positions. The others keep theirs.
+
+    Args:
+        values: The same as the keywords, as a mapping.
+        **named: As in a commands file, such as ``north_shortening_m=0.01``,
+            ``north_length_m=0.09``, ``left_pressure_Pa=20e3``; names of motors and pulleys too.
+
+    Raises:
+        CommandError: Nothing is named, or a value is not a finite number.
+    """
+    return Setpoints(_numbers_of("setpoints", values, named))
+
+
+def efforts(values: Mapping[str, Any] | None = None, /, **named: Any) -> Efforts:
+    """Efforts of actuators: tensions, pressures, torques. The others keep theirs.
+
+    Args:
+        values: The same as the keywords, as a mapping.
+        **named: As in a commands file, such as ``north_tension_N=2.0``.
+
+    Raises:
+        CommandError: Nothing is named, or a value is not a finite number.
+    """
+    return Efforts(_numbers_of("efforts", values, named))
+
+
+def hold() -> HoldAll:
+    """All actuators keep their setpoints while the bodies settle."""
+    return HoldAll()
+
+
+def _rebuilt(kind: type[NamedCommand], values: dict[str, Numbers]) -> NamedCommand:
+    return kind(MappingProxyType(values))
+
+
+def _shown(numbers: Numbers) -> str:
+    texts = [f"{number:.6g}" for number in numbers]
+    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
+
+
+def _numbers_of(
+    word: str, first: Mapping[str, Any] | None, named: Mapping[str, Any], may_be_free: str = ""
+) -> Mapping[str, Numbers]:
+    """Checked numbers of all names, those of the mapping first."""
+    if first is not None and not isinstance(first, Mapping):
+        raise CommandError(word, f"takes names, such as tip=[0, 0, 0.1], not {_kind(first)}")
+    given = dict(first or {})
+    twice = next((name for name in named if name in given), None)
+    if twice is not None:
+        raise CommandError(twice, "is given twice")
+    given.update(named)
+    if not given:
+        raise CommandError(word, "names nothing; hold() keeps all actuators where they are")
+    numbers = {
+        str(name): finite_numbers(str(name), value, bool(may_be_free) and may_be_free in str(name))
+        for name, value in given.items()
+    }
+    return MappingProxyType(numbers)
+
+
+def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
+    """A number or a list of them.
+
+    Args:
+        name: For messages.
+        value: The value.
+        may_be_free: Whether None is allowed in a list; it becomes NaN.
+
+    Raises:
+        CommandError: It is no finite number, or no list of them.
+    """
+    if may_be_free and isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
+        parts = [np.nan if part is None else finite_numbers(name, part)[0] for part in value]
+        return tuple(parts)
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise CommandError(name, f"must be a number or a list of numbers, not {_kind(value)}") from None
+    if array.ndim > 1 or isinstance(value, str | bytes | bool):
+        raise CommandError(name, f"must be a number or a list of numbers, not {_kind(value)}")
+    numbers = tuple(float(number) for number in np.atleast_1d(array))
+    bad = next((number for number in numbers if not np.isfinite(number)), None)
+    if bad is not None:
+        raise CommandError(name, f"holds {bad}; leave a name out to leave it free")
+    return numbers
+
+
+def _kind(value: Any) -> str:
+    shape = np.shape(value) if isinstance(value, np.ndarray) else ()
+    if shape:
+        return f"an array of shape {shape}"
+    shown = repr(value)
+    return shown if len(shown) < 60 else f"{shown[:57]}..."
+
+
+class Handle(NamedTuple):
+    """A name by which actuators are commanded.
+
+    Attributes:
+        places: The actuators among all of the scene.
+        meaning: ``setpoint``, ``displacement`` or ``effort``; ``drive`` where the setpoint is the
+            effort.
+        factor: Displacement of each actuator by one unit of the value.
+        unit: Unit of the value.
+    """
+
+    places: tuple[int, ...]
+    meaning: str
+    factor: float
+    unit: str
+
+
+class CommandReader:
+    """Reads named commands for one simulation.
+
+    Attributes:
+        handles: Names of actuators, motors and pulleys with their quantities.
+    """
+
+    def __init__(self, simulation: Simulation):
+        """Collect the names.
+
+        Args:
+            simulation: The simulation.
+        """
+        self._simulation = simulation
+        self._effectors = {name: i for i, name in enumerate(simulation.effector_names)}
+        self.handles = dict(_handles(simulation))
+
+    @property
+    def setpoint_names(self) -> tuple[str, ...]:
+        """Names that `setpoints` takes."""
+        return tuple(name for name, one in self.handles.items() if one.meaning != "effort")
+
+    @property
+    def effort_names(self) -> tuple[str, ...]:
+        """Names that `efforts` takes."""
+        return tuple(name for name, one in self.handles.items()
+                     if one.meaning in ("effort", "drive"))
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of effectors that `targets` takes, each with what else it asks for."""
+        simulation, names = self._simulation, []
+        for name, turns, yields in zip(
+            simulation.effector_names, simulation.oriented_effectors, simulation.stiff_effectors,
+            strict=True,
+        ):  # fmt: skip
+            names.append(name)
+            names += [f"{name}_quaternion"] if turns else []
+            names += [f"{name}_stiffness_N_per_m"] if yields else []
+        return tuple(names)
+
+    def read(self, command: NamedCommand | Command, time_step: float) -> Command:
+        """The command as arrays of the scene.
+
+        Args:
+            command: By names, or in arrays already.
+            time_step: Duration of the step [s].
+
+        Raises:
+            CommandError: A name is unknown, or a value does not fit it.
+        """
+        if isinstance(command, Targets):
+            return self._targets(command.values, time_step)
+        if isinstance(command, Setpoints):
+            return CommandSetpoints(self._setpoints(command.values, "setpoints"), time_step)
+        if isinstance(command, Efforts):
+            return CommandEfforts(self._efforts(command.values), time_step)
+        if isinstance(command, HoldAll):
+            return Hold(time_step)
+        if isinstance(command, FollowTargets | CommandSetpoints | CommandEfforts | Hold):
+            return command
+        raise CommandError(_kind(command), "is no command: use targets(...), setpoints(...), "
+                           "efforts(...) or hold()")
+
+    # --- actuators -------------------------------------------------------------------------------
+
+    def _setpoints(self, values: Mapping[str, Numbers], word: str) -> np.ndarray:
+        """Setpoints, the present ones where none is given."""
+        wanted = self._simulation.state.setpoints.copy()
+        for place, number in self._driven(values, word, self.setpoint_names):
+            wanted[place] = number
+        return wanted
+
+    def _efforts(self, values: Mapping[str, Numbers]) -> np.ndarray:
+        """Efforts, the present ones where none is given; NaN for what takes none."""
+        simulation = self._simulation
+        present = np.where(simulation.actuators.takes_efforts, simulation.state.efforts, np.nan)
+        for place, number in self._driven(values, "efforts", self.effort_names):
+            present[place] = number
+        return present
+
+    def _driven(
+        self, values: Mapping[str, Numbers], word: str, allowed: tuple[str, ...]
+    ) -> Iterator[tuple[int, float]]:
+        """Each driven actuator, and its setpoint or effort."""
+        actuators, driven_by = self._simulation.actuators, dict[int, str]()
+        for name, numbers in values.items():
+            handle = self.handles.get(name)
+            if handle is None or name not in allowed:
+                raise self._refused(name, word, allowed)
+            number = _one(name, numbers)
+            for place in handle.places:
+                if place in driven_by:
+                    raise CommandError(
+                        name, f"drives {actuators.names[place]}, as {driven_by[place]} does")
+                driven_by[place] = name
+                kind, value = actuators.kinds[place], number
+                if handle.meaning == "displacement":
+                    value = kind.sign * handle.factor * number + actuators.rest_setpoints[place]
+                elif handle.meaning == "effort" and kind.one_sided and number < 0.0:
+                    raise CommandError(name, f"{number:g} {handle.unit} must not be negative: a "
+                                       f"{kind.noun} cannot push")
+                elif handle.meaning != "effort" and number < kind.least_setpoint:
+                    raise CommandError(
+                        name, f"{number:g} {handle.unit} must be {kind.least_setpoint:g} or more: "
+                        f"it is the {kind.setpoint.word} of a {kind.noun}")
+                yield place, value
+
+    def _refused(self, name: str, word: str, allowed: tuple[str, ...]) -> CommandError:
+        simulation = self._simulation
+        if name in self.handles:
+            other = "setpoints" if word == "efforts" else "efforts"
+            return CommandError(name, f"is no name of {word}(...); use {other}({name}=...)")
+        if name in simulation.effector_names:
+            return CommandError(name, f"is an effector: use targets({name}=[x, y, z])")
+        if name in simulation.guided_names:
+            return CommandError(name, f"is a guided body: use poses={{{name!r}: [x, y, z]}}")
+        for actuator, kind in simulation.actuators.kind_of.items():
+            follows = f"{actuator}_{kind.displacement.word}_{kind.displacement.unit}"
+            if kind.is_effort_driven and name == follows:
+                return CommandError(name, f"follows from the {kind.effort.word}: use "
+                                    f"{actuator}_{kind.setpoint.word}_{kind.setpoint.unit}")
+            if name == f"{actuator}_{kind.effort.word}_{kind.effort.unit}":
+                return CommandError(name, f"a {kind.noun} is not driven by its {kind.effort.word}")
+        return unknown(name, f"{simulation.scene.name} takes", allowed)
+
+    # --- effectors -------------------------------------------------------------------------------
+
+    def _targets(self, values: Mapping[str, Numbers], time_step: float) -> FollowTargets:
+        simulation, count = self._simulation, len(self._effectors)
+        whole, commanded = self._gathered(values)
+        positions = np.full((count, 3), np.nan)
+        turns, stiffness = np.full((count, 4), np.nan), np.full((count, 3), np.nan)
+        for (effector, part), (name, numbers) in whole.items():
+            place, wanted = self._effectors[effector], np.array(numbers)
+            if len(numbers) != len(_PARTS[part]):
+                raise CommandError(name, f"must be {len(_PARTS[part])} numbers, not {len(numbers)}")
+            if part == "_quaternion":
+                self._needs(simulation.oriented_effectors, place, name, "orientation")
+                if abs(np.linalg.norm(wanted) - 1.0) > _NOT_UNIT:
+                    raise CommandError(name, f"{_shown(numbers)} is not of unit length")
+                turns[place] = wanted / np.linalg.norm(wanted)
+            elif part:
+                self._needs(simulation.stiff_effectors, place, name, "stiffness")
+                if not (np.isnan(wanted) | (wanted > 0.0)).all():
+                    raise CommandError(name, f"{_shown(numbers)} N/m must be positive")
+                stiffness[place] = wanted
+            else:
+                positions[place] = wanted
+        kept = None
+        if commanded:
+            kept = np.full(simulation.actuators.count, np.nan)
+            for place, number in self._driven(commanded, "setpoints", self.setpoint_names):
+                kept[place] = number
+        return FollowTargets(
+            positions, time_step, kept,
+            turns if np.isfinite(turns).any() else None,
+            # An effector that the command does not name keeps the stiffness that the scene asks.
+            np.where(np.isfinite(stiffness).any(axis=1)[:, None], stiffness,
+                     simulation.scene_stiffness) if np.isfinite(stiffness).any() else None,
+        )  # fmt: skip
+
+    def _gathered(
+        self, values: Mapping[str, Numbers]
+    ) -> tuple[dict[tuple[str, str], tuple[str, Numbers]], dict[str, Numbers]]:
+        """What is asked of effectors, by effector and part, and what is asked of actuators."""
+        whole: dict[tuple[str, str], tuple[str, Numbers]] = {}
+        single: dict[tuple[str, str], dict[str, Numbers]] = {}
+        commanded = {}
+        forms = {f"{name}{part}": (name, part) for name in self._effectors for part in _PARTS}
+        ends = {f"{name}{end}": (name, part) for name in self._effectors
+                for part, own in _PARTS.items() for end in own}
+        for name, numbers in values.items():
+            if name in forms:
+                whole[forms[name]] = name, numbers
+            elif name in ends:
+                single.setdefault(ends[name], {})[name] = numbers
+            elif name in self.handles:
+                commanded[name] = numbers
+            else:
+                raise self._refused(name, "targets", self.target_names + self.setpoint_names)
+        for (effector, part), given in single.items():
+            needed = [f"{effector}{end}" for end in _PARTS[part]]
+            if (effector, part) in whole:
+                raise CommandError(next(iter(given)), f"is given twice, also by {effector}{part}")
+            lacking = next((name for name in needed if name not in given), None)
+            if lacking is not None and part != "_stiffness_N_per_m":
+                raise CommandError(lacking, f"is missing beside {next(iter(given))}")
+            numbers = tuple(_one(name, given[name]) if name in given else np.nan
+                            for name in needed)
+            whole[effector, part] = f"{effector}{part}", numbers
+        return whole, commanded
+
+    def _needs(self, asks: tuple[bool, ...], place: int, name: str, what: str) -> None:
+        if asks[place]:
+            return
+        names = [own for own, one in zip(self._effectors, asks, strict=True) if one]
+        raise CommandError(name, f"the effector asks for no {what} in the scene; those with one: "
+                           f"{', '.join(names) or 'none'}")
+
+    # --- guided bodies and touches ---------------------------------------------------------------
+
+    def poses(
+        self, poses: Mapping[str, Any]
+    ) -> list[tuple[str, np.ndarray, np.ndarray | None]]:
+        """Name, position [m] and quaternion of each pose; checked before any of them is used.
+
+        Args:
+            poses: By name of a guided body: a position, or a pair of position and quaternion.
+
+        Raises:
+            CommandError: A body is not guided, or a pose is not one.
+        """
+        guided, read = self._simulation.guided_names, []
+        for name, pose in poses.items():
+            if name not in guided:
+                raise unknown(name, "guided bodies:", guided)
+            position, quaternion = pose, None
+            if isinstance(pose, Sequence) and len(pose) == 2:
+                position, quaternion = pose
+            point = np.array(finite_numbers(name, position))
+            if point.shape != (3,):
+                raise CommandError(name, "a pose is a position of 3 numbers [m], or the pair of a "
+                                   "position and a quaternion (qx, qy, qz, qw)")
+            turn = None
+            if quaternion is not None:
+                turn = np.array(finite_numbers(name, quaternion))
+                if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > _NOT_UNIT:
+                    raise CommandError(name, f"{_shown(tuple(turn))} is no quaternion (qx, qy, qz, "
+                                       "qw) of unit length")
+            read.append((name, point, turn))
+        return read
+
+    def touches(self, touches: Mapping[str, Any]) -> Touched | None:
+        """The touches of a step; None without any.
+
+        Args:
+            touches: By name and unit: ``fingertip_force_N``, ``fingertip_displacement_m`` from
+                where its touch began, or ``fingertip_place_m``, each 3 numbers.
+
+        Raises:
+            CommandError: A name is unknown, or a value is not 3 finite numbers.
+        """
+        before, names = self._simulation.state.touches, self._simulation.touch_names
+        known = {f"{name}_{word}": (index, word) for index, name in enumerate(names)
+                 for word in ("force_N", "displacement_m", "place_m")}
+        if not touches:
+            return None
+        forces, places = np.full((len(names), 3), np.nan), np.full((len(names), 3), np.nan)
+        for name, value in touches.items():
+            if name not in known or before is None:
+                raise unknown(name, "touches:", tuple(known))
+            index, word = known[name]
+            numbers = np.array(finite_numbers(name, value))
+            if numbers.shape != (3,):
+                raise CommandError(name, f"must be 3 numbers, not {len(numbers)}")
+            if np.isfinite(forces[index]).any() or np.isfinite(places[index]).any():
+                raise CommandError(name, f"{names[index]} is given twice: give one of force, "
+                                   "displacement and place")
+            if word == "force_N":
+                forces[index] = numbers
+            elif word == "place_m":
+                places[index] = numbers
+            elif numbers.any():  # A displacement of zero is no touch, as in a commands file.
+                origins = before.origins if before.is_touched[index] else before.points
+                places[index] = origins[index] + numbers
+        return Touched(forces, places)
+
+
+def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:
+    """The error about an unknown name, with the nearest known one.
+
+    Args:
+        name: The name.
+        known_as: Begin of the list of what is known.
+        known: The known names.
+    """
+    listed = ", ".join(known[:_MOST_NAMES]) or "none"
+    more = len(known) - _MOST_NAMES
+    listed += f" and {more} more" if more > 0 else ""
+    return CommandError(name, f"is unknown here{nearest(name, known)} {known_as} {listed}")
+
+
+def _one(name: str, numbers: Numbers) -> float:
+    if len(numbers) != 1:
+        raise CommandError(name, f"must be one number, not {len(numbers)}")
+    return numbers[0]
+
+
+def _handles(simulation: Simulation) -> Iterator[tuple[str, Handle]]:
+    """Names of actuators, motors and pulleys, as in the columns of commands files."""
+    actuators = simulation.actuators
+    names = list(actuators.names)
+    for place, (name, kind) in enumerate(actuators.kind_of.items()):
+        own = (place,)
+        if kind.is_effort_driven:
+            quantity = kind.setpoint
+            yield f"{name}_{quantity.word}_{quantity.unit}", Handle(own, "drive", 1.0, quantity.unit)
+            continue
+        meanings = {kind.displacement: "displacement", kind.setpoint: "setpoint"}
+        if kind.takes_efforts:
+            meanings[kind.effort] = "effort"
+        for quantity, meaning in meanings.items():
+            yield (f"{name}_{quantity.word}_{quantity.unit}",
+                   Handle(own, meaning, 1.0, quantity.unit))
+    for motor, cables in simulation.motors.items():
+        places = tuple(names.index(cable) for cable in cables)
+        quantity = actuators.kinds[places[0]].displacement
+        yield (f"{motor}_{quantity.word}_{quantity.unit}",
+               Handle(places, "displacement", 1.0, quantity.unit))
+    pulleys = actuators.pulleys
+    for name, driven, wound in zip(pulleys.names, pulleys.driven, pulleys.wound, strict=True):
+        yield (f"{name}_{ANGLE.word}_{ANGLE.unit}",
+               Handle(tuple(map(int, driven)), "displacement", float(wound), ANGLE.unit))

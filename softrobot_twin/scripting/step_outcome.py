@@ -1,0 +1,195 @@
+"""What a step of a robot led to, by the names of the scene."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import CommandError
+from softrobot_twin.scripting.named_commands import unknown
+from softrobot_twin.simulation import Status, StepReport, StepResult
+
+if TYPE_CHECKING:
+    from softrobot_twin.scripting.run_table import RunColumns
+    from softrobot_twin.simulation.contact_forces import ContactForces
+
+# Actuators that a short text names, at most.
+_MOST_SHOWN = 4
+
+
+class Pose(NamedTuple):
+    """Where a rigid body is.
+
+    Attributes:
+        position: Of its origin [m], shape (3,).
+        quaternion: Its rotation (x, y, z, w), shape (4,).
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+
+
+class Names(NamedTuple):
+    """Names of a scene that results are read by; see `Simulation`."""
+
+    effectors: tuple[str, ...]
+    actuators: tuple[str, ...]
+    rigid_bodies: tuple[str, ...]
+    touches: tuple[str, ...]
+
+
+class Result:
+    """The outcome of a step.
+
+    ``result.tip`` is the position of the effector ``tip`` [m], and ``result["north_tension_N"]`` the
+    value of any column of a run's table; see `values`.
+
+    Attributes:
+        outcome: The same in arrays, as `Simulation.step` returns it.
+        poses: Pose of each rigid body, by name.
+        is_at_rest: Whether the step moved nothing any more, and its forces are in balance.
+    """
+
+    outcome: StepResult
+    poses: dict[str, Pose]
+    is_at_rest: bool
+
+    def __init__(
+        self, outcome: StepResult, names: Names, columns: RunColumns, cells: tuple[float, ...],
+        poses: dict[str, Pose], is_at_rest: bool,
+    ):  # fmt: skip
+        """Take a step's outcome.
+
+        Args:
+            outcome: The outcome in arrays.
+            names: Names of its arrays.
+            columns: Columns of a run's table.
+            cells: Their values in this step.
+            poses: Pose of each rigid body, by name.
+            is_at_rest: See the attribute.
+        """
+        self.outcome, self.poses, self.is_at_rest = outcome, poses, is_at_rest
+        self._names, self._columns, self._cells = names, columns, cells
+
+    @property
+    def status(self) -> Status:
+        """How the step ended."""
+        return self.outcome.status
+
+    @property
+    def is_success(self) -> bool:
+        """Whether the command was carried out; see `Status.is_success`."""
+        return self.outcome.status.is_success
+
+    @property
+    def report(self) -> StepReport:
+        """Times, residuals and active limits of the step."""
+        return self.outcome.report
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """Names of active limits, such as ``north.shortening_max``."""
+        return self.outcome.report.active_limits
+
+    @property
+    def time(self) -> float:
+        """Time since the robot was at rest [s]."""
+        return self.outcome.state.time
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Node positions [m], shape (node_count, 3); see `Robot.positions`."""
+        return self.outcome.state.positions
+
+    @property
+    def contacts(self) -> ContactForces | None:
+        """Contacts with their points and forces; None if the scene has no contact."""
+        return self.outcome.contacts
+
+    @cached_property
+    def effectors(self) -> dict[str, np.ndarray]:
+        """Position of each effector [m], by name, each of shape (3,)."""
+        return dict(zip(self._names.effectors, self.outcome.effector_positions, strict=True))
+
+    @cached_property
+    def errors(self) -> dict[str, float]:
+        """Distance of each effector from its target [m], by name; NaN without a target."""
+        errors = map(float, self.outcome.effector_errors)
+        return dict(zip(self._names.effectors, errors, strict=True))
+
+    @cached_property
+    def orientations(self) -> dict[str, np.ndarray]:
+        """Turn from rest (x, y, z, w) of each effector that asks for its orientation, by name."""
+        turns = self.outcome.effector_orientations
+        if turns is None:
+            return {}
+        named = zip(self._names.effectors, turns, strict=True)
+        return {name: turn for name, turn in named if np.isfinite(turn).all()}
+
+    @cached_property
+    def touches(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Force on the robot [N] and displacement [m] of each touch, by name."""
+        touched = self.outcome.touches
+        if touched is None:
+            return {}
+        return {name: (touched.forces[index], touched.displacements[index])
+                for index, name in enumerate(self._names.touches)}
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """All numbers of the step by the columns of a run's table, in their order."""
+        return dict(zip(self._columns.numbers, self._cells, strict=True))
+
+    def __getitem__(self, column: str) -> float:
+        if column not in self.values:
+            raise UnknownNameError(column, tuple(self.values))
+        return self.values[column]
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        # Only names that are no attributes arrive here. Copying asks an object without any.
+        if name.startswith("_") or "_names" not in self.__dict__:
+            raise AttributeError(name)
+        if name in self._names.effectors:
+            return self.effectors[name]
+        known = ", ".join(self._names.effectors) or "none"
+        raise AttributeError(f"a result has no {name!r}; effectors: {known}; other quantities by "
+                             "name, such as result['time_s']")
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self._names.effectors})
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.values)
+
+    def __repr__(self) -> str:
+        parts = [self.status.value]
+        for name, position in self.effectors.items():
+            place = ", ".join(f"{1e3 * x:.4g}" for x in position)
+            error = self.errors[name]
+            missed = f" ({1e3 * error:.2g} mm from its target)" if np.isfinite(error) else ""
+            parts.append(f"{name} at [{place}] mm{missed}")
+        shown = [f"{name} {self.values[name]:.4g}" for name in self._columns.driven]
+        if len(shown) > _MOST_SHOWN:
+            shown = [*shown[:_MOST_SHOWN], f"and {len(shown) - _MOST_SHOWN} more"]
+        parts += shown
+        if self.limits:
+            parts.append(f"at {', '.join(self.limits[:_MOST_SHOWN])}")
+        return f"<Result {'; '.join(parts)}>"
+
+
+class UnknownNameError(CommandError, KeyError):
+    """A result has no such quantity.
+
+    Attributes:
+        name: What was asked for.
+        reason: What there is.
+    """
+
+    def __init__(self, name: str, known: tuple[str, ...]):
+        CommandError.__init__(self, name, unknown(name, "columns:", known).reason)
+
+    __str__ = Exception.__str__
+
+
