@@ -149,15 +149,14 @@ def add_simulate(commands) -> None:
         commands, "simulate", _simulate, "run a scene offline, without ROS",
         "Run a scene over a targets file, row by row; over a commands file, at a fixed rate; or "
         "without commands, for some seconds or steps: actuators hold, bodies sag and fall. "
-        "Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
-        "inverse problem; t,<cable>.length [m],<cavity>.pressure [Pa] or <cavity>.volume [m3], as "
-        "the scene controls it, or t,<cable>.tension [N],<cavity>.pressure [Pa] for a direct run. "
-        "The time step of a row is the time since the row before; for the first row it is that of "
-        "the second, for a single row 0.02 s. Columns of a commands file: time_s, "
-        "<cable>_shortening_m, <cable>_length_m or <cable>_tension_N, <motor>_shortening_m for all "
-        "its cables, <cavity>_pressure_Pa, or <cavity>_growth_m3 or _volume_m3 where the scene "
-        "controls its volume, <guided body>_x_m, _y_m, _z_m and, for rotations, _qx, _qy, _qz, "
-        "_qw; interpolated between rows.",
+        "Both have the column time_s. A targets file has, for the inverse problem, <effector>_x_m, "
+        "_y_m, _z_m, and where the scene asks for them _qx, _qy, _qz, _qw and _kx_N_per_m. Either "
+        "drives actuators by <cable>_shortening_m, _length_m or _tension_N, <motor>_shortening_m "
+        "for all its cables, <cavity>_pressure_Pa, or <cavity>_growth_m3 or _volume_m3 where the "
+        "scene controls its volume. The time step of a row of a targets file is the time since the "
+        "row before; for the first row it is that of the second, for a single row 0.02 s. A commands "
+        "file is interpolated between rows, and has <guided body>_x_m, _y_m, _z_m and _qx, _qy, "
+        "_qz, _qw too. What a run wrote can be given back as either.",
         examples=(
             "config/scenes/diamond.yaml --targets config/targets/diamond_circle.csv --output run.csv",
             "config/scenes/grasper.yaml --commands config/commands/grasper_lift.csv \\\n"

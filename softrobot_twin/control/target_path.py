@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,11 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.simulation.input_tables import TableFileError, read_path
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-_TURN = ("qx", "qy", "qz", "qw")
-# A larger deviation of a quaternion from unit length is not rounding but a mistake.
-_NOT_UNIT = 1.0e-2
 
 
 class TargetPath(Protocol):
@@ -91,11 +88,13 @@ class Waypoints:
         points: Positions [m], shape (n, 3).
         quaternions: Orientations (x, y, z, w), shape (n, 4), joined by turns about fixed axes, the
             shorter way round; None without.
+        notes: What the user should know about the file.
     """
 
     times: np.ndarray
     points: np.ndarray
     quaternions: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
@@ -110,41 +109,19 @@ class Waypoints:
 
 
 def read_waypoints(file: Path, effector: str) -> Waypoints:
-    """Reads the columns ``t,<effector>.x,<effector>.y,<effector>.z`` [s, m] of a CSV file.
+    """Reads the path of an effector from a targets file, or from what a run wrote.
 
-    With the columns ``<effector>.qx``, ``.qy``, ``.qz`` and ``.qw`` it reads orientations too.
+    Its columns are ``time_s,<effector>_x_m,<effector>_y_m,<effector>_z_m``, for orientations too
+    ``<effector>_qx``, ``_qy``, ``_qz`` and ``_qw``; see `read_path`.
 
     Raises:
         ParameterError: The file cannot be read, lacks a column, or does not contain a path.
     """
-    columns = ["t", *(f"{effector}.{axis}" for axis in "xyz")]
     try:
-        with open(file, newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream, skipinitialspace=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ParameterError("target_path", str(file), "", f"cannot be read: {error}") from None
-    turns = [f"{effector}.{part}" for part in _TURN]
-    if rows and any(column in rows[0] for column in turns):
-        columns += turns
-    missing = [column for column in columns if rows and column not in rows[0]]
-    if missing or not rows:
-        what = f"lacks the columns {missing}" if missing else "has no rows"
-        raise ParameterError("target_path", str(file), "", what)
-    try:
-        table = np.array([[float(row[column]) for column in columns] for row in rows])
-    except (TypeError, ValueError) as error:
-        reason = f"contains a value that is not a number: {error}"
-        raise ParameterError("target_path", str(file), "", reason) from None
-    if not np.isfinite(table).all():
-        raise ParameterError("target_path", str(file), "", "contains a value that is not finite")
-    if (np.diff(table[:, 0]) <= 0.0).any():
-        raise ParameterError("target_path", str(file), "s", "t must increase from row to row")
-    if table.shape[1] == 4:
-        return Waypoints(table[:, 0], table[:, 1:])
-    lengths = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-    if np.abs(lengths - 1.0).max() > _NOT_UNIT:
-        raise ParameterError("target_path", str(file), "", "a quaternion is not of unit length")
-    return Waypoints(table[:, 0], table[:, 1:4], table[:, 4:] / lengths)
+        times, points, quaternions, notes = read_path(file, effector)
+    except TableFileError as error:
+        raise ParameterError("target_path", str(file), "", error.what) from None
+    return Waypoints(times, points, quaternions, notes)
 
 
 @dataclass(frozen=True)
@@ -225,6 +202,12 @@ def orientation_at(path: TargetPath, time: float) -> np.ndarray | None:
     """Orientation (x, y, z, w) of a path at a time since it began [s]; None of one without."""
     find = getattr(path, "orientation", None)
     return None if find is None else find(time)
+
+
+def notes_of(path: TargetPath) -> tuple[str, ...]:
+    """What the user should know about the files of a path, or of the paths of a sequence."""
+    return tuple(dict.fromkeys(
+        note for one in getattr(path, "paths", (path,)) for note in getattr(one, "notes", ())))
 
 
 def has_orientations(path: TargetPath) -> bool:

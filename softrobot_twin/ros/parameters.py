@@ -270,8 +270,8 @@ TARGET = (
     Entry("target_effector", "tip", "Effector that receives targets; with target_commands, the one "
           "that the demo compares.", read_only=True),
     Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, "
-          "with the columns t,<effector>.x,<effector>.y,<effector>.z, for an orientation also .qx, "
-          ".qy, .qz, .qw.", read_only=True),
+          "with the columns time_s,<effector>_x_m,_y_m,_z_m, for an orientation also _qx,_qy,_qz,_qw, "
+          "or what a run wrote.", read_only=True),
     Entry("target_sequence", [""],
           "Paths that replace target_path, one after the other; [''] for none.", read_only=True),
     Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0,

@@ -19,6 +19,7 @@ from softrobot_twin.control.target_path import (
     ToAndFro,
     has_orientations,
     make_sequence,
+    notes_of,
 )
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.messages import point_message, pose_message, read_pose, stamp_of
@@ -93,6 +94,8 @@ class TargetNode(TickingNode):
         self._path = make_sequence(
             found, effector, around, values["target_sequence_time"], self._ramp_time
         )
+        for note in notes_of(self._path):
+            self.get_logger().warning(note)
         self._turn = _UNTURNED
         self._turns = has_orientations(self._path)
         topic = "<twin>/target_pose/<effector>" if self._turns else "<twin>/target/<effector>"

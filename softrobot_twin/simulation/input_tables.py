@@ -4,6 +4,10 @@ A targets file has one row per step, with targets of effectors, setpoints or eff
 commands file has rows at increasing times, with commands of actuators and guided bodies that are
 interpolated. A table may mix lengths of cables with pressures of cavities: all columns are setpoints
 if each is what that actuator's setpoint holds, and efforts if each is that actuator's effort.
+
+Both have the columns of `table_columns`. What a run wrote can be given back as either: the columns
+that drove it are read, the others are results and are left out. Targets files with the names of
+earlier versions, ``t,tip.x``, are read with a note.
 """
 
 from __future__ import annotations
@@ -27,6 +31,26 @@ from softrobot_twin.simulation.command import (
     FollowTargets,
 )
 from softrobot_twin.simulation.pulleys import ANGLE, Pulleys
+from softrobot_twin.simulation.table_columns import (
+    AXES,
+    DRIVEN_BY,
+    EFFORTS,
+    HOLD,
+    SETPOINTS,
+    TARGETS,
+    TIME,
+    body_name,
+    column,
+    displacement_columns,
+    force_columns,
+    is_output,
+    name_today,
+    position_columns,
+    quaternion_columns,
+    stiffness_columns,
+    target_name,
+    unit_of,
+)
 
 
 class TableFileError(SoftRobotTwinError):
@@ -39,6 +63,7 @@ class TableFileError(SoftRobotTwinError):
         value: Content of the cell, or None.
         unit: Unit the value is read in, or an empty string.
         reason: What is required.
+        what: The message without the file.
     """
 
     def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
@@ -52,7 +77,9 @@ class TableFileError(SoftRobotTwinError):
         location = f"{path}" if row is None else f"{path}, row {row}"
         stated = "" if value is None else f" = {value!r} {unit}".rstrip()
         named = f": {column}{stated}" if column else ""
-        super().__init__(f"{location}{named}: {reason}")
+        told = f"{named}: {reason}"
+        self.what = told.removeprefix(": ") if row is None else f"row {row}{told}"
+        super().__init__(f"{location}{told}")
 
 
 def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
@@ -88,14 +115,172 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
     return header, [line for line, _ in body], [row for _, row in body]
 
 
+class Columns:
+    """The columns of a file or a table, which readers take out by name.
+
+    Attributes:
+        source: The file; of a table its name.
+        lines: Line of each row in the file.
+        is_output: Whether a run wrote it.
+        notes: What the user should know, such as that its names are of an earlier version.
+        taken: Values of the columns that were taken out, by name.
+    """
+
+    def __init__(self, source: Path, header: Sequence[str], lines: Sequence[int],
+                 cells: Sequence[Sequence[object]]):
+        """Stores the rows.
+
+        Args:
+            source: The file.
+            header: Name of each column.
+            lines: Line of each row in the file.
+            cells: Cells of each row.
+
+        Raises:
+            TableFileError: A column is given twice, or a row has not one cell for each column.
+        """
+        self.source, self.lines, self._cells = source, list(lines), cells
+        self.taken: dict[str, np.ndarray] = {}
+        self.notes: tuple[str, ...] = ()
+        self.is_output = is_output(header)
+        self._given = {name: name for name in header}
+        if len(self._given) < len(header):
+            twice = next(name for name in header if list(header).count(name) > 1)
+            raise TableFileError(source, "appears twice in the header", 1, twice or "''")
+        for line, row in zip(self.lines, cells, strict=True):
+            if len(row) != len(header):
+                raise TableFileError(
+                    source, f"has {len(row)} cells where the header has {len(header)}", line)
+        self._places = {name: place for place, name in enumerate(header)}
+        self._made: dict[str, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._made or name in self._places
+
+    @property
+    def left(self) -> list[str]:
+        """Names of the columns that nobody has taken out."""
+        return [*self._places, *self._made]
+
+    def given(self, name: str) -> str:
+        """Name of a column in the file, which may be one of an earlier version."""
+        return self._given.get(name, name)
+
+    def rename(self, names: Mapping[str, str]) -> None:
+        """Gives columns other names.
+
+        Args:
+            names: New name of each column, by that which it has.
+        """
+        self._given = {names.get(new, new): old for new, old in self._given.items()}
+        self._places = {names.get(old, old): place for old, place in self._places.items()}
+
+    def keep(self, names: Collection[str]) -> None:
+        """Leaves out all other columns."""
+        self._places = {name: place for name, place in self._places.items() if name in names}
+
+    def begin_earlier(self) -> None:
+        """Adds a row where the first step of a run began: its rows are at the ends of steps."""
+        place, cells = self._places[TIME], self._cells
+        first, second = (self._number(TIME, line, row[place])
+                         for line, row in zip(self.lines[:2], cells[:2], strict=True))
+        begin = list(cells[0])
+        begin[place] = first - (second - first)
+        self._cells, self.lines = [begin, *cells], [self.lines[0], *self.lines]
+
+    def texts(self, name: str) -> list[str]:
+        """Cells of a column, which stays."""
+        return [str(row[self._places[name]]) for row in self._cells]
+
+    def pop(self, name: str) -> np.ndarray:
+        """Takes a column out.
+
+        Args:
+            name: One of `left`.
+
+        Returns:
+            Its values, shape (row_count,).
+
+        Raises:
+            TableFileError: A cell is not a finite number.
+        """
+        if name in self._made:
+            values = self._made.pop(name)
+        else:
+            place = self._places.pop(name)
+            values = np.array([self._number(name, line, row[place])
+                               for line, row in zip(self.lines, self._cells, strict=True)])
+        self.taken[name] = values
+        return values
+
+    def put(self, name: str, values: np.ndarray) -> None:
+        """Adds a column that follows from others."""
+        self._made[name] = values
+
+    def _number(self, name: str, line: int, cell) -> float:
+        try:
+            number = float(cell)
+        except (TypeError, ValueError):
+            raise TableFileError(
+                self.source, "must be a number", line, self.given(name), cell, unit_of(name)
+            ) from None
+        if not math.isfinite(number):
+            raise TableFileError(
+                self.source, "must be finite", line, self.given(name), cell, unit_of(name))
+        return number
+
+    def times(self) -> np.ndarray:
+        """Takes the times of the rows out [s], shape (row_count,).
+
+        Raises:
+            TableFileError: There is no such column, or a time is not later than the one before.
+        """
+        if TIME not in self:
+            raise TableFileError(
+                self.source, "the header lacks this column of times in seconds", 1, TIME)
+        times = self.pop(TIME)
+        late = np.flatnonzero(np.diff(times) <= 0.0)
+        if late.size:
+            row = int(late[0]) + 1
+            raise TableFileError(
+                self.source, f"must be later than {float(times[row - 1])!r} s, the row before",
+                self.lines[row], self.given(TIME), float(times[row]), "s")
+        return times
+
+
+def open_columns(source: Path | str | Mapping, example: str) -> Columns:
+    """Opens a CSV file, or a table of columns by name such as a dict or a pandas DataFrame.
+
+    Args:
+        source: The file, or the table.
+        example: A valid header, for the message about an empty file.
+
+    Raises:
+        TableFileError: The file cannot be read or has no rows, or the columns differ in length.
+    """
+    if isinstance(source, (str, Path)):
+        path = Path(source)
+        return Columns(path, *read_cells(path, example))
+    table, names = Path("table"), [str(name) for name in source.keys()]
+    columns = [np.atleast_1d(np.asarray(source[name])) for name in source.keys()]
+    if not columns or not len(columns[0]):
+        raise TableFileError(table, f"has no rows; columns such as {example} are required")
+    for name, values in zip(names, columns, strict=True):
+        if values.shape != columns[0].shape or values.ndim != 1:
+            raise TableFileError(table, f"has the shape {values.shape}, {names[0]} has "
+                                 f"{columns[0].shape}", None, name)
+    return Columns(table, names, range(1, len(columns[0]) + 1), list(zip(*columns, strict=True)))
+
+
 SINGLE_ROW_TIME_STEP = 0.02
 """Time step of a file with only one row [s]."""
 
-_AXES = ("x", "y", "z")
-_TURN = ("qx", "qy", "qz", "qw")
-_STIFFNESS = ("kx", "ky", "kz")
 # A larger deviation from unit length is not rounding but a mistake.
 _NOT_UNIT = 1.0e-2
+TARGETS_EXAMPLE = ",".join((TIME, *position_columns("tip")))
 
 
 @dataclass(frozen=True)
@@ -104,7 +289,7 @@ class TargetTable:
 
     Attributes:
         kind: ``targets``, ``setpoints`` or ``efforts``.
-        times: Column ``t`` [s], shape (row_count,).
+        times: Column ``time_s`` [s], shape (row_count,).
         time_steps: Time since the row before [s], shape (row_count,); for the first row that of the
             second, or `SINGLE_ROW_TIME_STEP`.
         values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
@@ -115,6 +300,7 @@ class TargetTable:
             (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
         stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
             where the file gives none; None in a file without.
+        notes: What the user should know about the file.
     """
 
     kind: str
@@ -123,110 +309,267 @@ class TargetTable:
     values: np.ndarray
     orientations: np.ndarray | None = None
     stiffness: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0."""
         values, step = self.values[row], float(self.time_steps[row])
-        if self.kind == "targets":
+        if self.kind == TARGETS:
             turns = None if self.orientations is None else self.orientations[row]
             stiffness = None if self.stiffness is None else self.stiffness[row]
             return FollowTargets(values, step, None, turns, stiffness)
-        build = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
+        build = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
         return build[self.kind](values, step)
 
 
-def read_targets(path: Path | str, effector_names: Sequence[str],
-                 kind_of: Mapping[str, ActuatorKind],
-                 oriented: Sequence[bool] = (), stiff: Sequence[bool] = ()) -> TargetTable:
+def read_targets(source: Path | str | Mapping, simulation: Simulation) -> TargetTable:
     """Reads and checks a targets file.
 
     Args:
-        path: CSV file: a header, then one row a step.
-        effector_names: Effectors in the simulation's order.
-        kind_of: Kind of each actuator by its name, in the simulation's order.
-        oriented: Whether each effector asks for an orientation, so that the file may give one; by
-            default none does.
-        stiff: The same for a stiffness.
+        source: CSV file with a header and one row a step, or a table of columns by name.
+        simulation: Simulation with the effectors and actuators.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
             column, or contains a value that is not finite, a time that does not increase, a
-            quaternion that is not of unit length, a stiffness that is not positive, or a setpoint or an effort that its kind cannot
-            have.
+            quaternion that is not of unit length, a stiffness that is not positive, or a setpoint
+            or an effort that its kind cannot have.
     """
-    path = Path(path)
-    header, lines, cells = read_cells(path, "t,tip.x,tip.y,tip.z")
-    kind = _kind_of_table(path, header, kind_of)
-    if kind == "targets":
-        asked = {name: [Quantity(axis, "m") for axis in _AXES] for name in effector_names}
-        turned = [name for name in effector_names
-                  if any(f"{name}.{part}" in header for part in _TURN)]
-        _refuse_turns(path, turned, effector_names, oriented)
-        for name in turned:
-            asked[name] += [Quantity(part, "") for part in _TURN]
-        stiffened = _stiffness_columns(path, header, effector_names, stiff)
-        for name, part in stiffened:
-            asked[name].append(Quantity(part, "N/m"))
+    columns = open_columns(source, TARGETS_EXAMPLE)
+    _take_old_names(columns, simulation.actuators.kind_of.values())
+    if columns.is_output and not keep_targets(columns, simulation.effector_names):
+        _keep_what_drove(columns, simulation)
+    times = columns.times()
+    given = {name: [own for own in _columns_of_targets(name) if own in columns]
+             for name in simulation.effector_names}
+    kind, values, turns, stiffness = TARGETS, None, None, None
+    if any(given.values()):
+        values = _target_positions(columns, given)
+        turns = _target_turns(columns, simulation)
+        stiffness = _target_stiffness(columns, simulation)
     else:
-        asked = {name: [_commanded(made, kind)] for name, made in kind_of.items()}
-    wanted = _wanted_columns(path, header, kind, asked, kind_of)
-    numbers = _target_numbers(path, header, lines, cells, wanted)
-    if kind != "targets":
-        _refuse_impossible(path, header, lines, numbers, kind, kind_of)
-    times = numbers[:, header.index("t")]
-    _check_times_increase(path, lines, times)
-    values = np.full((len(times), len(wanted)), np.nan)
-    for position, column in enumerate(wanted):
-        if column in header:
-            values[:, position] = numbers[:, header.index(column)]
-    if kind != "targets":
-        return TargetTable(kind, times, _time_steps(times), values)
-    columns = list(wanted)
-    places = [[columns.index(f"{name}.{axis}") for axis in _AXES] for name in effector_names]
-    orientations = None
-    if turned:
-        orientations = np.full((len(times), len(effector_names), 4), np.nan)
-        for name in turned:
-            quaternions = values[:, [columns.index(f"{name}.{part}") for part in _TURN]]
-            _refuse_lengths(path, name, quaternions, lines)
-            lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-            orientations[:, list(effector_names).index(name)] = quaternions / lengths
+        kind, values = _actuator_values(columns, simulation)
+    if columns.left:
+        _refuse_column(columns, simulation)
+    if kind == HOLD:
+        raise TableFileError(
+            columns.source, f"the header names nothing to drive besides {TIME}", 1)
+    if kind != TARGETS:
+        _refuse_undriven(columns, simulation, kind, values)
+    return TargetTable(kind, times, _time_steps(times), values, turns, stiffness, columns.notes)
+
+
+def read_path(
+    source: Path | str, effector: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, tuple[str, ...]]:
+    """Reads the targets of one effector from a targets file, whatever else that drives.
+
+    Args:
+        source: CSV file with a header; of what a run wrote the targets are read where it has some,
+            the places that the effector reached where it has none.
+        effector: The effector.
+
+    Returns:
+        Times [s], shape (row_count,); positions [m], shape (row_count, 3); unit quaternions
+        (x, y, z, w), shape (row_count, 4), or None; and notes for the user.
+
+    Raises:
+        TableFileError: The file cannot be read or contains no path of the effector.
+    """
+    columns = open_columns(source, ",".join((TIME, *position_columns(effector))))
+    _take_old_names(columns)
+    if columns.is_output:
+        keep_targets(columns, (effector,))
+    times = columns.times()
+    given = {effector: [own for own in _columns_of_targets(effector) if own in columns]}
+    if not given[effector]:
+        raise TableFileError(columns.source, "the header lacks this column", 1,
+                             columns.given(position_columns(effector)[0]))
+    positions = _target_positions(columns, given)[:, 0]
+    return times, positions, _quaternions(columns, effector), columns.notes
+
+
+def _take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
+    """Gives the columns of a targets file of earlier versions the names of today."""
+    if "t" not in columns or TIME in columns:
+        return
+    known = [quantity for kind in (*kinds, *actuator_kinds())
+             for quantity in (kind.setpoint, kind.effort, kind.displacement)]
+    today = {name: name_today(name, known) for name in columns.left}
+    columns.rename(today)
+    renamed = ", ".join(new for old, new in today.items() if new != old)
+    columns.notes = (f"{columns.source} has names of columns of an earlier version; those of today "
+                     f"are {renamed}",)
+
+
+def keep_targets(columns: Columns, effectors: Sequence[str]) -> bool:
+    """Leaves of what a run wrote the targets that it followed, as a targets file has them.
+
+    Args:
+        columns: Those of the run; a run that followed no targets stays as it is.
+        effectors: Names of the effectors.
+
+    Returns:
+        Whether it followed targets.
+    """
+    names = {}
+    for name in effectors:
+        told = _columns_of_targets(target_name(name))
+        names.update(
+            (old, new) for old, new in zip(told, _columns_of_targets(name)) if old in columns)
+    if names:
+        columns.keep([TIME, *names])
+        columns.rename(names)
+    return bool(names)
+
+
+def _keep_what_drove(columns: Columns, simulation: Simulation, surroundings: bool = False) -> None:
+    """Leaves of what a run wrote the setpoints or efforts by which it was driven.
+
+    Args:
+        columns: Those of the run. A run by targets is left its setpoints.
+        simulation: The scene.
+        surroundings: Whether poses of guided bodies and forces of touches are left too.
+    """
+    by_effort = DRIVEN_BY in columns and set(columns.texts(DRIVEN_BY)) == {EFFORTS}
+    names = {TIME: TIME}
+    for name, kind in simulation.actuators.kind_of.items():
+        if kind.takes_efforts or not by_effort:
+            own = column(name, kind.effort if by_effort else kind.setpoint)
+            names[own] = own
+    if surroundings:
+        guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+        for name in guided:
+            for columns_of in (position_columns, quaternion_columns):
+                told = columns_of(body_name(name, simulation.effector_names))
+                names.update(zip(told, columns_of(name), strict=True))
+        for name in simulation.touch_names:
+            names.update((own, own) for own in force_columns(name))
+    columns.keep(names)
+    columns.rename(names)
+
+
+def _columns_of_targets(name: str) -> tuple[str, ...]:
+    """All columns that tell what is wanted of an effector."""
+    return position_columns(name) + quaternion_columns(name) + stiffness_columns(name)
+
+
+def _target_positions(columns: Columns, given: Mapping[str, list[str]]) -> np.ndarray:
+    """Targets [m], shape (row_count, effector_count, 3), NaN for effectors without.
+
+    Args:
+        columns: Those of the file.
+        given: Columns of each effector that the file has.
+    """
+    values = np.full((len(columns), len(given), 3), np.nan)
+    for place, (name, own) in enumerate(given.items()):
+        if not own:
+            continue
+        needed = position_columns(name)
+        turns = quaternion_columns(name)
+        if any(part in own for part in turns):
+            needed += turns
+        for one in needed:
+            if one not in columns:
+                raise TableFileError(
+                    columns.source, "the header lacks this column: an effector's target needs x, y "
+                    "and z" + (", an orientation qx, qy, qz and qw too" if one in turns else ""),
+                    1, columns.given(one))
+        for axis, one in enumerate(position_columns(name)):
+            values[:, place, axis] = columns.pop(one)
+    return values
+
+
+def _target_turns(columns: Columns, simulation: Simulation) -> np.ndarray | None:
+    """Wanted turns, shape (row_count, effector_count, 4); None without any."""
+    names = list(simulation.effector_names)
+    asking = [name for name, asks in zip(names, simulation.oriented_effectors) if asks]
+    turns = None
+    for place, name in enumerate(names):
+        first = next((part for part in quaternion_columns(name) if part in columns), None)
+        if first is None:
+            continue
+        if name not in asking:
+            raise TableFileError(
+                columns.source, "the effector has no orientation in the scene; those with one: "
+                f"{', '.join(asking) or 'none'}", 1, columns.given(first))
+        if turns is None:
+            turns = np.full((len(columns), len(names), 4), np.nan)
+        turns[:, place] = _quaternions(columns, name)
+    return turns
+
+
+def _quaternions(columns: Columns, name: str) -> np.ndarray | None:
+    """Unit quaternions of an effector, shape (row_count, 4); None without."""
+    parts = quaternion_columns(name)
+    if parts[0] not in columns:
+        return None
+    quaternions = np.column_stack([columns.pop(part) for part in parts])
+    _refuse_lengths(columns.source, name, quaternions, columns.lines)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def _target_stiffness(columns: Columns, simulation: Simulation) -> np.ndarray | None:
+    """Wanted stiffnesses [N/m], shape (row_count, effector_count, 3); None without any."""
+    names = list(simulation.effector_names)
+    asking = [name for name, asks in zip(names, simulation.stiff_effectors) if asks]
     stiffness = None
-    if stiffened:
-        stiffness = np.full((len(times), len(effector_names), 3), np.nan)
-        for name, part in stiffened:
-            own = values[:, columns.index(f"{name}.{part}")]
+    for place, name in enumerate(names):
+        for axis, part in enumerate(stiffness_columns(name)):
+            if part not in columns:
+                continue
+            if name not in asking:
+                raise TableFileError(
+                    columns.source, "the effector has no stiffness in the scene; those with one: "
+                    f"{', '.join(asking) or 'none'}", 1, columns.given(part))
+            own = columns.pop(part)
             if (own <= 0.0).any():
                 row = int(np.argmin(own))
-                raise TableFileError(path, "must be positive: it is a stiffness", lines[row],
-                                     f"{name}.{part}", float(own[row]), "N/m")
-            place = list(effector_names).index(name), _STIFFNESS.index(part)
-            stiffness[:, place[0], place[1]] = own
-    return TargetTable(
-        kind, times, _time_steps(times), values[:, places], orientations, stiffness
-    )
+                raise TableFileError(columns.source, "must be positive: it is a stiffness",
+                                     columns.lines[row], columns.given(part), float(own[row]),
+                                     "N/m")
+            if stiffness is None:
+                stiffness = np.full((len(columns), len(names), 3), np.nan)
+            stiffness[:, place, axis] = own
+    return stiffness
 
 
-def _stiffness_columns(path: Path, header: list[str], names: Sequence[str], stiff) -> list:
-    """Effector and axis of each column of a stiffness; refuses those of effectors without one."""
-    asking = [name for name, asks in zip(names, stiff) if asks]
-    found = [(name, part) for name in names for part in _STIFFNESS if f"{name}.{part}" in header]
-    for name, part in found:
-        if name not in asking:
-            raise TableFileError(
-                path, "the effector has no stiffness in the scene; those with one: "
-                f"{', '.join(asking) or 'none'}", 1, f"{name}.{part}")
-    return found
-
-
-def _refuse_turns(path: Path, turned: Sequence[str], names: Sequence[str], oriented) -> None:
-    """Refuses orientations of effectors that ask for none."""
-    asking = [name for name, asks in zip(names, oriented) if asks]
-    for name in turned:
-        if name not in asking:
-            raise TableFileError(
-                path, "the effector has no orientation in the scene; those with one: "
-                f"{', '.join(asking) or 'none'}", 1, f"{name}.qx")
+def _refuse_column(columns: Columns, simulation: Simulation) -> None:
+    """Refuses a column of a targets file that is left when all others were taken."""
+    name = columns.left[0]
+    kinds = simulation.actuators.kinds
+    quantities = dict.fromkeys(quantity for one in (*kinds, *actuator_kinds())
+                               for quantity in (one.setpoint, one.displacement, one.effort))
+    quantities[ANGLE] = None
+    ends = {f"_{quantity.word}_{quantity.unit}": "actuator" for quantity in quantities}
+    ends.update((end, "effector") for end in _columns_of_targets(""))
+    what, owner = next(
+        ((what, name[:-len(end)]) for end, what in ends.items() if name.endswith(end)), ("", ""))
+    actuators = simulation.actuators
+    known = {"effector": simulation.effector_names, "actuator": actuators.names}
+    motors = (*(motor.name for motor in simulation.scene.motors), *actuators.pulleys.names)
+    kind = actuators.kind_of.get(owner) if what == "actuator" else None
+    if kind is not None and name not in [column(owner, one) for one in _commandable(kind)]:
+        raise TableFileError(
+            columns.source, f"this {kind.noun} is driven by its {kind.setpoint.word}: use "
+            f"{column(owner, kind.setpoint)}", 1, columns.given(name))
+    if what and owner in (*known[what], *(motors if what == "actuator" else ())):
+        others = ", ".join(columns.given(one) for one in columns.taken if one != TIME)
+        raise TableFileError(
+            columns.source, f"cannot be combined with {others}: a file contains effector targets, "
+            "or setpoints of actuators, or their efforts, only one of these"
+            f"{_setpoint_columns(actuators.kind_of)}", 1, columns.given(name))
+    if what:
+        listed = ", ".join(known[what]) or "none"
+        raise TableFileError(
+            columns.source, f"the scene has no {what} {owner!r}; its {what}s: {listed}", 1,
+            columns.given(name))
+    today = name_today(name, quantities)
+    use = f"use {today}" if today != name else (
+        f"valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
+        f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}")
+    raise TableFileError(
+        columns.source, f"is not a valid column; {use}", 1, columns.given(name) or "''")
 
 
 def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[int]) -> None:
@@ -235,26 +578,6 @@ def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[
     if off.max() > _NOT_UNIT:
         raise TableFileError(path, f"{name}'s quaternion is not of unit length",
                              lines[int(off.argmax())])
-
-
-def _commanded(kind: ActuatorKind, commanded: str) -> Quantity:
-    """The quantity of a kind that ``setpoints`` or ``efforts`` give."""
-    return kind.setpoint if commanded == "setpoints" else kind.effort
-
-
-def _refuse_impossible(path: Path, header, lines, numbers, commanded: str, kind_of) -> None:
-    """Refuses setpoints and efforts that no actuator of a kind can have."""
-    for name, kind in kind_of.items():
-        quantity = _commanded(kind, commanded)
-        column = f"{name}.{quantity.word}"
-        if column not in header:
-            continue
-        column_values = numbers[:, header.index(column)]
-        reason = _impossible(kind, commanded, column_values)
-        if reason:
-            row = int(np.argmin(column_values))
-            raise TableFileError(path, reason, lines[row], column, float(column_values[row]),
-                                 quantity.unit)
 
 
 def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
@@ -267,44 +590,7 @@ def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
     return ""
 
 
-def _kind_of_table(path: Path, header: list[str], kind_of: Mapping[str, ActuatorKind]) -> str:
-    """Kind of the driven columns; a file has one kind."""
-    if "t" not in header:
-        raise TableFileError(path, "the header lacks this column of times in seconds", 1, "t")
-    known = [*kind_of.values(), *actuator_kinds()]
-    words = dict.fromkeys(q.word for kind in known for q in (kind.setpoint, kind.effort))
-    meanings: dict[str, Collection[str]] = {}
-    for column in header:
-        if header.count(column) > 1:
-            raise TableFileError(path, "appears twice in the header", 1, column or "''")
-        if column == "t":
-            continue
-        name, _, word = column.rpartition(".")
-        parts = (*_AXES, *_TURN, *_STIFFNESS)
-        if not name or (name not in kind_of and word not in (*parts, *words)):
-            valid = " or ".join(f"<actuator>.{word}" for word in words)
-            raise TableFileError(
-                path, f"is not a valid column; use <effector>.x, .y, .z, {valid}", 1,
-                column or "''")
-        if word in parts:
-            meanings[column] = ("targets",)
-        elif name in kind_of:
-            kind = kind_of[name]
-            meanings[column] = [meaning for meaning in _DIRECT
-                                if _commanded(kind, meaning).word == word]
-            if not meanings[column]:
-                reason = f"this {kind.noun} is driven by its {kind.setpoint.word}: use {name}."
-                raise TableFileError(path, f"{reason}{_with_unit(kind.setpoint)}", 1, column)
-        else:  # `_wanted_columns` refuses the name.
-            meanings[column] = _DIRECT
-    if not meanings:
-        raise TableFileError(path, "the header names nothing to drive besides t", 1)
-    return _common_meaning(
-        path, meanings, "a file contains effector targets, or setpoints of actuators, or their "
-        f"efforts, only one of these{_setpoint_columns(kind_of, '{}.{}')}")
-
-
-_DIRECT = ("setpoints", "efforts")
+_DIRECT = (SETPOINTS, EFFORTS)
 """What columns of actuators give. A pressure is both where it is what the setpoint holds."""
 
 
@@ -327,77 +613,12 @@ def _common_meaning(path: Path, meanings: Mapping[str, Collection[str]], rule: s
     return common[0]
 
 
-def _setpoint_columns(kind_of: Mapping[str, ActuatorKind], form: str) -> str:
-    """Columns of setpoints of each actuator, for messages; empty where all have one quantity.
-
-    Args:
-        kind_of: Kind of each actuator.
-        form: Form of a column, for the actuator's name, the quantity and its unit.
-    """
+def _setpoint_columns(kind_of: Mapping[str, ActuatorKind]) -> str:
+    """Columns of setpoints of each actuator, for messages; empty where all have one quantity."""
     if len({kind.setpoint for kind in kind_of.values()}) < 2:
         return ""
-    columns = [form.format(name, *kind.setpoint) for name, kind in kind_of.items()]
+    columns = [column(name, kind.setpoint) for name, kind in kind_of.items()]
     return f"; setpoints of this scene are {', '.join(columns)}"
-
-
-def _with_unit(quantity: Quantity) -> str:
-    return f"{quantity.word} [{quantity.unit}]"
-
-
-def _wanted_columns(path: Path, header: list[str], kind: str,
-                    asked: Mapping[str, list[Quantity]],
-                    kind_of: Mapping[str, ActuatorKind]) -> dict[str, str]:
-    """Units of the columns in the simulation's order; refuses unknown and lacking columns."""
-    what = "effector" if kind == "targets" else "actuator"
-    driven = [column.rpartition(".")[0] for column in header if column != "t"]
-    for name, column in zip(driven, (c for c in header if c != "t")):
-        if name not in asked:
-            known = ", ".join(asked) or "none"
-            raise TableFileError(
-                path, f"the scene has no {what} {name!r}; its {what}s: {known}", 1, column)
-    # For an actuator that a direct run leaves out, any value would be a guess.
-    needed = driven if kind == "targets" else [
-        name for name, made in kind_of.items() if kind == "setpoints" or made.takes_efforts]
-    for name in needed:
-        for quantity in asked[name]:
-            if f"{name}.{quantity.word}" not in header:
-                why = ("an effector's target needs x, y and z, an orientation qx, qy, qz and qw too"
-                       if quantity.word in _TURN else
-                       "an effector's target needs x, y and z" if kind == "targets"
-                       else "a direct run drives every actuator")
-                raise TableFileError(path, f"the header lacks this column: {why}", 1,
-                                       f"{name}.{quantity.word}")
-    return {f"{name}.{quantity.word}": quantity.unit
-            for name, quantities in asked.items() for quantity in quantities}
-
-
-def _target_numbers(path: Path, header: list[str], lines: list[int], cells: list[list[str]],
-                    units: Mapping[str, str]) -> np.ndarray:
-    """Cells as finite numbers, shape (row_count, column_count); units are by column."""
-    numbers = np.empty((len(cells), len(header)))
-    for index, (line, row) in enumerate(zip(lines, cells)):
-        if len(row) != len(header):
-            raise TableFileError(
-                path, f"has {len(row)} cells where the header has {len(header)}", line)
-        for position, (column, cell) in enumerate(zip(header, row)):
-            unit = "s" if column == "t" else units.get(column, "")
-            try:
-                number = float(cell)
-            except ValueError:
-                raise TableFileError(path, "must be a number", line, column, cell,
-                                       unit) from None
-            if not math.isfinite(number):
-                raise TableFileError(path, "must be finite", line, column, cell, unit)
-            numbers[index, position] = number
-    return numbers
-
-
-def _check_times_increase(path: Path, lines: list[int], times: np.ndarray) -> None:
-    late = np.flatnonzero(np.diff(times) <= 0.0)
-    if late.size:
-        row = int(late[0]) + 1
-        raise TableFileError(path, f"must be later than {float(times[row - 1])!r} s, the row "
-                               "before", lines[row], "t", float(times[row]), "s")
 
 
 def _time_steps(times: np.ndarray) -> np.ndarray:
@@ -407,9 +628,7 @@ def _time_steps(times: np.ndarray) -> np.ndarray:
     return np.concatenate([steps[:1], steps])
 
 
-TIME = "time_s"
-_EXAMPLE = "time_s,<cable>_shortening_m"
-_PLACE = ("x_m", "y_m", "z_m")
+_EXAMPLE = f"{TIME},<cable>_shortening_m"
 
 
 class Pose:
@@ -501,10 +720,10 @@ class CommandTable:
 
     def command(self, time: float, time_step: float) -> Command:
         """Command of the actuators at a time [s], for a step of a duration [s]."""
-        if self.kind == "hold":
+        if self.kind == HOLD:
             return Hold(time_step)
         values = np.array([np.interp(time, self.times, column) for column in self.values.T])
-        kinds = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
+        kinds = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
         return kinds[self.kind](values, time_step)
 
     @property
@@ -523,11 +742,12 @@ class CommandTable:
         return best
 
 
-def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
+def read_commands(source: Path | str | Mapping, simulation: Simulation) -> CommandTable:
     """Reads a commands file for a simulation.
 
     Args:
-        path: CSV file: a header, then rows at increasing times.
+        source: CSV file with a header, then rows at increasing times, or a table of columns by
+            name. A file that a run wrote begins where its first step began.
         simulation: Simulation with the actuators, motors and guided bodies.
 
     Raises:
@@ -535,111 +755,93 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
             efforts, drives an actuator twice or not at all, or contains a value that is not a finite
             number, a time that does not increase, or a quaternion that is not of unit length.
     """
-    path = Path(path)
-    header, lines, cells = read_cells(path, _EXAMPLE)
-    numbers = _command_numbers(path, header, lines, cells)
-    if TIME not in header:
-        raise TableFileError(path, "the header lacks this column of times in seconds", 1, TIME)
-    times = numbers[:, header.index(TIME)]
-    _check_times(path, lines, times)
-    columns = {column: numbers[:, index] for index, column in enumerate(header)}
-    if len(columns) < len(header):
-        twice = next(column for column in header if header.count(column) > 1)
-        raise TableFileError(path, "appears twice in the header", 1, twice)
-    left = dict(columns)
-    del left[TIME]
-    kind, values = _actuator_values(path, simulation, left, len(times), lines)
-    poses = _poses(path, simulation, left, times, lines)
-    touches = _touches(path, simulation, left, times)
-    if left:
-        raise TableFileError(path, "is not a valid column; valid are " + _known(simulation), 1,
-                             next(iter(left)))
-    commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
-    is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
+    columns = open_columns(source, _EXAMPLE)
+    if TIME in columns and len(columns) < 2:
+        raise TableFileError(
+            columns.source, "has one row; a run from the first row to the last needs two")
+    if columns.is_output:
+        _keep_what_drove(columns, simulation, surroundings=True)
+        columns.begin_earlier()
+    times = columns.times()
+    kind, values = _actuator_values(columns, simulation)
+    _refuse_undriven(columns, simulation, kind, values)
+    poses = _poses(columns, simulation, times)
+    touches = _touches(columns, simulation, times)
+    if columns.left:
+        raise TableFileError(
+            columns.source, "is not a valid column; valid are " + _known(simulation), 1,
+            columns.left[0] or "''")
+    commanded = [series for name, series in columns.taken.items() if name != TIME]
+    changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
+    is_constant = (changes == 0.0).all(axis=1)
     return CommandTable(kind, times, values, poses, is_constant, touches)
 
 
-def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> np.ndarray:
-    numbers = np.empty((len(cells), len(header)))
-    for index, (line, row) in enumerate(zip(lines, cells, strict=True)):
-        if len(row) != len(header):
-            raise TableFileError(
-                path, f"has {len(row)} cells where the header has {len(header)}", line)
-        for position, (column, cell) in enumerate(zip(header, row, strict=True)):
-            try:
-                number = float(cell)
-            except ValueError:
-                raise TableFileError(path, "must be a number", line, column, cell) from None
-            if not math.isfinite(number):
-                raise TableFileError(path, "must be finite", line, column, cell)
-            numbers[index, position] = number
-    return numbers
+def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.ndarray]:
+    """Takes the columns of actuators and motors out.
 
-
-def _check_times(path: Path, lines: list[int], times: np.ndarray) -> None:
-    if len(times) < 2:
-        raise TableFileError(path, "has one row; a run from the first row to the last needs two")
-    late = np.flatnonzero(np.diff(times) <= 0.0)
-    if late.size:
-        row = int(late[0]) + 1
-        raise TableFileError(path, f"must be later than {float(times[row - 1])!r} s, the row "
-                             "before", lines[row], TIME, float(times[row]), "s")
-
-
-def _actuator_values(
-    path, simulation, left: dict, row_count: int, lines
-) -> tuple[str, np.ndarray]:
-    """Values of the columns of actuators and motors, which it removes from the remaining ones."""
-    actuators = simulation.actuators
+    Returns:
+        What they give, and the setpoints or efforts, shape (row_count, actuator_count).
+    """
+    actuators, path = simulation.actuators, columns.source
     driven_by: dict[str, str] = {}
     meanings: dict[str, Collection[str]] = {}
-    values = np.full((row_count, actuators.count), np.nan)
-    _read_angles(path, actuators.pulleys, left)
+    values = np.full((len(columns), actuators.count), np.nan)
+    _read_angles(columns, actuators.pulleys)
     for name, driven, kind in _drives(simulation):
-        _refuse_what_follows(path, name, kind, left)
+        _refuse_what_follows(columns, name, kind)
         for quantity, meaning in _commandable(kind).items():
-            column = f"{name}_{quantity.word}_{quantity.unit}"
-            if column not in left:
+            own = column(name, quantity)
+            if own not in columns:
                 continue
-            column_values = left.pop(column)
+            given, column_values = columns.given(own), columns.pop(own)
             if name not in actuators.names and quantity != kind.displacement:
                 raise TableFileError(path, f"{name} is a motor: it shortens all its cables by the "
-                                     f"same length: use {name}_shortening_m", 1, column)
-            meanings[column] = meaning
+                                     f"same length: use {name}_shortening_m", 1, given)
+            meanings[given] = meaning
             reason = _impossible(kind, meaning[0], column_values)
             if quantity != kind.displacement and reason:
                 row = int(np.argmin(column_values))
-                raise TableFileError(path, reason, lines[row], column, float(column_values[row]),
-                                     quantity.unit)
+                raise TableFileError(path, reason, columns.lines[row], given,
+                                     float(column_values[row]), quantity.unit)
             for one in driven:
                 if one in driven_by:
-                    raise TableFileError(path, f"drives {one}, as {driven_by[one]} does", 1,
-                                         column)
-                driven_by[one] = column
+                    raise TableFileError(path, f"drives {one}, as {driven_by[one]} does", 1, given)
+                driven_by[one] = given
                 index = actuators.names.index(one)
                 values[:, index] = column_values
                 if quantity == kind.displacement:
                     values[:, index] = kind.sign * column_values + actuators.rest_setpoints[index]
-    commanded = "hold" if not meanings else _common_meaning(
+    commanded = HOLD if not meanings else _common_meaning(
         path, meanings, "actuators are driven by setpoint or by effort, all in the same way"
-        f"{_setpoint_columns(actuators.kind_of, '{}_{}_{}')}")
-    lacking = [name for name, kind in actuators.kind_of.items()
-               if name not in driven_by and (commanded != "efforts" or kind.takes_efforts)]
-    if lacking:
-        raise TableFileError(path, f"does not drive {lacking[0]}: a direct run drives every "
-                             "actuator; valid columns are " + _known(simulation), 1)
+        f"{_setpoint_columns(actuators.kind_of)}")
     return commanded, values
 
 
-def _read_angles(path: Path, pulleys: Pulleys, left: dict) -> None:
+def _refuse_undriven(
+    columns: Columns, simulation: Simulation, commanded: str, values: np.ndarray
+) -> None:
+    """Refuses a table that leaves an actuator without a command: any value would be a guess."""
+    actuators = simulation.actuators
+    for index, name in enumerate(actuators.names):
+        if np.isnan(values[:, index]).any() and (
+            commanded != EFFORTS or actuators.takes_efforts[index]
+        ):
+            raise TableFileError(
+                columns.source, f"does not drive {name}: a direct run drives every actuator; valid "
+                "columns are " + _known(simulation), 1)
+
+
+def _read_angles(columns: Columns, pulleys: Pulleys) -> None:
     """Replaces columns of angles by those of the shortenings that they wind up."""
     for name, wound in zip(pulleys.names, pulleys.wound, strict=True):
-        column, shortening = f"{name}_{ANGLE.word}_{ANGLE.unit}", f"{name}_shortening_m"
-        if column not in left:
+        angle, shortening = column(name, ANGLE), f"{name}_shortening_m"
+        if angle not in columns:
             continue
-        if shortening in left:
-            raise TableFileError(path, f"is given twice, also by {shortening}", 1, column)
-        left[shortening] = wound * left.pop(column)
+        if shortening in columns:
+            raise TableFileError(
+                columns.source, f"is given twice, also by {shortening}", 1, angle)
+        columns.put(shortening, wound * columns.pop(angle))
 
 
 def _commandable(kind: ActuatorKind) -> dict[Quantity, tuple[str, ...]]:
@@ -650,16 +852,17 @@ def _commandable(kind: ActuatorKind) -> dict[Quantity, tuple[str, ...]]:
             kind.effort: ("efforts",)}  # fmt: skip
 
 
-def _refuse_what_follows(path: Path, name: str, kind: ActuatorKind, left: dict) -> None:
+def _refuse_what_follows(columns: Columns, name: str, kind: ActuatorKind) -> None:
     """Refuses displacements of an effort-driven actuator, which follow from its effort."""
     if not kind.is_effort_driven:
         return
     for quantity in (kind.displacement, kind.extent):
-        column = f"{name}_{quantity.word}_{quantity.unit}"
-        if column in left:
-            use = f"{name}_{kind.setpoint.word}_{kind.setpoint.unit}"
-            raise TableFileError(path, f"this {kind.noun} is driven by its {kind.setpoint.word}, "
-                                 f"its {quantity.word} follows: use {use}", 1, column)
+        own = column(name, quantity)
+        if own in columns:
+            raise TableFileError(
+                columns.source, f"this {kind.noun} is driven by its {kind.setpoint.word}, its "
+                f"{quantity.word} follows: use {column(name, kind.setpoint)}", 1,
+                columns.given(own))
 
 
 def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], ActuatorKind]]:
@@ -670,69 +873,72 @@ def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], Actuator
                      for motor in simulation.scene.motors]
 
 
-def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
-    """Poses of the columns of guided bodies, which it removes from the remaining ones."""
+def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Pose]:
+    """Takes the columns of guided bodies out; gives their poses."""
     poses = {}
     for entry in simulation.scene.rigid_bodies:
-        places = [f"{entry.name}_{axis}" for axis in _PLACE]
-        turns = [f"{entry.name}_{axis}" for axis in _TURN]
-        given = [column for column in (*places, *turns) if column in left]
+        places, turns = position_columns(entry.name), quaternion_columns(entry.name)
+        given = [one for one in (*places, *turns) if one in columns]
         if not given:
             continue
         if entry.motion != "guided":
-            raise TableFileError(path, f"{entry.name} is a free body; only guided bodies are "
-                                 "driven", 1, given[0])
-        needed = places + (turns if any(column in left for column in turns) else [])
-        for column in needed:
-            if column not in left:
-                raise TableFileError(path, "the header lacks this column: a position needs x, y "
-                                     "and z, a rotation qx, qy, qz and qw", 1, column)
-        series = np.column_stack([left.pop(column) for column in needed])
+            raise TableFileError(columns.source, f"{entry.name} is a free body; only guided bodies "
+                                 "are driven", 1, given[0])
+        needed = places + (turns if any(one in columns for one in turns) else ())
+        for one in needed:
+            if one not in columns:
+                raise TableFileError(columns.source, "the header lacks this column: a position "
+                                     "needs x, y and z, a rotation qx, qy, qz and qw", 1, one)
+        series = np.column_stack([columns.pop(one) for one in needed])
         quaternions = series[:, 3:] if len(needed) > 3 else None
         if quaternions is not None:
-            _refuse_lengths(path, entry.name, quaternions, lines)
+            _refuse_lengths(columns.source, entry.name, quaternions, columns.lines)
         poses[entry.name] = Pose(times, series[:, :3], quaternions)
     return poses
 
 
-_TOUCH = {"force_{}_N": True, "displacement_{}_m": False}
-"""Ends of the columns of a touch, for each axis, and whether they give forces."""
-
-
-def _touches(path, simulation, left: dict, times) -> dict[str, TouchColumns]:
-    """Columns of touches, which it removes from the remaining ones."""
+def _touches(
+    columns: Columns, simulation: Simulation, times: np.ndarray
+) -> dict[str, TouchColumns]:
+    """Takes the columns of touches out."""
     touches = {}
     for name in simulation.touch_names:
-        for form, are_forces in _TOUCH.items():
-            given = {f"{name}_{form.format(axis)}": place for place, axis in enumerate(_AXES)}
-            given = {column: place for column, place in given.items() if column in left}
+        for own, are_forces in ((force_columns(name), True), (displacement_columns(name), False)):
+            given = {axis: one for axis, one in enumerate(own) if one in columns}
             if not given:
                 continue
             if name in touches:
-                raise TableFileError(path, f"{name} is touched by forces or by displacements, not "
-                                     "by both", 1, next(iter(given)))
+                raise TableFileError(
+                    columns.source, f"{name} is touched by forces or by displacements, not by both",
+                    1, next(iter(given.values())))
             values = np.zeros((len(times), 3))
-            for column, place in given.items():
-                values[:, place] = left.pop(column)
+            for axis, one in given.items():
+                values[:, axis] = columns.pop(one)
             touches[name] = TouchColumns(times, values, are_forces)
     return touches
 
 
 def _known(simulation: Simulation) -> str:
-    """The columns that a scene accepts, as text."""
-    scene, names = simulation.scene, {}
+    """The columns of a commands file that a scene accepts, as text."""
+    guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+    return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
+            f"_qw (guided bodies: {', '.join(guided) or 'none'}){_known_touches(simulation)}")
+
+
+def _known_actuators(simulation: Simulation) -> str:
+    """Columns of actuators, motors and pulleys, as text."""
+    names: dict[tuple[str, str], list[str]] = {}
     for name, kind in simulation.actuators.kind_of.items():
-        columns = " or ".join(f"<{kind.noun}>_{quantity.word}_{quantity.unit}"
+        columns = " or ".join(column(f"<{kind.noun}>", quantity)
                               for quantity in _commandable(kind))
         names.setdefault((columns, kind.section), []).append(name)
     known = [f"{columns} ({section}: {', '.join(own)})"
              for (columns, section), own in names.items()]
-    motors = ", ".join(motor.name for motor in scene.motors) or "none"
-    guided = ", ".join(e.name for e in scene.rigid_bodies if e.motion == "guided") or "none"
-    return (f"{', '.join(known) or 'no actuators'}, "
-            f"<motor>_shortening_m (motors: {motors}), "
-            f"{_known_angles(simulation)}<body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
-            f"_qw (guided bodies: {guided}){_known_touches(simulation)}")
+    motors = ", ".join(motor.name for motor in simulation.scene.motors) or "none"
+    pulleys = simulation.actuators.pulleys
+    angles = f", {column('<pulley>', ANGLE)} (pulleys: {', '.join(pulleys.names)})"
+    return (f"{', '.join(known) or 'no actuators'}, <motor>_shortening_m (motors: {motors})"
+            f"{angles if pulleys.count else ''}")
 
 
 def _known_touches(simulation: Simulation) -> str:
@@ -741,11 +947,3 @@ def _known_touches(simulation: Simulation) -> str:
         return ""
     return (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
             f"{', '.join(simulation.touch_names)})")
-
-
-def _known_angles(simulation: Simulation) -> str:
-    """Columns of the angles of pulleys, as text; empty without any."""
-    pulleys = simulation.actuators.pulleys
-    if not pulleys.count:
-        return ""
-    return f"<pulley>_{ANGLE.word}_{ANGLE.unit} (pulleys: {', '.join(pulleys.names)}), "

@@ -439,8 +439,7 @@ class IntervalTargets:
         Raises:
             TableFileError: The file cannot be used.
         """
-        table = read_targets(
-            interval.path, simulation.effector_names, simulation.actuators.kind_of)
+        table = read_targets(interval.path, simulation)
         self._times, self._values = table.times, table.values
         self._interval, self._time, self._increment = interval, interval.begin, INTERVAL_TIME_STEP
         for _ in range(_SETTLING_STEPS):
@@ -618,8 +617,9 @@ def full_size(size: SizeMeasurement, sizes: Sequence[SizeMeasurement]) -> SizeMe
 
 def _bodies(scene: Scene) -> list[tuple]:
     """Mesh, element and material of each body, which a reduced model shares with its full one."""
-    return [(scene.file_path(body.mesh.file).resolve(), body.element, body.material)
-            for body in scene.deformables]
+    return [(body.mesh if body.mesh.file is None else
+             body.mesh.model_copy(update={"file": scene.file_path(body.mesh.file).resolve()}),
+             body.element, body.material) for body in scene.deformables]
 
 
 def holding_cases() -> list[BenchCase]:

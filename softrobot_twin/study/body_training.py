@@ -447,8 +447,7 @@ def begin_training(path: Path, options: TrainingOptions, output: Path | None = N
 
 def _way(scene: Scene, simulation: Simulation, options: TrainingOptions) -> TargetWay:
     """The path of targets of a file."""
-    kinds = simulation.actuators.kind_of
-    table = read_targets(options.along, simulation.effector_names, kinds)
+    table = read_targets(options.along, simulation)
     if table.kind != "targets":
         raise TrainingError(
             f"--along: {options.along} has no targets of effectors, but {table.kind}"
@@ -484,7 +483,7 @@ def output_path(scene: Scene, body: Body, options: TrainingOptions) -> Path:
     if options.output is not None:
         return options.output
     name = scene.name if len(scene.deformables) == 1 else f"{scene.name}_{body.name}"
-    return scene.file_path(body.entry.mesh.file).parent / f"{name}_reduced.npz"
+    return scene.mesh_folder(body.entry) / f"{name}_reduced.npz"
 
 
 class Round(NamedTuple):

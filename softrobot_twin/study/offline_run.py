@@ -265,8 +265,9 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     simulation = Simulation.from_scene_file(scene)
     for note in simulation.notes:
         warn(note)
-    rows = read_targets(targets, simulation.effector_names, simulation.actuators.kind_of,
-                        simulation.oriented_effectors, simulation.stiff_effectors)
+    rows = read_targets(targets, simulation)
+    for note in rows.notes:
+        warn(note)
     if far := far_target_warning(simulation, rows):
         warn(far)
     if picture is not None:

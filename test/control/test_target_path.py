@@ -14,6 +14,7 @@ from softrobot_twin.control.target_path import (
     has_orientations,
     make_path,
     make_sequence,
+    notes_of,
 )
 from softrobot_twin.errors import ParameterError
 
@@ -98,7 +99,7 @@ def test_a_period_must_be_longer_than_its_ramp():
         make_sequence(["circle", "lemniscate"], "tip", AROUND, duration=1.0, ramp_time=1.0)
 
 
-HEADER = "t,tip.x,tip.y,tip.z,other.x"
+HEADER = "time_s,tip_x_m,tip_y_m,tip_z_m,other_x_m"
 
 
 def read_file(tmp_path, text):
@@ -116,13 +117,13 @@ def test_a_file_is_followed_in_straight_lines_and_kept_at_its_end(tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("t,tip.x,tip.y\n0,0,0\n", r"lacks the columns \['tip.z'\]"),
-        (f"{HEADER}\n", "no rows"),
-        ("", "no rows"),
-        (f"{HEADER}\n0,0,0,zero,0\n", "not a number"),
-        (f"{HEADER}\n0,0\n", "not a number"),
-        (f"{HEADER}\n0,0,0,nan,0\n", "not finite"),
-        (f"{HEADER}\n1,0,0,0,0\n1,0,0,0,0\n", "must increase"),
+        ("time_s,tip_x_m,tip_y_m\n0,0,0\n", "tip_z_m: the header lacks"),
+        (f"{HEADER}\n", "no row"),
+        ("", "is empty"),
+        (f"{HEADER}\n0,0,0,zero,0\n", "row 2: tip_z_m = 'zero' m: must be a number"),
+        (f"{HEADER}\n0,0\n", "has 2 cells"),
+        (f"{HEADER}\n0,0,0,nan,0\n", "must be finite"),
+        (f"{HEADER}\n1,0,0,0,0\n1,0,0,0,0\n", "must be later"),
     ],
 )
 def test_an_invalid_path_file_is_refused_with_the_reason(tmp_path, text, reason):
@@ -140,7 +141,7 @@ def test_a_file_of_one_point_holds_it(tmp_path):
     assert np.array_equal(path.position(7.0), [0.01, 0.02, 0.03])
 
 
-TURN_HEADER = "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw"
+TURN_HEADER = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx,tip_qy,tip_qz,tip_qw"
 QUARTER = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
 
 
@@ -166,13 +167,13 @@ def test_a_quaternion_of_the_other_sign_is_the_same_rotation(tmp_path):
 
 @pytest.mark.parametrize("second", [(0, 0, 0, 0), (0, 0, 0, 2), (0, 0, 0, "nan")])
 def test_a_path_file_with_a_quaternion_that_is_no_rotation_is_refused(tmp_path, second):
-    with pytest.raises(ParameterError, match="unit length|not finite"):
+    with pytest.raises(ParameterError, match="unit length|must be finite"):
         turning_file(tmp_path, second)
 
 
 def test_a_path_file_with_part_of_a_quaternion_is_refused(tmp_path):
-    with pytest.raises(ParameterError, match="tip.qw"):
-        read_file(tmp_path, "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz\n0,0,0,0.1,0,0,0\n")
+    with pytest.raises(ParameterError, match="tip_qw"):
+        read_file(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx,tip_qy,tip_qz\n0,0,0,0.1,0,0,0\n")
 
 
 def test_a_ramp_turns_smoothly_from_the_start(tmp_path):
@@ -209,3 +210,20 @@ def test_a_setpoint_that_cannot_be_followed_is_refused_by_parameter(ends, period
     with pytest.raises(ParameterError) as caught:
         ToAndFro(ends, period)
     assert caught.value.name == name
+
+
+def test_names_of_earlier_path_files_are_read_with_a_note(tmp_path):
+    path = read_file(tmp_path, "t,tip.x,tip.y,tip.z,other.x\n0,0.01,0.02,0.03,0\n")
+    assert path.position(0.0) == pytest.approx([0.01, 0.02, 0.03])
+    (note,) = notes_of(path)
+    assert "time_s, tip_x_m" in note
+    assert notes_of(read_file(tmp_path, f"{HEADER}\n0,0.01,0.02,0.03,0\n")) == ()
+    assert notes_of(make_sequence(["circle"], "tip", AROUND, 1.0, 0.1)) == ()
+
+
+@pytest.mark.parametrize(("columns", "cells", "expected"), [
+    ("", "", [9, 9, 9]), (",tip_target_x_m,tip_target_y_m,tip_target_z_m", ",1,2,3", [1, 2, 3])])
+def test_the_targets_of_a_run_can_be_played_again(tmp_path, columns, cells, expected):
+    path = read_file(tmp_path, f"step,time_s,tip_x_m,tip_y_m,tip_z_m{columns},residual_N,status\n"
+                     f"0,0.1,9,9,9{cells},nan,ok\n")
+    assert path.position(0.0) == pytest.approx(expected)

@@ -77,7 +77,7 @@ def test_paths_alternate(make_target):
 
 def test_a_file_of_targets_is_played(world, make_target, tmp_path):
     file = tmp_path / "path.csv"
-    file.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0.13\n0.2,0.01,0,0.13\n")
+    file.write_text("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0.13\n0.2,0.01,0,0.13\n")
     make_target(target_path=str(file), target_ramp_time=0.0)
     targets = heard_from(world, (0.0, 0.0, 0.125))
     world.until(lambda: len(targets) > 40)

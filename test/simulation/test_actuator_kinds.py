@@ -418,16 +418,16 @@ def test_files_name_its_quantities_and_units(inflated, tmp_path):
 def test_a_file_of_targets_drives_it_by_volume_or_pressure(inflated, tmp_path):
     simulation = inflated(lambda mapping: mapping.update(cables=[]))
     path = tmp_path / "targets.csv"
-    path.write_text("t,left.volume,right.volume\n0,2e-6,2e-6\n1,2.1e-6,2e-6\n")
-    rows = read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+    path.write_text("time_s,left_volume_m3,right_volume_m3\n0,2e-6,2e-6\n1,2.1e-6,2e-6\n")
+    rows = read_targets(path, simulation)
     assert isinstance(rows.command(1), CommandSetpoints)
     np.testing.assert_array_equal(rows.command(1).setpoints, [2.1e-6, 2e-6])
-    path.write_text("t,left.pressure,right.pressure\n0,100,-100\n")
-    rows = read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+    path.write_text("time_s,left_pressure_Pa,right_pressure_Pa\n0,100,-100\n")
+    rows = read_targets(path, simulation)
     assert isinstance(rows.command(0), CommandEfforts)
-    path.write_text("t,left.volume,right.volume\n0,2e-6,-1e-6\n")
-    with pytest.raises(TableFileError, match="right.volume = -1e-06 m3"):
-        read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+    path.write_text("time_s,left_volume_m3,right_volume_m3\n0,2e-6,-1e-6\n")
+    with pytest.raises(TableFileError, match="right_volume_m3 = -1e-06 m3"):
+        read_targets(path, simulation)
 
 
 def test_a_file_of_commands_drives_it_by_its_expansion(inflated, tmp_path):

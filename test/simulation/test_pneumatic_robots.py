@@ -161,8 +161,7 @@ def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():
 @pytest.mark.slow
 def test_tips_follow_targets_on_their_curves():
     hand = robot("pneunet_inverse")
-    table = read_targets(CONFIG / "targets" / "pneunet_tips.csv", hand.effector_names,
-                         hand.actuators.kind_of)  # fmt: skip
+    table = read_targets(CONFIG / "targets" / "pneunet_tips.csv", hand)
     for _ in range(20):
         hand.step(Hold())
     errors = []

@@ -91,7 +91,7 @@ def targets(tmp_path):
     def read(simulation, text):
         path = tmp_path / "targets.csv"
         path.write_text(text)
-        return read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+        return read_targets(path, simulation)
 
     return read
 
@@ -112,7 +112,7 @@ def test_lengths_of_cables_and_pressures_of_cavities_stand_in_one_table(
     simulation_of, targets, commands
 ):
     simulation = simulation_of()
-    command = targets(simulation, "t,air.pressure,line.length\n0,300,0.05\n").command(0)
+    command = targets(simulation, "time_s,air_pressure_Pa,line_length_m\n0,300,0.05\n").command(0)
     assert isinstance(command, CommandSetpoints)
     np.testing.assert_array_equal(command.setpoints, [0.05, 300.0])
     table = commands(simulation, "time_s,line_shortening_m,air_pressure_Pa\n0,0,0\n1,0.002,300\n")
@@ -126,7 +126,7 @@ def test_tensions_of_cables_and_pressures_of_cavities_are_efforts(
 ):
     for control in ("pressure", "volume"):
         simulation = simulation_of(control=control)
-        command = targets(simulation, "t,air.pressure,line.tension\n0,300,2\n").command(0)
+        command = targets(simulation, "time_s,air_pressure_Pa,line_tension_N\n0,300,2\n").command(0)
         assert isinstance(command, CommandEfforts)
         np.testing.assert_array_equal(command.efforts, [2.0, 300.0])
         table = commands(simulation, "time_s,line_tension_N,air_pressure_Pa\n0,0,0\n1,2,300\n")
@@ -135,7 +135,7 @@ def test_tensions_of_cables_and_pressures_of_cavities_are_efforts(
 
 def test_volumes_and_growths_command_a_syringe(simulation_of, targets, commands):
     simulation = simulation_of(control="volume")
-    command = targets(simulation, "t,air.volume,line.length\n0,6e-6,0.05\n").command(0)
+    command = targets(simulation, "time_s,air_volume_m3,line_length_m\n0,6e-6,0.05\n").command(0)
     assert isinstance(command, CommandSetpoints)
     np.testing.assert_array_equal(command.setpoints, [0.05, 6e-6])
     table = commands(simulation, "time_s,line_length_m,air_growth_m3\n0,0.05,0\n1,0.05,1e-6\n")
@@ -144,16 +144,19 @@ def test_volumes_and_growths_command_a_syringe(simulation_of, targets, commands)
 
 
 @pytest.mark.parametrize(("control", "text", "column", "words"), [
-    ("pressure", "t,line.length,air.volume\n0,1,1\n", "air.volume",
-     "this cavity is driven by its pressure: use air.pressure .Pa."),
-    ("pressure", "t,line.length,air.length\n0,1,1\n", "air.length",
+    ("pressure", "time_s,line_length_m,air_volume_m3\n0,1,1\n", "air_volume_m3",
+     "this cavity is driven by its pressure, its volume follows: use air_pressure_Pa"),
+    ("pressure", "time_s,line_length_m,air_length_m\n0,1,1\n", "air_length_m",
      "this cavity is driven by its pressure"),
-    ("volume", "t,line.length,air.pressure\n0,1,1\n", "air.pressure",
-     "cannot be combined with line.length.*setpoints of this scene are line.length, air.volume"),
-    ("volume", "t,line.length,air.volume\n0,1,-1e-6\n", "air.volume", "-1e-06 m3: must not be neg"),
-    ("pressure", "t,line.length,air.pressure\n0,1,high\n", "air.pressure", "'high' Pa: must be a"),
-    ("pressure", "t,line.length,air.kPa\n0,1,1\n", "air.kPa", "is driven by its pressure"),
-    ("pressure", "t,line.length\n0,1\n", "air.pressure", "lacks this column"),
+    ("volume", "time_s,line_length_m,air_pressure_Pa\n0,1,1\n", "air_pressure_Pa",
+     "cannot be combined with line_length_m.*setpoints of this scene are line_length_m, "
+     "air_volume_m3"),
+    ("volume", "time_s,line_length_m,air_volume_m3\n0,1,-1e-6\n", "air_volume_m3",
+     "-1e-06 m3: must not be neg"),
+    ("pressure", "time_s,line_length_m,air_pressure_Pa\n0,1,high\n", "air_pressure_Pa",
+     "'high' Pa: must be a"),
+    ("pressure", "time_s,line_length_m,air_kPa\n0,1,1\n", "air_kPa", "<cavity>_pressure_Pa"),
+    ("pressure", "time_s,line_length_m\n0,1\n", "", "does not drive air"),
 ])
 def test_a_column_that_does_not_fit_a_cavity_is_refused(
     simulation_of, targets, control, text, column, words

@@ -37,7 +37,7 @@ def beside_a_rod(column, tmp_path_factory):
     times = np.linspace(0.0, 2.0, 21)
     columns = [np.interp(times, CORNERS[:, 0], column) for column in CORNERS.T[1:]]
     np.savetxt(path, np.column_stack([times, *columns]), delimiter=",", comments="",
-               header="t,tip.x,tip.y,tip.z")  # fmt: skip
+               header="time_s,tip_x_m,tip_y_m,tip_z_m")  # fmt: skip
     return scene, path
 
 

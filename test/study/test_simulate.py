@@ -10,7 +10,7 @@ from softrobot_twin.simulation.input_tables import read_targets
 from softrobot_twin.study.offline_run import far_target_warning
 
 REACHED = (0.011, 0.0095, 0.097)
-TARGETS = ("t,tip.x,tip.y,tip.z\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
+TARGETS = ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
            "0.04,0.011,0.0095,0.097\n")
 
 
@@ -79,7 +79,7 @@ def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, tar
     simulation = Simulation.from_scene_file(column)
     names = simulation.actuator_names
     wound = simulation.rest_setpoints - np.array([0.006, 0.003, 0.002, 0.004])
-    by_length = targets(",".join(["t", *(f"{name}.length" for name in names)]) + "\n"
+    by_length = targets(",".join(["time_s", *(f"{name}_length_m" for name in names)]) + "\n"
                         + ",".join(["0", *map(repr, map(float, wound))]) + "\n")
     done = call("simulate", column, "--targets", by_length, "--settle", 30, "--output",
                    tmp_path / "by_length.csv")
@@ -88,7 +88,7 @@ def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, tar
     assert all(float(reached[f"{name}.tension"]) > 0.01 for name in names)
     np.testing.assert_allclose([float(reached[f"{name}.length"]) for name in names], wound,
                                atol=1e-9)
-    by_tension = targets(",".join(["t", *(f"{name}.tension" for name in names)]) + "\n"
+    by_tension = targets(",".join(["time_s", *(f"{name}_tension_N" for name in names)]) + "\n"
                          + ",".join(["0", *(reached[f"{name}.tension"] for name in names)]) + "\n")
     done = call("simulate", column, "--targets", by_tension, "--settle", 30, "--output",
                    tmp_path / "by_tension.csv")
@@ -102,9 +102,9 @@ def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, tar
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", "no effector 'nose'"),
-    ("t,north.length\n0,0.1\n", "no actuator 'north'"),
-    ("t,tip.x,tip.y,tip.z\n0,0,nan,0\n", "row 2: tip.y = 'nan' m: must be finite"),
+    ("time_s,nose_x_m,nose_y_m,nose_z_m\n0,0,0,0\n", "no effector 'nose'"),
+    ("time_s,north_length_m\n0,0.1\n", "no actuator 'north'"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,nan,0\n", "row 2: tip_y_m = 'nan' m: must be finite"),
 ])
 def test_an_invalid_run_gives_one_line_and_exit_code_two(
     tmp_path, column, targets, call, text, words
@@ -144,16 +144,15 @@ def test_a_picture_of_the_last_state_is_drawn(tmp_path, column, targets, call):
 
 def test_targets_in_millimetres_are_warned_of(column, targets):
     simulation = Simulation.from_scene_file(column)
-    names = simulation.effector_names, simulation.actuators.kind_of
-    assert far_target_warning(simulation, read_targets(targets(), *names)) is None
-    slipped = targets("t,tip.x,tip.y,tip.z\n0,10.5,10,98\n")
-    assert "in metres?" in far_target_warning(simulation, read_targets(slipped, *names))
+    assert far_target_warning(simulation, read_targets(targets(), simulation)) is None
+    slipped = targets("time_s,tip_x_m,tip_y_m,tip_z_m\n0,10.5,10,98\n")
+    assert "in metres?" in far_target_warning(simulation, read_targets(slipped, simulation))
 
 
 def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, command):
     def run(*rows):
         path = tmp_path / "targets.csv"
-        path.write_text("\n".join(["t,tip.x,tip.y,tip.z", *rows]) + "\n")
+        path.write_text("\n".join(["time_s,tip_x_m,tip_y_m,tip_z_m", *rows]) + "\n")
         done = command(
             "simulate", half_trained, "--targets", path, "--output", tmp_path / "run.csv"
         )

@@ -1,5 +1,7 @@
 """Targets files: valid content, and errors with file, row, column and value."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,15 +12,28 @@ from softrobot_twin.simulation.input_tables import (
     TableFileError,
     read_targets,
 )
+from softrobot_twin.simulation.pulleys import Pulleys
 
 EFFECTORS = ("tip", "side")
-ACTUATORS = dict.fromkeys(("north", "south"), CableActuator())
+CABLES = ("north", "south")
+REST = np.array([0.3, 0.4])
 
 
-def read(tmp_path, text):
+def robot(oriented=(False, False), stiff=(False, False)):
+    """What the reader asks of a simulation with two effectors and two cables."""
+    kinds = (CableActuator(),) * 2
+    actuators = SimpleNamespace(
+        names=CABLES, kinds=kinds, kind_of=dict(zip(CABLES, kinds)), count=2, rest_setpoints=REST,
+        pulleys=Pulleys(None, CABLES, REST), takes_efforts=np.ones(2, bool))
+    return SimpleNamespace(
+        actuators=actuators, effector_names=EFFECTORS, oriented_effectors=oriented,
+        stiff_effectors=stiff, touch_names=(), scene=SimpleNamespace(motors=(), rigid_bodies=()))
+
+
+def read(tmp_path, text, simulation=None):
     path = tmp_path / "targets.csv"
     path.write_text(text, encoding="utf-8")
-    return read_targets(path, EFFECTORS, ACTUATORS)
+    return read_targets(path, simulation or robot())
 
 
 def refusal(tmp_path, text) -> TableFileError:
@@ -30,7 +45,7 @@ def refusal(tmp_path, text) -> TableFileError:
 
 
 def test_targets_are_sorted_into_the_order_of_the_simulation(tmp_path):
-    table = read(tmp_path, "side.z,t,tip.x,tip.y,tip.z,side.x,side.y\n"
+    table = read(tmp_path, "side_z_m,time_s,tip_x_m,tip_y_m,tip_z_m,side_x_m,side_y_m\n"
                            "6,0,1,2,3,4,5\n")
     assert table.kind == "targets"
     np.testing.assert_array_equal(table.values, [[[1, 2, 3], [4, 5, 6]]])
@@ -38,57 +53,57 @@ def test_targets_are_sorted_into_the_order_of_the_simulation(tmp_path):
 
 
 def test_an_effector_not_in_the_file_is_free(tmp_path):
-    table = read(tmp_path, "t,side.x,side.y,side.z\n0,1,2,3\n")
+    table = read(tmp_path, "time_s,side_x_m,side_y_m,side_z_m\n0,1,2,3\n")
     assert np.isnan(table.values[0, 0]).all()
     np.testing.assert_array_equal(table.values[0, 1], [1, 2, 3])
 
 
 @pytest.mark.parametrize(("quantity", "command"),
-                         [("length", CommandSetpoints), ("tension", CommandEfforts)])
+                         [("length_m", CommandSetpoints), ("tension_N", CommandEfforts)])
 def test_direct_runs_drive_every_actuator(tmp_path, quantity, command):
-    table = read(tmp_path, f"t,south.{quantity},north.{quantity}\n0,2,1\n0.5,4,3\n")
+    table = read(tmp_path, f"time_s,south_{quantity},north_{quantity}\n0,2,1\n0.5,4,3\n")
     assert isinstance(table.command(1), command)
     np.testing.assert_array_equal(table.values, [[1, 2], [3, 4]])
 
 
 def test_a_time_step_is_the_distance_to_the_row_before(tmp_path):
-    table = read(tmp_path, "t,tip.x,tip.y,tip.z\n1,0,0,0\n1.5,0,0,0\n3.5,0,0,0\n")
+    table = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n1,0,0,0\n1.5,0,0,0\n3.5,0,0,0\n")
     np.testing.assert_array_equal(table.time_steps, [0.5, 0.5, 2.0])
     assert table.command(2).time_step == 2.0
 
 
 def test_a_single_row_has_the_stated_time_step(tmp_path):
-    table = read(tmp_path, "t,tip.x,tip.y,tip.z\n7,0,0,0\n")
+    table = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n7,0,0,0\n")
     np.testing.assert_array_equal(table.time_steps, [SINGLE_ROW_TIME_STEP])
 
 
 def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
-    table = read(tmp_path, "\ufefft, tip.x ,tip.y,tip.z\n\n0, 1,2,3\n,,,\n\n")
+    table = read(tmp_path, "\ufefftime_s, tip_x_m ,tip_y_m,tip_z_m\n\n0, 1,2,3\n,,,\n\n")
     np.testing.assert_array_equal(table.values[0, 0], [1, 2, 3])
 
 
 @pytest.mark.parametrize(("text", "row", "column", "words"), [
     ("", None, "", "is empty"),
-    ("t,tip.x,tip.y,tip.z\n", None, "", "no row"),
-    ("t\n0\n", 1, "", "nothing to drive"),
-    ("tip.x,tip.y,tip.z\n0,0,0\n", 1, "t", "lacks this column"),
-    ("t,tip.x,tip.y\n0,0,0\n", 1, "tip.z", "lacks this column"),
-    ("t,north.length\n0,0.1\n", 1, "south.length", "every actuator"),
-    ("t,tip.x,tip.x,tip.y,tip.z\n0,0,0,0,0\n", 1, "tip.x", "twice"),
-    ("t,tip.q\n0,0\n", 1, "tip.q", "not a valid column"),
-    ("t,tip\n0,0\n", 1, "tip", "not a valid column"),
-    ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", 1, "nose.x", "no effector 'nose'; its effectors: tip"),
-    ("t,north.length,up.length\n0,1,1\n", 1, "up.length", "no actuator 'up'"),
-    ("t,tip.x,tip.y,tip.z,north.length\n0,0,0,0,1\n", 1, "north.length", "only one of these"),
-    ("t,north.length,south.tension\n0,1,1\n", 1, "south.tension", "only one of these"),
-    ("t,tip.x,tip.y,tip.z\n0,0,0\n", 2, "", "3 cells"),
-    ("t,tip.x,tip.y,tip.z\n0,0,left,0\n", 2, "tip.y", "a number"),
-    ("t,tip.x,tip.y,tip.z\n0,0,0,\n", 2, "tip.z", "a number"),
-    ("t,tip.x,tip.y,tip.z\n0,0,nan,0\n", 2, "tip.y", "finite"),
-    ("t,tip.x,tip.y,tip.z\ninf,0,0,0\n", 2, "t", "finite"),
-    ("t,tip.x,tip.y,tip.z\n\n0,0,0,0\n0,0,0,0\n", 4, "t", "later than 0.0 s"),
-    ("t,tip.x,tip.y,tip.z\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "t", "later than 1.0 s"),
-    ("t,north.tension,south.tension\n0,1,-2\n", 2, "south.tension", "cannot push"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n", None, "", "no row"),
+    ("time_s\n0\n", 1, "", "nothing to drive"),
+    ("tip_x_m,tip_y_m,tip_z_m\n0,0,0\n", 1, "time_s", "lacks this column"),
+    ("time_s,tip_x_m,tip_y_m\n0,0,0\n", 1, "tip_z_m", "lacks this column"),
+    ("time_s,north_length_m\n0,0.1\n", 1, "", "does not drive south"),
+    ("time_s,tip_x_m,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0,0\n", 1, "tip_x_m", "twice"),
+    ("time_s,tip_q\n0,0\n", 1, "tip_q", "not a valid column"),
+    ("time_s,tip\n0,0\n", 1, "tip", "not a valid column"),
+    ("time_s,nose_x_m,nose_y_m,nose_z_m\n0,0,0,0\n", 1, "nose_x_m", "no effector 'nose'; its effectors: tip"),
+    ("time_s,north_length_m,up_length_m\n0,1,1\n", 1, "up_length_m", "no actuator 'up'"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m,north_length_m\n0,0,0,0,1\n", 1, "north_length_m", "only one of these"),
+    ("time_s,north_length_m,south_tension_N\n0,1,1\n", 1, "south_tension_N", "all in the same way"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0\n", 2, "", "3 cells"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,left,0\n", 2, "tip_y_m", "a number"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,\n", 2, "tip_z_m", "a number"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,nan,0\n", 2, "tip_y_m", "finite"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\ninf,0,0,0\n", 2, "time_s", "finite"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n\n0,0,0,0\n0,0,0,0\n", 4, "time_s", "later than 0.0 s"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "time_s", "later than 1.0 s"),
+    ("time_s,north_tension_N,south_tension_N\n0,1,-2\n", 2, "south_tension_N", "cannot push"),
 ])
 def test_an_invalid_targets_file_is_refused_with_row_and_column(tmp_path, text, row, column, words):
     error = refusal(tmp_path, text)
@@ -97,35 +112,33 @@ def test_an_invalid_targets_file_is_refused_with_row_and_column(tmp_path, text, 
 
 
 def test_a_refused_value_is_reported_with_its_unit(tmp_path):
-    error = refusal(tmp_path, "t,north.tension,south.tension\n0,1,-2\n")
+    error = refusal(tmp_path, "time_s,north_tension_N,south_tension_N\n0,1,-2\n")
     assert (error.value, error.unit) == (-2.0, "N")
     assert "-2.0 N" in str(error)
 
 
 def test_a_missing_or_binary_file_is_refused(tmp_path):
     with pytest.raises(TableFileError, match="No such file"):
-        read_targets(tmp_path / "none.csv", EFFECTORS, ACTUATORS)
+        read_targets(tmp_path / "none.csv", robot())
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(TableFileError, match="cannot be read"):
-        read_targets(binary, EFFECTORS, ACTUATORS)
+        read_targets(binary, robot())
 
 
 @pytest.mark.parametrize("mark, name", [(";", "';'"), ("\t", r"'\\t'")])
 def test_cells_with_another_separator_are_refused_naming_the_separator(tmp_path, mark, name):
     path = tmp_path / "targets.csv"
-    path.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0\n".replace(",", mark))
+    path.write_text("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0\n".replace(",", mark))
     with pytest.raises(TableFileError, match=f"separated by commas, not by {name}"):
-        read_targets(path, ["tip"], {})
+        read_targets(path, robot())
 
 
 def read_posed(tmp_path, text, oriented=(True, False)):
-    path = tmp_path / "targets.csv"
-    path.write_text(text, encoding="utf-8")
-    return read_targets(path, EFFECTORS, ACTUATORS, oriented)
+    return read(tmp_path, text, robot(oriented=oriented))
 
 
-POSED = "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw"
+POSED = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx,tip_qy,tip_qz,tip_qw"
 
 
 def test_a_targets_file_may_give_orientations(tmp_path):
@@ -138,7 +151,7 @@ def test_a_targets_file_may_give_orientations(tmp_path):
 
 
 def test_a_targets_file_without_quaternions_gives_no_orientation(tmp_path):
-    table = read_posed(tmp_path, "t,tip.x,tip.y,tip.z\n0,1,2,3\n")
+    table = read_posed(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n")
     assert table.orientations is None and table.command(0).orientations is None
 
 
@@ -149,8 +162,8 @@ def test_a_targets_file_without_quaternions_gives_no_orientation(tmp_path):
         (f"{POSED}\n0,1,2,3,0,0,0,1\n", (), "no orientation in the scene"),
         (f"{POSED}\n0,1,2,3,0,0,0,2\n", (True, False), "not of unit length"),
         (f"{POSED}\n0,1,2,3,0,0,0,0\n", (True, False), "not of unit length"),
-        ("t,tip.x,tip.y,tip.z,tip.qx\n0,1,2,3,0\n", (True, False), "lacks this column"),
-        ("t,tip.qx,tip.qy,tip.qz,tip.qw\n0,0,0,0,1\n", (True, False), "lacks this column"),
+        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx\n0,1,2,3,0\n", (True, False), "lacks this column"),
+        ("time_s,tip_qx,tip_qy,tip_qz,tip_qw\n0,0,0,0,1\n", (True, False), "lacks this column"),
     ],
 )
 def test_wrong_orientations_of_a_targets_file_are_refused(tmp_path, text, oriented, reason):
@@ -159,31 +172,92 @@ def test_wrong_orientations_of_a_targets_file_are_refused(tmp_path, text, orient
 
 
 def read_stiff(tmp_path, text, stiff=(True, False)):
-    path = tmp_path / "targets.csv"
-    path.write_text(text, encoding="utf-8")
-    return read_targets(path, EFFECTORS, ACTUATORS, (), stiff)
+    return read(tmp_path, text, robot(stiff=stiff))
 
 
 def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
-    table = read_stiff(tmp_path, "t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,300\n1,1,2,3,350\n")
+    table = read_stiff(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,300\n1,1,2,3,350\n")
     np.testing.assert_array_equal(table.stiffness[:, 0], [[np.nan, np.nan, 300.0],
                                                           [np.nan, np.nan, 350.0]])
     assert np.isnan(table.stiffness[:, 1]).all() and table.orientations is None
     np.testing.assert_array_equal(table.command(1).stiffness, table.stiffness[1])
-    plain = read_stiff(tmp_path, "t,tip.x,tip.y,tip.z\n0,1,2,3\n")
+    plain = read_stiff(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n")
     assert plain.stiffness is None and plain.command(0).stiffness is None
 
 
 @pytest.mark.parametrize(
     ("text", "stiff", "reason"),
     [
-        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
-        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,0\n", (True, False), "tip.kz.*0.*N/m.*positive"),
-        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,-5\n", (True, False), "tip.kz.*-5.*N/m.*positive"),
-        ("t,tip.x,tip.y,tip.z,tip.kz\n0,1,2,3,nan\n", (True, False), "tip.kz"),
-        ("t,tip.kz\n0,300\n", (True, False), "lacks this column"),
+        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
+        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,0\n", (True, False), "tip_kz_N_per_m.*0.*N/m.*positive"),
+        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,-5\n", (True, False), "tip_kz_N_per_m.*-5.*N/m.*positive"),
+        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,nan\n", (True, False), "tip_kz_N_per_m"),
+        ("time_s,tip_kz_N_per_m\n0,300\n", (True, False), "lacks this column"),
     ],
 )
 def test_wrong_stiffnesses_of_a_targets_file_are_refused(tmp_path, text, stiff, reason):
     with pytest.raises(TableFileError, match=reason):
         read_stiff(tmp_path, text, stiff)
+
+
+OLD = "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw,tip.kz\n0,1,2,3,0,0,0,1,300\n"
+TODAY = OLD.replace("t,tip.x,tip.y,tip.z", "time_s,tip_x_m,tip_y_m,tip_z_m").replace(
+    "tip.q", "tip_q").replace("tip.kz", "tip_kz_N_per_m")
+
+
+def test_names_of_earlier_targets_files_are_read_with_one_note_of_the_new_ones(tmp_path):
+    simulation = robot((True, False), (True, False))
+    old, today = read(tmp_path, OLD, simulation), read(tmp_path, TODAY, simulation)
+    for field in ("times", "values", "orientations", "stiffness"):
+        np.testing.assert_array_equal(getattr(old, field), getattr(today, field))
+    (note,) = old.notes
+    assert "time_s, tip_x_m, tip_y_m" in note and "tip_kz_N_per_m" in note and "targets.csv" in note
+    assert today.notes == ()
+    lengths = read(tmp_path, "t,south.length,north.length\n0,2,1\n")
+    assert lengths.kind == "setpoints" and lengths.values.tolist() == [[1.0, 2.0]]
+    assert "south_length_m" in lengths.notes[0]
+
+
+def test_errors_in_an_earlier_file_name_its_own_columns(tmp_path):
+    assert refusal(tmp_path, "t,tip.x,tip.y,tip.z\n0,0,left,0\n").column == "tip.y"
+    assert refusal(tmp_path, "t,nose.x,nose.y,nose.z\n0,0,0,0\n").column == "nose.x"
+    error = refusal(tmp_path, "time_s,tip.x,tip.y,tip.z\n0,0,0,0\n")
+    assert error.column == "tip.x" and "use tip_x_m" in str(error)
+
+
+def test_a_targets_file_may_give_shortenings(tmp_path):
+    table = read(tmp_path, "time_s,north_shortening_m,south_length_m\n0,0.01,0.2\n")
+    assert table.kind == "setpoints"
+    np.testing.assert_allclose(table.values, [[REST[0] - 0.01, 0.2]], rtol=1e-15)
+
+
+def test_a_table_of_arrays_is_read_as_a_file_is():
+    table = read_targets({"time_s": np.arange(2.0), "side_x_m": [1, 1], "side_y_m": [2, 2],
+                          "side_z_m": [3, 4]}, robot())
+    np.testing.assert_array_equal(table.values[:, 1], [[1, 2, 3], [1, 2, 4]])
+    with pytest.raises(TableFileError, match="table: side_x_m: has the shape"):
+        read_targets({"time_s": np.arange(2.0), "side_x_m": [1]}, robot())
+    with pytest.raises(TableFileError, match="table: has no rows"):
+        read_targets({}, robot())
+
+
+WRITTEN = ("step,time_s,tip_x_m,tip_y_m,tip_z_m{target},north_length_m,north_tension_N,"
+           "south_length_m,south_tension_N,residual_N,driven_by,status\n"
+           "0,0.1,9,9,9{given},0.1,1,0.2,2,nan,{by},ok\n")
+TARGET = {"target": ",tip_target_x_m,tip_target_y_m,tip_target_z_m", "given": ",1,2,3"}
+NONE = {"target": "", "given": ""}
+
+
+@pytest.mark.parametrize(("by", "columns", "values"), [
+    ("targets", TARGET, [[[1, 2, 3], [np.nan] * 3]]),
+    ("setpoints", NONE, [[0.1, 0.2]]), ("hold", NONE, [[0.1, 0.2]]), ("efforts", NONE, [[1, 2]]),
+])
+def test_what_drove_a_run_is_read_from_what_it_wrote(tmp_path, by, columns, values):
+    table = read(tmp_path, WRITTEN.format(by=by, **columns))
+    assert table.kind == ("setpoints" if by == "hold" else by)
+    np.testing.assert_array_equal(table.values, values)
+
+
+def test_results_are_refused_in_a_file_that_no_run_wrote(tmp_path):
+    error = refusal(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m,residual_N\n0,0,0,0,0\n")
+    assert error.column == "residual_N" and "not a valid column; valid are time_s" in str(error)
