@@ -27,6 +27,8 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.pulleys import ANGLE
 
 Numbers: TypeAlias = tuple[float, ...]
+Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]
+"""Where a guided body goes: position [m] and quaternion, None for that at rest."""
 NOTHING: Mapping[str, Numbers] = MappingProxyType({})
 
 # Names in a message, at most.
@@ -417,10 +419,8 @@ class CommandReader:
 
     # --- guided bodies and touches ---------------------------------------------------------------
 
-    def poses(
-        self, poses: Mapping[str, Any]
-    ) -> list[tuple[str, np.ndarray, np.ndarray | None]]:
-        """Name, position [m] and quaternion of each pose; checked before any of them is used.
+    def poses(self, poses: Mapping[str, Any]) -> dict[str, Aim]:
+        """Position [m] and quaternion of each pose; checked before any of them is used.
 
         Args:
             poses: By name of a guided body: a position, or a pair of position and quaternion.
@@ -428,7 +428,7 @@ class CommandReader:
         Raises:
             CommandError: A body is not guided, or a pose is not one.
         """
-        guided, read = self._simulation.guided_names, []
+        guided, read = self._simulation.guided_names, dict[str, Aim]()
         for name, pose in poses.items():
             if name not in guided:
                 raise unknown(name, "guided bodies:", guided)
@@ -445,7 +445,7 @@ class CommandReader:
                 if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > _NOT_UNIT:
                     raise CommandError(name, f"{_shown(tuple(turn))} is no quaternion (qx, qy, qz, "
                                        "qw) of unit length")
-            read.append((name, point, turn))
+            read[name] = point, turn
         return read
 
     def touches(self, touches: Mapping[str, Any]) -> Touched | None:

@@ -9,17 +9,21 @@ import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
+from softrobot_twin.scripting.labelled_matrix import LabelledMatrix
+from softrobot_twin.scripting.mesh_export import export_mesh
 from softrobot_twin.scripting.named_commands import (
     NOTHING,
+    Aim,
     CommandReader,
     NamedCommand,
     hold,
+    unknown,
 )
 from softrobot_twin.scripting.run_table import RunColumns, Table
 from softrobot_twin.scripting.step_outcome import Names, Pose, Result
@@ -33,10 +37,16 @@ from softrobot_twin.simulation import (
     State,
     Status,
 )
+from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
 from softrobot_twin.simulation.input_tables import read_commands
 from softrobot_twin.study.direct_run import DEFAULT_RATE, rigid_poses, run_commands
 from softrobot_twin.study.equilibrium import STILL
+from softrobot_twin.study.figure import load_pyplot
 from softrobot_twin.study.passive_run import no_commands
+from softrobot_twin.study.scene_picture import draw_snapshots, figure_of, take_snapshot
+
+if TYPE_CHECKING:
+    from softrobot_twin.simulation.contact_forces import ContactForces
 
 TIME_STEP = 0.02
 """Default duration of a step [s]."""
@@ -64,7 +74,7 @@ def load(path: Path | str) -> Robot:
         SceneError: The file cannot be read, or an entry is not valid.
         MeshError: A mesh cannot be used.
     """
-    return Robot(load_scene(path))
+    return _with_notes(Robot(load_scene(path)))
 
 
 def build(**entries: Any) -> Robot:
@@ -79,7 +89,21 @@ def build(**entries: Any) -> Robot:
         SceneError: An entry is not valid; the error names ``<python>`` as its file.
         MeshError: A mesh cannot be used.
     """
-    return Robot(scene_from_mapping(_plain(entries), IN_PYTHON))
+    return _with_notes(Robot(scene_from_mapping(_plain(entries), IN_PYTHON)))
+
+
+def _with_notes(robot: Robot) -> Robot:
+    """A robot, after warnings of what was repaired and of what looks wrong in its scene."""
+    for note in robot.simulation.notes:
+        warnings.warn(note, SceneWarning, stacklevel=3)
+    return robot
+
+
+def _rebuilt(scene: Scene, state: State, aims: Mapping[str, Aim]) -> Robot:
+    """A robot at a state, with guided bodies on their way to poses."""
+    robot = Robot(scene, state)
+    robot._aim(aims)
+    return robot
 
 
 IN_PYTHON = Path("<python>")
@@ -101,7 +125,8 @@ class Robot:
     """One scene that can be stepped by names and units.
 
     It is complete: a copy, also by `copy.copy` or through `pickle`, stands at the same state and
-    continues in the same way.
+    takes the same steps. Where things touch these differ within the tolerance of contacts, because
+    their solver begins anew.
 
     Attributes:
         simulation: What steps underneath.
@@ -121,8 +146,6 @@ class Robot:
             MeshError: A mesh cannot be used.
         """
         self.simulation = Simulation(scene)
-        for note in self.simulation.notes:
-            warnings.warn(note, SceneWarning, stacklevel=3)
         self.simulation.warm_up()
         self._reader = CommandReader(self.simulation)
         self._columns = RunColumns(self.simulation)
@@ -130,10 +153,31 @@ class Robot:
             self.simulation.effector_names, self.simulation.actuator_names,
             self.simulation.rigid_names, self.simulation.touch_names,
         )  # fmt: skip
-        self._by_effort: np.ndarray | None = None
+        self._compliance: EffectorCompliance | None = None
         self._has_warned = False
+        self._forget()
         if state is not None:
             self.simulation.restore(state)
+
+    def _forget(self) -> None:
+        """Forgets the last command and its result."""
+        self._by_effort: np.ndarray | None = None
+        self._targets: np.ndarray | None = None
+        self._contacts: ContactForces | None = None
+        self._aims: dict[str, Aim] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self.scene, self.state, self._aims)
+
+    def __copy__(self) -> Robot:
+        return self.copy()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
+        return self.copy()
+
+    def copy(self) -> Robot:
+        """Another robot of the same scene at the same state; it is built anew."""
+        return _rebuilt(self.scene, self.state, self._aims)
 
     # --- what it is ------------------------------------------------------------------------------
 
@@ -205,6 +249,7 @@ class Robot:
     @state.setter
     def state(self, state: State) -> None:
         self.simulation.restore(state)
+        self._forget()
 
     @property
     def time(self) -> float:
@@ -232,7 +277,7 @@ class Robot:
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""
         self.simulation.reset()
-        self._by_effort = None
+        self._forget()
 
     # --- steps -----------------------------------------------------------------------------------
 
@@ -265,15 +310,22 @@ class Robot:
         aims = self._reader.poses(poses)
         touched = self._reader.touches(touches)
         self._warn_of_far_targets(asked)
-        for aim in aims:
-            self.simulation.model.guides.aim(*aim)
+        self._aim(aims)
         before = self.simulation.state.positions
         outcome = self.simulation.step(asked, None, touched)
         self._by_effort = np.isfinite(asked.efforts) if isinstance(asked, CommandEfforts) else None
+        self._targets = asked.targets if isinstance(asked, FollowTargets) else None
+        self._contacts = outcome.contacts
         return Result(
             outcome, self._names, self._columns, self._columns.cells(outcome), self.poses,
             self._is_at_rest(before, outcome.report.residual, outcome.status),
         )  # fmt: skip
+
+    def _aim(self, aims: Mapping[str, Aim]) -> None:
+        """Sends guided bodies to poses; they go on to these in later steps."""
+        for name, aim in aims.items():
+            self.simulation.model.guides.aim(name, *aim)
+        self._aims |= aims
 
     def settle(
         self,
@@ -399,6 +451,113 @@ class Robot:
         table = no_commands(self.simulation, count / rate if seconds is None else seconds)
         rows = run_commands(self.simulation, table, rate)
         return columns.table([columns.row(*row[:3]) for row in rows])
+
+    # --- how it yields ---------------------------------------------------------------------------
+
+    def jacobian(self, effector: str) -> LabelledMatrix:
+        """Motion of an effector by each actuator, the others held (Coevoet 2017, eq. 16).
+
+        Args:
+            effector: Its name.
+
+        Returns:
+            Rows x, y and z [m]; a column for one unit of each actuator: of its displacement, such
+            as ``north_shortening_m``, or of its effort where that drives it, such as
+            ``left_pressure_Pa``. A slack cable moves nothing.
+
+        Raises:
+            CommandError: There is no such effector.
+        """
+        place, found = self._place(effector), self._yielding()
+        actuators = self.simulation.actuators
+        quantities = actuators.driven_quantities(found.is_by_effort)
+        columns = tuple(f"{name}_{quantity.word}_{quantity.unit}"
+                        for name, quantity in zip(actuators.names, quantities, strict=True))
+        return LabelledMatrix(found.jacobian[place], ("x_m", "y_m", "z_m"), columns,
+                              f"motion of {effector} [m] by one unit of each actuator")
+
+    def compliance(self, effector: str) -> LabelledMatrix:
+        """How an effector yields to a force on it, while the actuators hold what they hold.
+
+        Args:
+            effector: Its name.
+
+        Returns:
+            Motion along x, y and z [m] by a force of 1 N along x, y and z.
+
+        Raises:
+            CommandError: There is no such effector.
+        """
+        place = self._place(effector)
+        return LabelledMatrix(
+            self._yielding().compliance[place], ("x_m", "y_m", "z_m"), ("x_N", "y_N", "z_N"),
+            f"motion of {effector} [m] by a force of 1 N")
+
+    def stiffness(self, effector: str) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffnesses of an effector along the directions in which it yields straight to a force.
+
+        Args:
+            effector: Its name.
+
+        Returns:
+            Stiffnesses [N/m], the least first, shape (3,), and their directions as rows, (3, 3).
+
+        Raises:
+            CommandError: There is no such effector.
+        """
+        return self._yielding().principal_stiffness(self._place(effector))
+
+    def _place(self, effector: str) -> int:
+        if effector not in self._names.effectors:
+            raise unknown(effector, "effectors:", self._names.effectors)
+        return self._names.effectors.index(effector)
+
+    def _yielding(self) -> ApparentCompliance:
+        if self._compliance is None:
+            self._compliance = EffectorCompliance(self.simulation)
+        return self._compliance.at_state(self._by_effort)
+
+    # --- how it looks ----------------------------------------------------------------------------
+
+    def plot(
+        self, path: Path | str | None = None, *, view: tuple[float, float] | None = None,
+        labelled: bool = False,
+    ) -> Any:  # fmt: skip
+        """Draws where it stands, with the targets and contacts of its last step.
+
+        Args:
+            path: Picture to write, such as ``finger.png``; None to return it.
+            view: Elevation and azimuth of the eye [degrees]; None for the usual one.
+            labelled: Whether the names of all things stand beside it.
+
+        Returns:
+            The `matplotlib.figure.Figure`, which a notebook shows; None where it was written.
+
+        Raises:
+            MissingExtraError: matplotlib is not installed.
+            OutputError: The picture cannot be written.
+        """
+        shot = take_snapshot(self.simulation, self._contacts, self.name, self._targets)
+        if path is not None:
+            draw_snapshots([shot], path, self.name, view, labelled)
+            return None
+        figure = figure_of([shot], self.name, view, labelled)
+        load_pyplot().close(figure)  # A notebook would show it twice.
+        return figure
+
+    def save_vtu(self, path: Path | str) -> tuple[str, ...]:
+        """Writes the present shape of all bodies, with the displacements of their points [m].
+
+        Args:
+            path: File to write; ``.vtu`` for ParaView, or another format of meshio.
+
+        Returns:
+            Names of the parts; the cell data ``part`` holds their numbers, from 0.
+
+        Raises:
+            OutputError: The file cannot be written, or there is no such format.
+        """
+        return export_mesh(self.simulation, path)
 
 
 def _listed(word: str, names: Iterable[str]) -> str:
