@@ -212,6 +212,14 @@ class Springs(ForceTerm):
         self._coefficients = _padded([weights for _, weights in springs], 0.0, float)
         self._free = np.where(self._nodes >= 0, free_index[self._nodes], -1)
         self._bound = None
+        self._first, self._second = first, second
+
+    def ends(self, positions: np.ndarray) -> np.ndarray:
+        """Both ends of each spring [m], shape (spring_count, 2, 3), at node positions [m]."""
+        second = self._constants
+        if self._second is not None:
+            second = second + self._second.positions(positions)
+        return np.stack([self._first.positions(positions), second], axis=1)
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each spring couples, -1 where none, shape (spring_count, width)."""

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from types import ModuleType
+
+import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.study.output_file import OutputError, output_file
@@ -44,6 +47,51 @@ _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": Tru
           "font.size": 9, "legend.frameon": False}
 
 
+# Colours of a PNG picture, of 256: those of most pixels, and those of pixels that are then wrong by
+# more than the last number, such as a small mark of a colour of its own.
+_COMMON, _RARE, _WRONG = 200, 56, 20
+
+
+def save_figure(figure, path: Path, dpi: int) -> None:
+    """Writes a figure; as PNG with a palette of colours, which makes the file small.
+
+    Args:
+        figure: The figure.
+        path: File to write; its suffix determines the format.
+        dpi: Pixels per inch.
+
+    Raises:
+        ValueError: There is no format with this suffix.
+    """
+    if path.suffix.lower() != ".png":
+        figure.savefig(path, dpi=dpi)
+        return
+    from PIL import Image  # matplotlib writes its own pictures with it
+    whole = BytesIO()
+    figure.savefig(whole, dpi=dpi, format="png")
+    picture = Image.open(whole).convert("RGB")
+    _with_few_colours(picture).save(path, format="PNG", optimize=True, dpi=(dpi, dpi))
+
+
+def _with_few_colours(picture):
+    """A picture with a palette in which no colour is far off."""
+    from PIL import Image
+
+    def quantized(image, count: int):
+        return image.quantize(count, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+
+    first = quantized(picture, _COMMON)
+    pixels = np.asarray(picture)
+    off = np.abs(np.asarray(first.convert("RGB"), np.int16) - pixels).max(axis=2)
+    wrong = pixels[off > _WRONG]
+    if not len(wrong):
+        return first
+    rare = quantized(Image.fromarray(wrong[None]), _RARE)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(first.getpalette()[: 3 * _COMMON] + rare.getpalette()[: 3 * _RARE])
+    return picture.quantize(palette=palette, dither=Image.Dither.NONE)
+
+
 @contextmanager
 def figure_file(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
     """An empty matplotlib figure to draw on; leaving the context writes it.
@@ -68,7 +116,7 @@ def figure_file(path: Path, size: tuple[float, float], title: str, foot: str = "
                 figure.supxlabel(foot, fontsize=7, color="#777777", x=0.01, ha="left")
             try:
                 with output_file(path) as partial:
-                    figure.savefig(partial, dpi=130)
+                    save_figure(figure, partial, 130)
             except ValueError as error:  # There is no format with this suffix.
                 raise OutputError(path, str(error)) from error
         finally:

@@ -1,21 +1,28 @@
 """Draws a scene's present state, or several states side by side.
 
-The file contains, in this order: triangles of simple shapes, the snapshot of a state, the drawing.
+What lies inside bodies shows through them: cables, pull points, cavities, fixed nodes.
+
+The file contains, in this order: triangles of simple shapes, the snapshot of a state, the names
+in a picture, the drawing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.scene_layout import build_shape
-from softrobot_twin.study.figure import load_pyplot
+from softrobot_twin.simulation.touches import touch_term
+from softrobot_twin.study.figure import load_pyplot, save_figure
 from softrobot_twin.study.output_file import OutputError, output_file
+from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
@@ -68,6 +75,30 @@ def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
     areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0],
                                     triangles[:, 2] - triangles[:, 0]), axis=1)
     return triangles[areas > 1e-9 * radius**2]
+
+
+def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
+    """Triangles of an arrow, corners [m], shape (triangle_count, 3, 3)."""
+    length = np.linalg.norm(vector)
+    if length == 0.0:
+        return np.empty((0, 3, 3))
+    head = min(6.0 * radius, 0.6 * length)
+    neck = start + (1.0 - head / length) * vector
+    ring = _straight_tube(neck, start + vector, 0.5 * head, head)
+    # A cone is a tube whose far ring is a point.
+    tip = np.linalg.norm(ring - neck, axis=2) > 0.75 * head
+    ring[tip] = start + vector
+    return np.concatenate([tube(np.array([start, neck]), radius, length), ring])
+
+
+def ring_around(centre: np.ndarray, radius: float, axis: np.ndarray, width: float) -> np.ndarray:
+    """Triangles of a thin ring about an axis, corners [m], shape (triangle_count, 3, 3)."""
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    angles = np.linspace(0.0, 2.0 * np.pi, 25)
+    points = centre + radius * (np.outer(np.cos(angles), across)
+                                + np.outer(np.sin(angles), np.cross(axis, across)))
+    return tube(points, 0.5 * width, radius)
 
 
 def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
@@ -133,23 +164,25 @@ def _grid_triangles(rings: np.ndarray) -> np.ndarray:
 
 
 BODY_COLOUR = np.array([0.60, 0.78, 0.84])
+FIXED_COLOUR = np.array([0.36, 0.36, 0.40])
 FREE_COLOUR = np.array([0.93, 0.73, 0.42])
 GUIDED_COLOUR = np.array([0.72, 0.72, 0.74])
 OBSTACLE_COLOUR = np.array([0.80, 0.79, 0.75])
 SPRING_COLOUR = np.array([0.45, 0.45, 0.50])
-PULL_POINT_COLOUR = np.array([0.30, 0.30, 0.30])
+PULL_POINT_COLOUR = np.array([0.10, 0.10, 0.10])
+HOLD_COLOUR = np.array([0.55, 0.15, 0.50])
 AXIS_COLOUR = np.array([0.25, 0.25, 0.28])
 EFFECTOR_COLOUR = np.array([0.10, 0.25, 0.45])
+MARKER_COLOUR = np.array([0.15, 0.50, 0.30])
+TOUCH_COLOUR = np.array([0.80, 0.45, 0.10])
 TARGET_COLOUR = np.array([0.85, 0.22, 0.15])
+FORCE_COLOUR = np.array([0.70, 0.07, 0.25])
 AXIS_COLOURS = np.array([[0.80, 0.25, 0.22], [0.25, 0.60, 0.28], [0.20, 0.38, 0.75]])
 """Of the axes x, y and z of an orientation."""
 # Length of the facets of round shapes, as a share of their radius.
 _FACETS = 0.2
 # Edges of a rigid surface with a larger angle [rad] are drawn.
 _SHARP = 0.6
-# Longest edge of rigid triangles as a share of the scene's size; larger ones cannot be sorted by
-# depth.
-_LONGEST_EDGE = 0.04
 
 
 class Solid(NamedTuple):
@@ -159,12 +192,14 @@ class Solid(NamedTuple):
         triangles: Corners [m], shape (triangle_count, 3, 3).
         colour: Red, green, blue in 0..1, shape (3,).
         look: ``mesh`` with edges and strong shading, ``clear`` the same but translucent, ``rigid``
-            without edges, ``thin`` with weak shading.
+            without edges, ``thin`` with weak shading, seen through what lies in front of it.
+        kind: What it shows, as named in `LEGEND`; empty where the legend does not name it.
     """
 
     triangles: np.ndarray
     colour: np.ndarray
     look: str
+    kind: str = ""
 
 
 class CableLine(NamedTuple):
@@ -182,34 +217,51 @@ class CavityWalls(NamedTuple):
     pressure: float
 
 
+class Held(NamedTuple):
+    """A ball of material on which a cable acts: centre [m], shape (3,), and radius [m]."""
+
+    centre: np.ndarray
+    radius: float
+
+
+class Label(NamedTuple):
+    """A name in a picture: its text, and the place that it names [m], shape (3,)."""
+
+    text: str
+    place: np.ndarray
+
+
 class Snapshot(NamedTuple):
     """One state, ready to be drawn.
 
     Attributes:
         title: Title of the panel.
-        size: Size of the largest body [m], which scales lines and marks.
-        solids: Bodies, rigid bodies, obstacles, springs, effectors and targets.
+        size: Scales lines and marks [m], about the size of the largest body.
+        solids: Bodies, rigid bodies, obstacles, springs, fixed nodes, frames, markers, effectors
+            and targets.
         cables: Cables.
+        held: Where cables act on a ball of material.
         cavities: Cavities, inside bodies that are drawn translucent.
         planes: Point [m] and unit normal of each plane.
         forces: Contact points [m] and forces on the first body [N], both of shape
             (contact_count, 3).
-        has_effectors: Effectors are among the solids.
-        has_targets: Targets are among the solids.
+        touches: Touched points [m] and forces on them [N], both of shape (touch_count, 3).
         effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3),
             or None.
+        labels: Names of everything.
     """
 
     title: str
     size: float
     solids: list[Solid]
     cables: list[CableLine]
+    held: list[Held]
     cavities: list[CavityWalls]
     planes: list[tuple[np.ndarray, np.ndarray]]
     forces: tuple[np.ndarray, np.ndarray]
-    has_effectors: bool
-    has_targets: bool
+    touches: tuple[np.ndarray, np.ndarray]
     effector_path: np.ndarray | None
+    labels: list[Label]
 
 
 def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title: str,
@@ -223,22 +275,24 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
         targets: Targets of the effectors [m], shape (effector_count, 3); NaN for none.
         effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3).
     """
-    size = simulation.model.nodes.size
-    effectors = simulation.effector_positions()
+    size = _size(simulation)
     shown = [] if targets is None else [t for t in targets if np.isfinite(t).all()]
-    solids = [*_bodies(simulation), *_beams(simulation, size), *_rigid(simulation, size), *_springs(simulation, size)]
+    solids = [*_bodies(simulation), *_fixed(simulation, size), *_beams(simulation, size),
+              *_rigid(simulation, size), *_springs(simulation, size)]
     obstacles, planes = _obstacles(simulation, size)
     solids += obstacles
-    solids += [Solid(sphere(point, 0.014 * size), EFFECTOR_COLOUR, "thin")
-               for point in effectors]
+    solids += [Solid(sphere(point, 0.008 * size), MARKER_COLOUR, "thin", "marker")
+               for point in simulation.marker_positions()]
+    solids += [Solid(sphere(point, 0.014 * size), EFFECTOR_COLOUR, "thin", "effector")
+               for point in simulation.effector_positions()]
     solids += _axes_of_effectors(simulation, size)
-    solids += [Solid(cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin")
+    solids += [Solid(cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin", "target")
                for point in shown]
     efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
     paths, kind_of = simulation.actuator_paths(), simulation.actuators.kind_of
     cables = [CableLine(path, float(efforts[name])) for name, path in paths.items()
               if kind_of[name].effort.unit == "N"]
-    solids += [Solid(tube(path, 0.008 * size, 0.04 * size), AXIS_COLOUR, "thin")
+    solids += [Solid(tube(path, 0.008 * size, 0.04 * size), AXIS_COLOUR, "thin", "axis")
                for name, path in paths.items() if kind_of[name].effort.unit != "N"]
     cavities = [CavityWalls(points[skin.triangles], float(pressure))
                 for skin, points, pressure in zip(
@@ -246,8 +300,21 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
                     simulation.cavities.pressures(simulation.state), strict=True)]
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
-    return Snapshot(title, size, solids, cables, cavities, planes, forces, bool(len(effectors)),
-                    targets is not None, effector_path)
+    return Snapshot(title, size, solids, cables, list(_held(simulation, paths)), cavities, planes,
+                    forces, _touches(simulation), effector_path,
+                    list(labels(simulation, paths, planes)))
+
+
+# Least size of lines and marks, as a share of that of the whole scene.
+_LEAST_SHARE = 0.4
+
+
+def _size(simulation: Simulation) -> float:
+    """Size by which lines and marks are scaled [m]: of the largest body, not too small for all."""
+    points = np.concatenate([np.empty((0, 3)), *simulation.skin_positions(),
+                             *simulation.actuator_paths().values()])
+    whole = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+    return max(simulation.model.nodes.size, _LEAST_SHARE * whole)
 
 
 def _bodies(simulation: Simulation) -> list[Solid]:
@@ -260,33 +327,76 @@ def _bodies(simulation: Simulation) -> list[Solid]:
     return [Solid(surface[triangles], BODY_COLOUR, look)]
 
 
+def _fixed(simulation: Simulation, size: float) -> list[Solid]:
+    """Balls at the fixed nodes of the surfaces, and at fixed ends of beams."""
+    places = [fixed_places(simulation, body) for body in simulation.model.bodies]
+    solids = [Solid(sphere(place, 0.0055 * size), FIXED_COLOUR, "thin", "fixed")
+              for own in places for place in own]
+    solids += [Solid(sphere(place, 0.014 * size), FIXED_COLOUR, "thin", "fixed")
+               for beam in simulation.model.beams for place in fixed_ends(beam)]
+    return solids
+
+
+def fixed_places(simulation: Simulation, body) -> np.ndarray:
+    """Places of the fixed nodes on a body's surface [m], shape (count, 3).
+
+    Nodes that move with a rigid body are not among them.
+    """
+    fixed = body.fixed.copy()
+    if body.vertebrae is not None:
+        fixed = body.vertebrae.division.body.fixed.copy()
+    for nodes in body.riding.values():
+        fixed[nodes] = False
+    nodes = np.intersect1d(np.flatnonzero(fixed), body.mesh.surface_triangles)
+    if not len(nodes):
+        return np.empty((0, 3))
+    return body.shown_nodes(nodes).positions(simulation.state.positions)
+
+
+def fixed_ends(beam) -> list[np.ndarray]:
+    """Places of a beam's fixed ends [m]."""
+    return [beam.places[0 if end == "start" else -1] for end in beam.entry.fixed]
+
+
 def _beam_skins(simulation: Simulation) -> tuple:
     return simulation.skins[len(simulation.model.bodies):]
 
 
 def _beams(simulation: Simulation, size: float) -> list[Solid]:
     positions = simulation.state.positions
-    return [Solid(subdivide(skin.positions(positions)[skin.triangles], 0.5 * _LONGEST_EDGE * size),
-                  BODY_COLOUR, "rigid") for skin in _beam_skins(simulation)]
+    return [Solid(skin.positions(positions)[skin.triangles], BODY_COLOUR, "rigid")
+            for skin in _beam_skins(simulation)]
 
 
 def _rigid(simulation: Simulation, size: float) -> list[Solid]:
+    """Rigid bodies with their frames, not longer than the body."""
     solids = []
     for part in simulation.model.rigid:
         frame = simulation.state.positions[part.first_node : part.first_node + 4]
         colour = FREE_COLOUR if part.is_free else GUIDED_COLOUR
-        solids += _solid_shape(part.shape, frame[0], (frame[1:] - frame[0]).T, colour, size)
+        shape = _solid_shape(part.shape, frame[0], (frame[1:] - frame[0]).T, colour, size)
+        extent = float(np.ptp(shape[0].triangles.reshape(-1, 3), axis=0).max())
+        solids += shape
+        origin, rotation = part.entry_pose(simulation.state.positions)
+        solids += _frame(origin, rotation.T, AXIS_COLOURS, min(0.09 * size, 0.7 * extent))
     return solids
+
+
+def _frame(origin: np.ndarray, axes, colours, length: float) -> list[Solid]:
+    """Bars along the axes of a frame."""
+    return [Solid(tube(np.array([origin, origin + length * axis]), 0.045 * length, length),
+                  colour, "thin", "frame") for axis, colour in zip(axes, colours, strict=True)]
 
 
 def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> list[Solid]:
     """A rigid shape and its sharp edges."""
     points, triangles = shape.surface(_FACETS * getattr(shape, "radius", np.inf))
     placed = np.asarray(origin) + points @ rotation.T
-    solids = [Solid(subdivide(placed[triangles], _LONGEST_EDGE * size), colour, "rigid")]
-    for edge in creases(placed, triangles, _SHARP):
-        bar = tube(edge, 0.002 * size, 0.015 * size)
-        solids.append(Solid(bar, 0.7 * colour, "thin"))
+    solids = [Solid(placed[triangles], colour, "rigid")]
+    edges = creases(placed, triangles, _SHARP)
+    if len(edges):
+        bars = np.concatenate([tube(edge, 0.0015 * size, size) for edge in edges])
+        solids.append(Solid(bars, 0.7 * colour, "rigid"))
     return solids
 
 
@@ -316,35 +426,173 @@ def _axes_of_effectors(simulation: Simulation, size: float) -> list[Solid]:
         if effector.orientation.pointing is not None:
             axis = np.array(effector.orientation.pointing)
             axes, colours = [axis / np.linalg.norm(axis)], AXIS_COLOURS[2:]
-        for axis, colour in zip(Rotation.from_quat(turn).apply(axes), colours, strict=True):
-            ends = np.array([place, place + 0.1 * size * axis])
-            solids.append(Solid(tube(ends, 0.005 * size, 0.1 * size), colour, "thin"))
+        solids += _frame(place, Rotation.from_quat(turn).apply(axes), colours, 0.1 * size)
     return solids
 
 
 def _springs(simulation: Simulation, size: float) -> list[Solid]:
-    """Mass-spring bodies: balls at their points, bars for their springs."""
-    solids = []
+    """Bars for all springs, thin ones for tubes and fibres; balls at the points of masses."""
+    scene, positions, solids = simulation.scene, simulation.state.positions, []
     first = sum(body.mesh.node_count for body in simulation.model.bodies if not body.vertebrae)
-    for entry in simulation.scene.mass_springs:
-        points = simulation.state.positions[first : first + len(entry.points)]
+    for entry in scene.mass_springs:
+        points = positions[first : first + len(entry.points)]
         first += len(entry.points)
         solids += [Solid(sphere(point, 0.012 * size), SPRING_COLOUR, "rigid")
                    for point in points]
-        solids += [Solid(tube(points[list(pair)], 0.004 * size, 0.02 * size),
-                         SPRING_COLOUR, "thin") for pair in entry.springs]
+    for term in simulation.terms:
+        if not isinstance(term, Springs):
+            continue
+        ends = term.ends(positions)
+        # Those of the scene's springs come first, those of its masses last; threads between.
+        masses = sum(len(entry.springs) for entry in scene.mass_springs)
+        threads = slice(len(scene.springs), len(ends) - masses)
+        for own, radius, kind in ((ends[threads], 0.0015, "thread"),
+                                  (np.delete(ends, threads, axis=0), 0.004, "spring")):
+            bars = [tube(pair, radius * size, size) for pair in own]
+            if bars:
+                solids.append(Solid(np.concatenate(bars), SPRING_COLOUR, "thin", kind))
     return solids
+
+
+def _held(simulation: Simulation, paths: dict[str, np.ndarray]) -> Iterator[Held]:
+    """Balls on which cables with a hold radius act: at each of their points on the body."""
+    for cable in simulation.scene.cables:
+        if cable.hold_radius > 0.0:
+            for place in paths[cable.name][-len(cable.points):]:
+                yield Held(place, cable.hold_radius)
+
+
+def _touches(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
+    """Points that may be touched and the forces on them now."""
+    term = touch_term(simulation.model)
+    if term is None:
+        return np.empty((0, 3)), np.empty((0, 3))
+    positions = simulation.state.positions
+    return term.points(positions), term.forces(positions)
+
+
+# More things of one kind than this share one label for each pattern of their names.
+_MOST_LABELS = 6
+
+
+def labels(simulation: Simulation, paths: dict[str, np.ndarray], planes) -> Iterator[Label]:
+    """Names of all things of a scene, at their present places.
+
+    Args:
+        simulation: The simulation.
+        paths: Lines of the actuators [m]; see `Readouts.actuator_paths`.
+        planes: Point [m] and normal of each plane.
+
+    Yields:
+        The labels; many things with alike names share one, such as ``hub_0 … hub_17 (18)``.
+    """
+    scene, state = simulation.scene, simulation.state
+    skins, places = simulation.skins, simulation.skin_positions()
+    count = len(simulation.model.bodies)
+    yield from _grouped("body", [(skin.name, points[skin.triangles[len(skin.triangles) // 2, 0]])
+                                 for skin, points in zip(skins[:count], places[:count])])
+    yield from _grouped("beam", [(skin.name, _nearest(points, points.mean(axis=0)))
+                                 for skin, points in zip(skins[count:], places[count:])])
+    held = [fixed_places(simulation, body) for body in simulation.model.bodies]
+    for own in held:
+        if len(own):
+            nodes = f"{len(own)} node{'' if len(own) == 1 else 's'}"
+            yield Label(f"fixed, {nodes}", _nearest(own, own.mean(axis=0)))
+    ends = [place for beam in simulation.model.beams for place in fixed_ends(beam)]
+    if ends:
+        yield Label(f"fixed, {len(ends)} beam end{'' if len(ends) == 1 else 's'}", ends[0])
+    yield from _grouped("rigid body", [
+        (part.name, state.positions[part.first_node]) for part in simulation.model.rigid])
+    level = iter(planes)
+    yield from _grouped("obstacle", [
+        (entry.name, _on_plane(simulation, *next(level)) if isinstance(entry.shape, PlaneShape)
+         else np.array(entry.position) + _middle(entry, scene)) for entry in scene.obstacles])
+    for nouns, group in _actuator_nouns(simulation):
+        yield from _grouped(nouns, [(name, paths[name][:2].mean(axis=0))
+                                    for name in group if name in paths])
+    driven = len(scene.cavities)
+    walls = [(skin.name, points[skin.triangles].mean(axis=(0, 1)))
+             for skin, points in zip(simulation.cavities.skins, simulation.cavity_positions())]
+    yield from _grouped("cavity", walls[:driven])
+    yield from _grouped("sealed cavity", walls[driven:])
+    yield from _grouped("effector", list(zip(simulation.effector_names,
+                                             simulation.effector_positions())))
+    yield from _grouped("touch", list(zip(simulation.touch_names, _touches(simulation)[0])))
+    yield from _grouped("marker", [(str(number), place) for number, place in zip(
+        simulation.marker_ids, simulation.marker_positions())])
+
+
+def _actuator_nouns(simulation: Simulation) -> Iterator[tuple[str, tuple[str, ...]]]:
+    for group in simulation.actuators.groups:
+        yield group.kind.noun, group.names
+
+
+def _middle(entry, scene) -> np.ndarray:
+    """Middle of an obstacle's shape, turned as it stands [m]."""
+    points, _ = build_shape(entry.shape, scene, []).surface(np.inf)
+    turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+    return turn @ (0.5 * (points.min(axis=0) + points.max(axis=0)))
+
+
+def _on_plane(simulation: Simulation, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """A place on a plane beside what stands on it [m]."""
+    aside = np.array([0.5, -0.3, 0.0]) * simulation.model.nodes.size
+    return point + aside - (aside @ normal) * normal
+
+
+def _nearest(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    return points[np.argmin(np.linalg.norm(points - place, axis=1))]
+
+
+_PLURALS = {"body": "bodies", "rigid body": "rigid bodies", "cavity": "cavities",
+            "sealed cavity": "sealed cavities", "touch": "touches"}
+
+
+def _grouped(noun: str, things: list[tuple[str, np.ndarray]]) -> Iterator[Label]:
+    """A label for each thing, or one for all with alike names where there are many."""
+    alike: dict[str, list[tuple[str, np.ndarray]]] = {}
+    for name, place in things:
+        key = name if len(things) <= _MOST_LABELS else re.sub(r"\d+", "#", name)
+        alike.setdefault(key, []).append((name, place))
+    for members in alike.values():
+        (first, place), (last, _) = members[0], members[-1]
+        if len(members) == 1:
+            told = first.startswith(noun.split()[-1])
+            yield Label(first if told else f"{noun} {first}", place)
+        else:
+            yield Label(f"{_PLURALS.get(noun, noun + 's')} {first} … {last} ({len(members)})",
+                        place)
 
 
 _VIEW = (24.0, -58.0)
 """Elevation and azimuth of the eye [degrees]."""
-_FORCE_COLOUR = "#b3123f"
+LEGEND = {
+    "fixed": ("o", FIXED_COLOUR, "fixed"),
+    "cable": ("_", np.array([0.16, 0.05, 0.52]), "cable"),
+    "pull point": ("o", PULL_POINT_COLOUR, "pull point"),
+    "hold": ("ring", HOLD_COLOUR, "hold radius"),
+    "thread": ("_", SPRING_COLOUR, "tube or fibre"),
+    "spring": ("_", SPRING_COLOUR, "spring"),
+    "axis": ("_", AXIS_COLOUR, "motor axis"),
+    "cavity": ("s", np.array([0.59, 0.60, 0.62]), "cavity"),
+    "frame": ("axes", AXIS_COLOURS[0], "frame: x, y, z"),
+    "marker": ("o", MARKER_COLOUR, "marker"),
+    "touch": ("ring", TOUCH_COLOUR, "touch"),
+    "effector": ("o", EFFECTOR_COLOUR, "effector"),
+    "target": ("+", TARGET_COLOUR, "target"),
+    "force": ("_", FORCE_COLOUR, "contact force"),
+}
+"""Mark, colour and text of each kind of thing, in the order of the legend."""
 # Length of the longest arrow, as a share of the scene's size.
-_LONGEST_ARROW = 0.16
-# Opacity of bodies with cavities inside.
-_CLEAR = 0.14
+_LONGEST_ARROW = 0.2
 _PLANE_CELLS = 8
 _PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
+_DPI = 160
+# Space for the drawing of one state alone, and of one of several [inch].
+_ALONE, _BESIDE = (6.2, 5.2), (4.2, 4.4)
+# Space around it for numbers of the axes; between states [inch].
+_NUMBERS, _GAP = 0.62, 0.12
+_TITLE, _SCALE_BAR, _COLOUR_BAR = 0.38, 0.42, 0.95
 
 
 def check_picture(path: Path) -> None:
@@ -368,7 +616,7 @@ def check_picture(path: Path) -> None:
 
 
 def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
-                   view: tuple[float, float] | None = None) -> None:
+                   view: tuple[float, float] | None = None, labelled: bool = False) -> None:
     """Draws states side by side at the same scale and writes the picture.
 
     Args:
@@ -376,39 +624,56 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         path: Picture to write; its suffix determines the format.
         title: Title of a single state.
         view: Elevation and azimuth of the eye [degrees], or None for the default.
+        labelled: Whether the names of all things stand beside a single state.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
     pyplot = load_pyplot()
-    view = view or _VIEW
-    box = _box_around(snapshots)
-    maps = ColourMaps(_tension_map(pyplot, snapshots), _pressure_map(pyplot, snapshots))
-    most = max((_most_force(snapshot) for snapshot in snapshots), default=0.0)
-    count = len(snapshots)
-    figure = pyplot.figure(figsize=(8.0, 6.4) if count == 1 else (4.6 * count, 5.4))
-    panels = [figure.add_subplot(1, count, place + 1, projection="3d", computed_zorder=False)
-              for place in range(count)]
-    for axes, snapshot in zip(panels, snapshots, strict=True):
-        # A panel without numbered axes can be drawn larger.
-        _draw_panel(axes, snapshot, box, view, maps, most, 1.15 if count == 1 else 1.1)
-        axes.set_title(title if count == 1 else snapshot.title)
-        if count > 1:
-            axes.set_axis_off()
-    if count == 1:
-        _label_axes(panels[0])
-    else:
-        figure.subplots_adjust(left=0.0, right=0.93, bottom=0.08, top=0.93, wspace=0.0)
-        _add_scale_bar(panels[0], box, view)
-    _add_legends(figure, panels, snapshots, maps, most)
+    figure = figure_of(snapshots, title, view, labelled)
     try:
         with output_file(path) as partial:
-            figure.savefig(partial, dpi=160, bbox_inches="tight", pad_inches=0.1)
+            save_figure(figure, partial, _DPI)
     except ValueError as error:  # There is no format with this suffix.
         raise OutputError(path, str(error)) from error
     finally:
         pyplot.close(figure)
+
+
+def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, float] | None = None,
+              labelled: bool = False):
+    """The matplotlib figure of states side by side; see `draw_snapshots`.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    pyplot = load_pyplot()
+    camera = camera_at(*(view or _VIEW))
+    alone = len(snapshots) == 1
+    maps = ColourMaps(_tension_map(pyplot, snapshots), _pressure_map(pyplot, snapshots))
+    most = max((_most_force(snapshot) for snapshot in snapshots), default=0.0)
+    box = _box_around(snapshots)
+    scene = [_all_solids(snapshot, maps, camera, most) for snapshot in snapshots]
+    window = _window(scene, snapshots, box, camera, alone)
+    figure = pyplot.figure(figsize=(1.0, 1.0))
+    names = snapshots[0].labels if labelled and alone else []
+    kinds = {solid.kind for solids in scene for solid in solids}
+    sheet = _lay_out(figure, snapshots, window, camera, maps, kinds, most, names)
+    for place, (snapshot, solids) in enumerate(zip(snapshots, scene, strict=True)):
+        axes = sheet.panel(place)
+        for point, normal in snapshot.planes:
+            _add_plane(axes, point, normal, box, camera)
+        _add_image(axes, solids, camera, sheet)
+        axes.set_title(title if alone else snapshot.title, fontsize=12,
+                       y=1.0 + (sheet.above + 0.08) / sheet.height)
+        if alone:
+            _number_axes(axes, box, camera, sheet)
+        _add_labels(axes, sheet)
+    if not alone:
+        _add_scale_bar(figure, sheet, camera)
+    _hide_overlapping_numbers(figure)
+    return figure
 
 
 class ColourMaps(NamedTuple):
@@ -418,36 +683,76 @@ class ColourMaps(NamedTuple):
     pressure: object
 
 
-def _draw_panel(axes, snapshot: Snapshot, box, view, maps: ColourMaps, most: float,
-                zoom: float) -> None:
-    axes.set_proj_type("ortho")
-    solids = list(snapshot.solids)
+class _Sheet(NamedTuple):
+    """Where everything stands on the figure [inch].
+
+    Attributes:
+        figure: The figure.
+        window: Left, right, bottom and top of a panel in the picture [mm].
+        width: Width of a panel.
+        height: Height of a panel.
+        left: Space to the left of the first panel.
+        bottom: Space below the panels.
+        above: Space above the panels for numbers of the axes, below the titles.
+        gap: Space between two panels.
+        labels: The names beside the panel, with their heights; see `_placed_labels`.
+    """
+
+    figure: object
+    window: np.ndarray
+    width: float
+    height: float
+    left: float
+    bottom: float
+    above: float
+    gap: float
+    labels: list
+
+    def panel(self, place: int):
+        """Axes of a panel, in mm of the picture."""
+        wide, high = self.figure.get_size_inches()
+        axes = self.figure.add_axes((
+            (self.left + place * (self.width + self.gap)) / wide, self.bottom / high,
+            self.width / wide, self.height / high))
+        axes.set(xlim=self.window[:2], ylim=self.window[2:])
+        axes.set_axis_off()
+        return axes
+
+    @property
+    def scale(self) -> float:
+        """Inches per mm."""
+        return self.width / (self.window[1] - self.window[0])
+
+
+def _all_solids(snapshot: Snapshot, maps: ColourMaps, camera: Camera, most: float) -> list[Solid]:
+    """All that is drawn of a state, in the order of the layers."""
+    size, solids = snapshot.size, list(snapshot.solids)
     for cable in snapshot.cables:
         colour = np.array(maps.tension.to_rgba(cable.tension)[:3])
-        path = tube(cable.points, 0.004 * snapshot.size, 0.02 * snapshot.size)
-        start = sphere(cable.points[0], 0.009 * snapshot.size)
-        solids += [Solid(path, colour, "thin"), Solid(start, PULL_POINT_COLOUR, "thin")]
+        solids += [Solid(tube(cable.points, 0.004 * size, size), colour, "thin", "cable"),
+                   Solid(sphere(cable.points[0], 0.010 * size), PULL_POINT_COLOUR, "thin",
+                         "pull point")]
+    # Rings face the viewer.
+    solids += [Solid(ring_around(centre, radius, camera.eye, 0.004 * size), HOLD_COLOUR, "thin",
+                     "hold") for centre, radius in snapshot.held]
+    solids += [Solid(ring_around(place, 0.02 * size, camera.eye, 0.006 * size), TOUCH_COLOUR,
+                     "thin", "touch") for place in snapshot.touches[0]]
     for cavity in snapshot.cavities:
         colour = np.array(maps.pressure.to_rgba(1e-3 * cavity.pressure)[:3])
-        # The far side of an opaque wall is hidden; without it the depths are sorted better.
-        seen = cavity.triangles[_normals(cavity.triangles) @ _eye(view) > 0.0]
-        solids.append(Solid(subdivide(seen, _LONGEST_EDGE * snapshot.size), colour, "rigid"))
-    for point, normal in snapshot.planes:
-        _add_plane(axes, point, normal, box, view)
-    _add_solids(axes, solids, view)
-    _add_forces(axes, snapshot, most)
-    if snapshot.effector_path is not None:
-        for index in range(snapshot.effector_path.shape[1]):
-            path = 1e3 * snapshot.effector_path[:, index].T
-            axes.plot(*path, color=EFFECTOR_COLOUR, linewidth=1.2)
-    low, high = box
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=zoom)
-    axes.view_init(*view)
+        solids.append(Solid(cavity.triangles, colour, "rigid", "cavity"))
+    if most > 0.0:
+        for positions, forces in (snapshot.forces, snapshot.touches):
+            arrows = forces * (_LONGEST_ARROW * size / most)
+            solids += [Solid(arrow(start, vector, 0.006 * size), FORCE_COLOUR, "thin", "force")
+                       for start, vector in zip(positions, arrows) if vector.any()]
+    if snapshot.effector_path is not None and len(snapshot.effector_path) > 1:
+        solids += [Solid(tube(path, 0.0022 * size, size), EFFECTOR_COLOUR, "thin")
+                   for path in np.moveaxis(snapshot.effector_path, 1, 0)]
+    return solids
 
 
 def _box_around(snapshots: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box that contains all states and the planes below them [mm]."""
+    """Corners of the box that contains all states [mm]."""
     corners = np.concatenate([solid.triangles.reshape(-1, 3)
                               for snapshot in snapshots for solid in snapshot.solids]
                              + [cable.points for snapshot in snapshots
@@ -456,6 +761,72 @@ def _box_around(snapshots: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
     # A side of length zero cannot be drawn.
     thin = np.maximum(0.0, 0.05 * (high - low).max() - (high - low))
     return 1e3 * (low - 0.5 * thin), 1e3 * (high + 0.5 * thin)
+
+
+def _window(scene: list[list[Solid]], snapshots: Sequence[Snapshot], box, camera: Camera,
+            alone: bool) -> np.ndarray:
+    """Left, right, bottom and top of what is drawn [mm]: everything, and the axes' lines."""
+    seen = [1e3 * solid.triangles.reshape(-1, 3) for solids in scene for solid in solids]
+    seen += [_square(point, normal, box)[0] for snapshot in snapshots
+             for point, normal in snapshot.planes]
+    if alone:
+        seen += [line for line, _ in _axis_lines(box, camera)]
+    places = camera.project(np.concatenate(seen))
+    low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
+    # A margin keeps outlines whole; a flat picture has some height.
+    margin = 0.01 * (high - low).max()
+    thin = np.maximum(0.0, 0.1 * (high - low).max() - (high - low))
+    low, high = low - margin - 0.5 * thin, high + margin + 0.5 * thin
+    return np.array([low[0], high[0], low[1], high[1]])
+
+
+def _lay_out(figure, snapshots: Sequence[Snapshot], window: np.ndarray, camera: Camera,
+             maps: ColourMaps, kinds: set[str], most: float, labels: list[Label]) -> _Sheet:
+    """Finds the size of the figure, adds legend and colour bars, and says where panels stand."""
+    count, alone = len(snapshots), len(snapshots) == 1
+    room = np.array(_ALONE if alone else _BESIDE)
+    extent = np.array([window[1] - window[0], window[3] - window[2]])
+    scale = float((room / extent).min())
+    width, height = extent * scale
+    numbers = _NUMBERS if alone else 0.0
+    names = _placed_labels(figure, labels, window, camera, scale)
+    beside = max((label.width for label in names), default=0.0) + (0.2 if names else 0.0)
+    bars = _colour_bars(snapshots, maps)
+    if bars:  # They name what they show.
+        kinds = kinds - {"cable" if "tension" in text else "cavity" for _, text in bars}
+    left = 0.12 + numbers + beside
+    right = numbers + beside + 0.12 + _COLOUR_BAR * len(bars)
+    gap = _GAP if alone else max(_GAP, 0.9 - width)
+    wide = left + count * width + (count - 1) * gap + right
+    least = 4.2 if alone else 5.0
+    if wide < least:
+        left, right, wide = left + 0.5 * (least - wide), right + 0.5 * (least - wide), least
+    legend = _add_legend(figure, kinds, most, wide)
+    bottom = legend + 0.08 + (0.6 * numbers if alone else _SCALE_BAR)
+    above = 0.2 if alone else 0.0
+    spare = max(0.0, max((abs(label.height) for label in names), default=0.0) - 0.5 * height)
+    bottom, above = bottom + spare, above + spare
+    high = bottom + height + above + _TITLE
+    figure.set_size_inches(wide, high)
+    edge = wide - _COLOUR_BAR * len(bars)
+    for place, (scale_map, text) in enumerate(bars):
+        tall = min(0.75 * height, 2.6)
+        bar = figure.add_axes(((edge + place * _COLOUR_BAR) / wide,
+                               (bottom + 0.5 * (height - tall)) / high, 0.13 / wide, tall / high))
+        figure.colorbar(scale_map, cax=bar)
+        bar.set_ylabel(text, fontsize=9)
+        bar.tick_params(labelsize=8)
+    return _Sheet(figure, window, width, height, left, bottom, above, gap, names)
+
+
+def _colour_bars(snapshots: Sequence[Snapshot], maps: ColourMaps) -> list[tuple[object, str]]:
+    """Scales of the tensions and pressures, where there are any."""
+    bars = []
+    if any(cable.tension for snapshot in snapshots for cable in snapshot.cables):
+        bars.append((maps.tension, "cable tension [N]"))
+    if any(cavity.pressure for snapshot in snapshots for cavity in snapshot.cavities):
+        bars.append((maps.pressure, "gauge pressure [kPa]"))
+    return bars
 
 
 def _tension_map(pyplot, snapshots: Sequence[Snapshot]):
@@ -489,29 +860,35 @@ def _pressure_map(pyplot, snapshots: Sequence[Snapshot]):
 
 
 def _most_force(snapshot: Snapshot) -> float:
-    return float(np.linalg.norm(snapshot.forces[1], axis=1).max(initial=0.0))
+    return max(float(np.linalg.norm(forces, axis=1).max(initial=0.0))
+               for forces in (snapshot.forces[1], snapshot.touches[1]))
 
 
-def _add_solids(axes, solids: list[Solid], view) -> None:
-    """Adds all solids as one collection [mm], lit from the viewer's upper left."""
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-    triangles = np.concatenate([solid.triangles for solid in solids])
-    counts = [len(solid.triangles) for solid in solids]
-    base = np.repeat([solid.colour for solid in solids], counts, axis=0)
-    look = np.repeat([solid.look for solid in solids], counts)[:, None]
-    light = _brightness(triangles, view)[:, None]
-    faces = np.clip(base * np.where(look == "thin", 0.6 + 0.4 * light, light), 0.0, 1.0)
-    edges = np.where((look == "mesh") | (look == "clear"), 0.84 * faces, faces)
-    if (look == "clear").any():
-        faces = np.hstack([faces, np.where(look == "clear", _CLEAR, 1.0)])
-        edges = np.hstack([edges, np.where(look == "clear", _CLEAR, 1.0)])
-    axes.add_collection3d(Poly3DCollection(1e3 * triangles, facecolors=faces, edgecolors=edges,
-                                           linewidths=0.25, zorder=2, clip_on=False))
+def _add_image(axes, solids: list[Solid], camera: Camera, sheet: _Sheet) -> None:
+    """Draws all solids, lit from the viewer's upper left."""
+    layers = {}
+    for layer in ("solid", "marks", "clear"):
+        own = [solid for solid in solids if LAYERS[solid.look] == layer]
+        triangles = np.concatenate([np.empty((0, 3, 3)), *(solid.triangles for solid in own)])
+        counts = [len(solid.triangles) for solid in own]
+        look = np.repeat([solid.look for solid in own], counts)
+        base = np.repeat(np.array([solid.colour for solid in own]).reshape(-1, 3), counts, axis=0)
+        light = _brightness(triangles, camera)[:, None]
+        if layer == "marks":
+            light = 0.6 + 0.4 * light
+        layers[layer] = Triangles(camera.project(1e3 * triangles),
+                                  np.clip(base * light, 0.0, 1.0),
+                                  np.isin(look, ("mesh", "clear")))
+    shape = (round(sheet.height * _DPI), round(sheet.width * _DPI))
+    image = rasterize(layers, sheet.window, shape)
+    axes.imshow(image, extent=sheet.window, interpolation="none", zorder=2, aspect="auto")
 
 
-def _brightness(triangles: np.ndarray, view) -> np.ndarray:
+def _brightness(triangles: np.ndarray, camera: Camera) -> np.ndarray:
     """Share of light reflected by each triangle, shape (triangle_count,)."""
-    normals, light = _normals(triangles), _eye((50.0, view[1] - 35.0))
+    normals = _normals(triangles)
+    light = 0.75 * camera.eye - 0.45 * camera.right + 0.5 * camera.up
+    light /= np.linalg.norm(light)
     return 0.62 + 0.42 * np.clip(normals @ light, 0.0, None) + 0.08 * normals[:, 2]
 
 
@@ -521,16 +898,8 @@ def _normals(triangles: np.ndarray) -> np.ndarray:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
-def _eye(view) -> np.ndarray:
-    """Unit vector towards an elevation and an azimuth [degrees]."""
-    elevation, azimuth = np.radians(view)
-    return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
-                     np.sin(elevation)])
-
-
-def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
-    """Adds a square part of a plane behind everything; from below only its lines are drawn."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+def _square(point: np.ndarray, normal: np.ndarray, box) -> tuple[np.ndarray, list]:
+    """Corners of the part of a plane that is drawn, and its lines [mm]."""
     low, high = box
     middle = 0.5 * (low + high)
     middle = middle + ((1e3 * point - middle) @ normal) * normal
@@ -544,76 +913,226 @@ def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
              for a in places]
     lines += [[middle - half * across + a * along, middle + half * across + a * along]
               for a in places]
-    if _eye(view) @ normal > 0.0:
-        corners = [middle + a * across + b * along
-                   for a, b in ((-half, -half), (half, -half), (half, half), (-half, half))]
-        axes.add_collection3d(Poly3DCollection([corners], facecolors=[_PLANE_COLOUR],
-                                               edgecolors="none", zorder=0, clip_on=False))
-    axes.add_collection3d(Line3DCollection(lines, colors=[_PLANE_LINES], linewidths=0.6,
-                                           zorder=1, clip_on=False))
+    corners = np.array([middle + a * across + b * along
+                        for a, b in ((-half, -half), (half, -half), (half, half), (-half, half))])
+    return corners, lines
 
 
-def _add_forces(axes, snapshot: Snapshot, most: float) -> None:
-    """Adds arrows of contact forces in front of everything, because most contacts lie inside."""
-    positions, forces = snapshot.forces
-    if not len(positions) or most == 0.0:
-        return
-    arrows = forces * (_LONGEST_ARROW * snapshot.size / most)
-    axes.quiver(*(1e3 * positions.T), *(1e3 * arrows.T), color=_FORCE_COLOUR, linewidth=1.4,
-                arrow_length_ratio=0.25, zorder=4)
+def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, camera: Camera) -> None:
+    """Adds a square part of a plane behind everything; from below only its lines are drawn."""
+    from matplotlib.collections import LineCollection
+    corners, lines = _square(point, normal, box)
+    if camera.eye @ normal > 0.0:
+        axes.fill(*camera.project(corners)[:, :2].T, color=_PLANE_COLOUR, zorder=0, linewidth=0)
+    axes.add_collection(LineCollection(camera.project(lines)[..., :2], colors=[_PLANE_LINES],
+                                       linewidths=0.6, zorder=1))
 
 
-def _label_axes(axes) -> None:
-    """Axes in millimetres."""
-    from matplotlib.ticker import MaxNLocator
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
-        axis.set_major_locator(MaxNLocator(5))
-        axis.line.set_color("#999999")
-    axes.tick_params(labelsize=8, colors="#555555")
-    axes.grid(False)
+def _axis_lines(box, camera: Camera) -> list[tuple[np.ndarray, int]]:
+    """Edges of the box [mm] that carry the numbers of x, y and z, each with its axis.
 
-
-def _add_scale_bar(axes, box, view) -> None:
-    """Adds a scale bar below the first state, perpendicular to the line of sight."""
+    Those of x and y are the lower ones towards the viewer, that of z is at the right.
+    """
     low, high = box
-    azimuth = np.radians(view[1])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    towards = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    length = 10.0 ** np.floor(np.log10(0.5 * (high - low).max()))
-    length *= 5.0 if 5.0 * length < 0.5 * (high - low).max() else 1.0
-    middle = 0.5 * (low + high)
-    middle[2] = low[2]
-    start = middle + 0.9 * (high - low)[:2].max() * towards - 0.5 * length * right
-    ends = np.array([start, start + length * right])
-    axes.plot(*ends.T, color="#444444", linewidth=2.0, zorder=5, solid_capstyle="butt",
-              clip_on=False)
-    axes.text(*(ends.mean(axis=0) - [0.0, 0.0, 0.03 * (high - low).max()]), f"{length:g} mm",
-              ha="center", va="top", fontsize=9, color="#444444", zorder=5)
+    near = np.where(camera.eye >= 0.0, high, low)
+    lines = []
+    for axis in (0, 1):
+        ends = np.array([near, near])
+        ends[:, 2] = low[2] if camera.eye[2] >= 0.0 else high[2]
+        ends[:, axis] = low[axis], high[axis]
+        lines.append((ends, axis))
+    corners = np.array([[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    right = corners[np.argmax(corners @ camera.right)]
+    lines.append((np.array([right, [*right[:2], high[2]]]), 2))
+    return lines
 
 
-def _add_legends(figure, panels, snapshots, maps: ColourMaps, most: float) -> None:
-    """Adds the legend of the marks and the scales of tensions and pressures."""
+_LINE, _NUMBER = "#999999", "#555555"
+
+
+def _number_axes(axes, box, camera: Camera, sheet: _Sheet) -> None:
+    """Axes in millimetres along three edges of the box; one that is seen end-on is left out."""
+    from matplotlib.ticker import MaxNLocator
+    inch = 1.0 / sheet.scale
+    middle = camera.project(0.5 * (box[0] + box[1]))[:2]
+    for ends, axis in _axis_lines(box, camera):
+        start, end = camera.project(ends)[:, :2]
+        length = np.linalg.norm(end - start)
+        if length < 0.35 * inch:
+            continue
+        along = (end - start) / length
+        outward = np.array([along[1], -along[0]])
+        if outward @ (0.5 * (start + end) - middle) < 0.0:
+            outward = -outward
+        axes.plot(*np.array([start, end]).T, color=_LINE, linewidth=0.9, clip_on=False, zorder=1)
+        low, high = ends[0, axis], ends[1, axis]
+        for value in MaxNLocator(int(np.clip(length / (0.55 * inch), 1, 6))).tick_values(low, high):
+            if not low <= value <= high:
+                continue
+            place = start + (value - low) / (high - low) * (end - start)
+            axes.plot(*np.array([place, place + 0.05 * inch * outward]).T, color=_LINE,
+                      linewidth=0.9, clip_on=False, zorder=1)
+            level = abs(outward[0]) > 0.9
+            axes.text(*(place + (0.09 if level else 0.17) * inch * outward),
+                      f"{value:g}".replace("-", "−"), va="center", fontsize=8, color=_NUMBER,
+                      ha=("left" if outward[0] > 0.0 else "right") if level else "center",
+                      gid="number")
+        # Above its axis z is not crossed by the lines of labels.
+        named = 0.5 * (start + end) + 0.46 * inch * outward
+        if axis == 2:
+            named = end + [0.0, 0.12 * inch]
+        axes.text(*named, f"{'xyz'[axis]} [mm]", ha="center", va="center", fontsize=9,
+                  color=_NUMBER)
+
+
+def _hide_overlapping_numbers(figure) -> None:
+    """Hides numbers of axes that overlap another text."""
+    figure.draw_without_rendering()
+    texts = [text for axes in figure.axes for text in axes.texts]
+    kept = [text.get_window_extent() for text in texts if text.get_gid() != "number"]
+    for text in texts:
+        if text.get_gid() == "number":
+            extent = text.get_window_extent()
+            if any(extent.overlaps(other) for other in kept):
+                text.set_visible(False)
+            else:
+                kept.append(extent)
+
+
+class _PlacedLabel(NamedTuple):
+    """A label beside the panel.
+
+    Attributes:
+        text: Its text.
+        width: Width of the text [inch].
+        height: Of the text over the middle of the panel [inch].
+        is_left: Whether it stands to the left of the panel.
+        place: What it names, in the picture [mm], shape (2,).
+    """
+
+    text: str
+    width: float
+    height: float
+    is_left: bool
+    place: np.ndarray
+
+
+# Between two labels, and between the numbers of an axis and the labels [inch].
+_LABEL_STEP, _LABEL_GAP = 0.19, 0.08
+
+
+def _placed_labels(figure, names: list[Label], window: np.ndarray, camera: Camera,
+                   scale: float) -> list[_PlacedLabel]:
+    """Labels in a column at each side, in the order of the heights of what they name."""
+    places = [camera.project(1e3 * label.place)[:2] for label in names]
+    middle = 0.5 * (window[2] + window[3])
+    order = sorted(range(len(names)), key=lambda index: places[index][0])
+    placed = []
+    for is_left, own in ((True, order[: len(order) // 2]), (False, order[len(order) // 2:])):
+        own = sorted(own, key=lambda index: places[index][1])
+        heights = _spread([scale * (places[index][1] - middle) for index in own], _LABEL_STEP)
+        placed += [_PlacedLabel(names[index].text, _width(figure, names[index].text), height,
+                                is_left, places[index])
+                   for index, height in zip(own, heights, strict=True)]
+    return placed
+
+
+def _spread(heights: list[float], step: float) -> list[float]:
+    """Heights nearest to some increasing ones that are at least a step apart."""
+    # Runs of labels that touch, each with the mean of what its first label would need, and length.
+    runs: list[tuple[float, int]] = []
+    for index, height in enumerate(heights):
+        mean, length = height - index * step, 1
+        while runs and runs[-1][0] > mean:
+            before, many = runs.pop()
+            mean = (before * many + mean * length) / (many + length)
+            length += many
+        runs.append((mean, length))
+    firsts = [mean for mean, length in runs for _ in range(length)]
+    return [first + index * step for index, first in enumerate(firsts)]
+
+
+def _width(figure, text: str) -> float:
+    """Width of a label's text [inch]."""
+    shown = figure.text(0.0, 0.0, text, fontsize=9)
+    width = shown.get_window_extent().width / figure.dpi
+    shown.remove()
+    return width
+
+
+def _add_labels(axes, sheet: _Sheet) -> None:
+    """Adds the labels, each with a line to what it names."""
+    inch = 1.0 / sheet.scale
+    left, right, bottom, top = sheet.window
+    away = (_NUMBERS + _LABEL_GAP) * inch
+    for label in sheet.labels:
+        side, sign = (left, -1.0) if label.is_left else (right, 1.0)
+        x, y = side + sign * away, 0.5 * (bottom + top) + label.height * inch
+        axes.text(x, y, label.text, fontsize=9, color="#222222", va="center",
+                  ha="right" if label.is_left else "left", zorder=4)
+        axes.plot([x - 0.5 * sign * _LABEL_GAP * inch, label.place[0]], [y, label.place[1]],
+                  color="#333333", linewidth=0.6, alpha=0.75, clip_on=False, zorder=3)
+        axes.plot(*label.place, marker="o", markersize=2.2, color="#222222", clip_on=False,
+                  zorder=3)
+
+
+def _add_scale_bar(figure, sheet: _Sheet, camera: Camera) -> None:
+    """Adds a scale bar below the first state, with the directions of the axes."""
     from matplotlib.lines import Line2D
-    handles = []
-    if any(snapshot.has_effectors for snapshot in snapshots):
-        handles.append(Line2D([], [], marker="o", linestyle="", color=EFFECTOR_COLOUR,
-                              label="effector"))
-    if any(snapshot.has_targets for snapshot in snapshots):
-        handles.append(Line2D([], [], marker="+", markersize=9, markeredgewidth=2, linestyle="",
-                              color=TARGET_COLOUR, label="target"))
-    if most > 0.0:
-        handles.append(Line2D([], [], color=_FORCE_COLOUR, linewidth=1.6,
-                              label=f"contact force, longest {most:.2g} N"))
-    if handles and len(panels) == 1:
-        panels[0].legend(handles=handles, loc="upper left", frameon=False, fontsize=9)
-    elif handles:
-        figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.47, 0.03),
-                      ncols=len(handles), frameon=False)
-    shown = [(maps.tension, "cable tension [N]", "cables"),
-             (maps.pressure, "gauge pressure [kPa]", "cavities")]
-    for scale, label, kind in shown:
-        if any(getattr(snapshot, kind) for snapshot in snapshots):
-            figure.colorbar(scale, ax=panels, label=label, shrink=0.45,
-                            pad=0.12 if len(panels) == 1 else 0.01)
+    wide, high = figure.get_size_inches()
+    longest = 0.45 * (sheet.window[1] - sheet.window[0])
+    length = 10.0 ** np.floor(np.log10(longest))
+    length *= next(factor for factor in (5.0, 2.0, 1.0) if factor * length <= longest)
+    y = (sheet.bottom - 0.16) / high
+    middle = sheet.left + 0.5 * sheet.width
+    ends = np.array([-0.5, 0.5]) * length * sheet.scale + middle
+    figure.add_artist(Line2D(ends / wide, [y, y], color="#444444", linewidth=2.0,
+                             solid_capstyle="butt"))
+    figure.text(middle / wide, y - 0.06 / high, f"{length:g} mm", ha="center", va="top",
+                fontsize=9, color="#444444")
+    origin = np.array([max(0.3, ends[0] - 0.55), sheet.bottom - 0.22])
+    for name, arm, colour in zip("xyz", np.eye(3), AXIS_COLOURS, strict=True):
+        to = camera.project(arm)[:2]
+        if np.linalg.norm(to) < 0.15:
+            continue
+        tip, at = origin + 0.2 * to, origin + 0.2 * to + 0.09 * to / np.linalg.norm(to)
+        figure.add_artist(Line2D(*np.array([origin / (wide, high), tip / (wide, high)]).T,
+                                 color=colour, linewidth=1.3))
+        figure.text(*(at / (wide, high)), name, ha="center", va="center", fontsize=7,
+                    color=colour, gid="number")
+
+
+def _add_legend(figure, kinds: set[str], most: float, wide: float) -> float:
+    """Adds the legend of what is shown, in as many columns as fit; returns its height [inch]."""
+    from matplotlib.legend_handler import HandlerTuple
+    handles, texts = [], []
+    for kind, (mark, colour, text) in LEGEND.items():
+        if kind in kinds:
+            handles.append(_handle(mark, colour))
+            texts.append(f"force, longest {most:.2g} N" if kind == "force" else text)
+    if not handles:
+        return 0.0
+    for columns in range(len(handles), 0, -1):
+        legend = figure.legend(handles, texts, loc="lower center", ncols=columns, frameon=False,
+                               fontsize=9, borderaxespad=0.2, columnspacing=1.4,
+                               handletextpad=0.6, handlelength=1.5,
+                               handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)})
+        figure.draw_without_rendering()
+        extent = legend.get_window_extent()
+        if columns == 1 or extent.width <= (wide - 0.2) * figure.dpi:
+            return extent.height / figure.dpi + 0.1
+        legend.remove()
+    return 0.0
+
+
+def _handle(mark: str, colour: np.ndarray):
+    """A mark of the legend."""
+    from matplotlib.lines import Line2D
+    if mark == "axes":
+        return tuple(Line2D([], [], color=own, linewidth=2.0) for own in AXIS_COLOURS)
+    if mark == "_":
+        return Line2D([], [], color=colour, linewidth=2.0)
+    look = {"ring": {"marker": "o", "markersize": 7, "fillstyle": "none"},
+            "+": {"marker": "+", "markersize": 9, "markeredgewidth": 2},
+            }.get(mark, {"marker": mark, "markersize": 6})  # fmt: skip
+    return Line2D([], [], linestyle="", color=colour, **look)
