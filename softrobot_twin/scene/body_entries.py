@@ -10,6 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from softrobot_twin.geometry.box_mesh import cells_of_size
+from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES
 from softrobot_twin.mechanics.element_kinds import element_named, element_names
 from softrobot_twin.mechanics.laws import law_named, law_names
 from softrobot_twin.mechanics.material import (
@@ -33,15 +35,55 @@ from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATI
 # --- deformable bodies ---------------------------------------------------------------------------
 
 
+MOST_BOX_CELLS = 1_000_000
+"""A box of more cells than this is refused."""
+_Edge = Annotated[float, unit("m", gt=0.0)]
+_CellCount = Annotated[int, Field(ge=1)]
+
+
+class BoxMesh(Entry):
+    """A box that is meshed without a file, from the origin of the mesh to its `size`."""
+
+    size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
+    """Its edges along x, y, z."""
+    cell_size: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Greatest edge of its cells."""
+    cells: tuple[_CellCount, _CellCount, _CellCount] | None = None
+    """Numbers of cells along x, y, z, in place of cell_size. A cell is a hexahedron or six
+    tetrahedra, as the element of the body asks."""
+
+    @model_validator(mode="after")
+    def _can_be_meshed(self):
+        if (self.cells is None) == (self.cell_size is None):
+            raise ValueError("has exactly one of cell_size, cells")
+        count = math.prod(self.cell_counts)
+        if count > MOST_BOX_CELLS:
+            key = "cells" if self.cell_size is None else "cell_size"
+            raise refusal(key, getattr(self, key) if self.cells is None else list(self.cells),
+                          f"makes {count} cells, more than {MOST_BOX_CELLS}")  # fmt: skip
+        return self
+
+    @property
+    def cell_counts(self) -> tuple[int, int, int]:
+        """Numbers of cells along x, y, z."""
+        return cells_of_size(self.size, self.cell_size) if self.cells is None else self.cells
+
+
 class Mesh(Entry):
-    """The mesh of a body and its placement."""
+    """The mesh of a body and its placement: a mesh file, a CAD file that is meshed, or a box."""
 
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
-    file: Path
-    """Mesh file, relative to the scene file."""
+    file: Path | None = None
+    """Mesh file, relative to the scene file; or a CAD file (.stl, .step, .stp) that gmsh meshes with
+    tetrahedra of the given `size`, once: the mesh is kept in the user's cache folder."""
+    box: BoxMesh | None = None
+    """A box in place of a file."""
+    size: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Wanted edge of the tetrahedra of a CAD file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file: 0.001 for millimetres."""
+    """Metres in a unit of the file: 0.001 for millimetres. A STEP file states its unit and takes no
+    scale."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the x, y and z axes of the world, in this order; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
@@ -49,6 +91,39 @@ class Mesh(Entry):
     merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
     """Nodes nearer than this are merged; by default only coincident nodes that would separate the
     mesh into several parts; 0 merges none."""
+
+    @model_validator(mode="after")
+    def _one_source(self):
+        if self.file is None and self.box is None:
+            raise refusal("file", "(nothing)", "is required, or a box in its place")
+        if self.box is not None:
+            for key in ("file", "size", "scale", "merge_distance"):
+                if key in self.model_fields_set and getattr(self, key) is not None:
+                    value = getattr(self, key)
+                    raise refusal(key, str(value) if key == "file" else value,
+                                  "is given beside box, where it has no effect")  # fmt: skip
+            return self
+        if not self.is_cad:
+            if self.size is not None:
+                raise refusal("size", self.size, f"is that of tetrahedra made from CAD files "
+                              f"({', '.join(CAD_SUFFIXES)}); {self.file.name} has its own")
+            return self
+        if self.size is None:
+            raise refusal("size", "(nothing)", f"is required: the edge of the tetrahedra that "
+                          f"{self.file.name} is meshed with")
+        if self.scale != 1.0 and self.file.suffix.lower() != ".stl":
+            raise refusal("scale", self.scale, "is not taken: a STEP file states its unit")
+        return self
+
+    @property
+    def is_cad(self) -> bool:
+        """Whether it is made from a CAD file."""
+        return self.file is not None and self.file.suffix.lower() in CAD_SUFFIXES
+
+    @property
+    def label(self) -> str:
+        """Name of the file, or ``the box``, for messages."""
+        return "the box" if self.file is None else self.file.name
 
 
 class ViscosityTerm(Entry):

@@ -318,8 +318,22 @@ class Scene(Entry):
 
     @property
     def mesh_path(self) -> Path:
-        """Mesh file of the first deformable body."""
-        return self.file_path(self.deformables[0].mesh.file)
+        """Mesh file of the first deformable body; raises ValueError for a box."""
+        file = self.deformables[0].mesh.file
+        if file is None:
+            raise ValueError("a box has no mesh file")
+        return self.file_path(file)
+
+    @property
+    def mesh_name(self) -> str:
+        """Name of the mesh of the first deformable body, without a suffix."""
+        return "box" if self.deformables[0].mesh.file is None else self.mesh_path.stem
+
+    def mesh_folder(self, body: Body) -> Path:
+        """Folder of a body's mesh file; that of the scene for a box."""
+        if body.mesh.file is not None:
+            return self.file_path(body.mesh.file).parent
+        return Path() if self.path is None else self.path.resolve().parent
 
 
 ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {

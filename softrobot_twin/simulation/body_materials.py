@@ -217,7 +217,7 @@ def _claimed(
         except MeshError as error:
             raise SceneError(
                 scene.path, f"{place}.region", other.region, "",
-                f"{entry.mesh.file.name} {error.reason}",
+                f"{entry.mesh.label} {error.reason}",
             ) from None  # fmt: skip
     corners = mesh.corner_mesh.node_positions
     if other.frame == "mesh":

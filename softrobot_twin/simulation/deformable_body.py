@@ -13,6 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.geometry.cad_meshing import kept_mesh
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.mesh_parts import NO_PARTS, MeshParts
@@ -188,13 +190,8 @@ def build_body(
         MeshError: The mesh cannot be used.
         SceneError: A region holds no node, or nothing holds a body that must be held.
     """
-    mesh = entry.mesh
-    reading = read_solid_mesh(
-        scene.file_path(mesh.file), scale=mesh.scale,
-        translation=mesh.translation, rotation=mesh.rotation,
-        merge_tolerance=mesh.merge_distance,
-    )  # fmt: skip
-    notes.extend(f"{key}.mesh ({mesh.file.name}): {note}" for note in reading.notes)
+    reading = _read_mesh(entry, scene)
+    notes.extend(f"{key}.mesh ({entry.mesh.label}): {note}" for note in reading.notes)
     if reading.mid_edge_nodes is not None:
         entry = _with_element_of_file(entry, key, notes)
     entry = _with_element_of_cells(entry, key, reading, scene)
@@ -229,6 +226,23 @@ def build_body(
     return Body(entry, key, mesh, first_node, fixed, riding, is_held, materials, reading.parts)
 
 
+def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
+    """The mesh of a body from its file, or of a box."""
+    mesh = entry.mesh
+    placement = {"translation": mesh.translation, "rotation": mesh.rotation}
+    if mesh.box is not None:
+        of_hexahedra = element_named(entry.element).of_hexahedra
+        return read_box(mesh.box.size, mesh.box.cell_counts, of_hexahedra, **placement)
+    file, scale, notes = scene.file_path(mesh.file), mesh.scale, ()
+    if mesh.is_cad:
+        kept = kept_mesh(file, mesh.size, mesh.scale)
+        file, scale, notes = kept.path, 1.0, kept.notes
+    reading = read_solid_mesh(
+        file, scale=scale, merge_tolerance=mesh.merge_distance, **placement,
+    )  # fmt: skip
+    return reading._replace(notes=(*notes, *reading.notes))
+
+
 def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
     """The entry with quadratic elements for ten-node tetrahedra, unless the scene sets the element.
     """
@@ -256,12 +270,12 @@ def _with_element_of_cells(
         held = "hexahedra" if has_hexahedra else "tetrahedra only"
         raise SceneError(
             scene.path, f"{key}.element", entry.element, "",
-            f"{entry.mesh.file.name} has {held}: omit element, or name one made of them",
+            f"{entry.mesh.label} has {held}: omit element, or name one made of them",
         )  # fmt: skip
     if has_hexahedra and entry.vertebrae is not None:
         raise SceneError(
             scene.path, f"{key}.vertebrae", f"{len(entry.vertebrae.rigid)} vertebrae", "",
-            f"{entry.mesh.file.name} has hexahedra: only bodies of tetrahedra are reduced",
+            f"{entry.mesh.label} has hexahedra: only bodies of tetrahedra are reduced",
         )  # fmt: skip
     return entry
 
@@ -301,7 +315,7 @@ def part_named(body: Body, kind: str, name: str, key: str, scene: Scene) -> np.n
     try:
         return getattr(body.parts, kind)(name)
     except MeshError as error:
-        file = body.entry.mesh.file.name
+        file = body.entry.mesh.label
         raise SceneError(scene.path, key, name, "", f"{file}: {error.reason}") from None
 
 

@@ -302,8 +302,8 @@ def reduction_path(body: Body, scene: Scene) -> Path:
     entry = body.entry
     if entry.vertebrae.superelements is not None:
         return scene.file_path(entry.vertebrae.superelements)
-    mesh = scene.file_path(entry.mesh.file)
-    return mesh.with_name(f"{mesh.stem}_vertebrae.npz")
+    name = entry.name if entry.mesh.file is None else entry.mesh.file.stem
+    return scene.mesh_folder(entry) / f"{name}_vertebrae.npz"
 
 
 def fingerprints(division: Division) -> dict[str, str]:

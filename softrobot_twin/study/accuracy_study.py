@@ -83,9 +83,10 @@ def write_scene_copy(
     body = content["body"]
     body["mesh"] = expanded(Mesh, body["mesh"])
     folder = path.resolve().parent
-    file = os.path.relpath(chosen.mesh_path, folder)
+    file = None if chosen.body.mesh.file is None else os.path.relpath(chosen.mesh_path, folder)
     if chosen.body.fixed == load_scene(original).body.fixed:
-        body["mesh"]["file"] = file
+        if file is not None:  # a box needs none
+            body["mesh"]["file"] = file
     else:  # a refined mesh is already placed, and is fixed by node indices
         body["mesh"] = {"file": file}
         body["fixed"] = [{"nodes": list(region.nodes)} for region in chosen.body.fixed]
@@ -115,9 +116,17 @@ def with_mesh_file(scene: Scene, file: Path) -> Scene:
     return _with_body(scene, mesh=scene.body.mesh.model_copy(update={"file": file}))
 
 
+def _own_level(scene: Scene) -> MeshLevel:
+    """The scene on its own mesh."""
+    if scene.body.mesh.file is not None:
+        scene = with_mesh_file(scene, scene.mesh_path.resolve())
+    return _level(scene.mesh_name, scene, True)
+
+
 def with_placed_mesh(scene: Scene, file: Path, fixed: tuple[Region, ...]) -> Scene:
     """The same scene with a mesh that is already placed, in metres."""
-    placed = {"file": file, "scale": 1.0, "rotation": (0.0,) * 3, "translation": (0.0,) * 3}
+    placed = {"file": file, "box": None, "size": None, "scale": 1.0, "rotation": (0.0,) * 3,
+              "translation": (0.0,) * 3}  # fmt: skip
     return _with_body(scene, mesh=scene.body.mesh.model_copy(update=placed), fixed=fixed)
 
 
@@ -1020,9 +1029,9 @@ def mesh_family(
     Raises:
         SoftRobotTwinError: A mesh cannot be used, or a mesh with cavities has no family.
     """
-    own = _level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path.resolve()), True)
+    own = _own_level(scene)
     levels = [own]
-    for path in _siblings(scene.mesh_path):
+    for path in _siblings(scene):
         try:
             level = _level(path.stem, with_mesh_file(scene, path.resolve()), False)
         except SoftRobotTwinError as error:
@@ -1034,7 +1043,7 @@ def mesh_family(
             levels.append(level)
     if len(levels) == 1:
         if scene.cavities or scene.sealed_cavities:
-            raise AccuracyError(scene.name, f"{scene.mesh_path.name} has no family, and a mesh with "
+            raise AccuracyError(scene.name, f"{scene.body.mesh.label} has no family, and a mesh with "
                                 "cavities is not refined: put finer meshes beside it whose names "
                                 "differ in the number at the end")
         levels = _refined(scene, folder, most_tets)
@@ -1057,9 +1066,9 @@ def hexahedral_family(
     Returns:
         The scene on these meshes; empty without such files.
     """
-    own = _level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path.resolve()), True)
+    own = _own_level(scene)
     levels = []
-    for path in _siblings(scene.mesh_path, HEXAHEDRAL_NAME):
+    for path in _siblings(scene, HEXAHEDRAL_NAME):
         try:
             level = _level(path.stem, with_mesh_file(scene, path.resolve()), False, HEXAHEDRAL)
         except SoftRobotTwinError as error:
@@ -1072,9 +1081,12 @@ def hexahedral_family(
     return sorted(levels, key=lambda level: level.tet_count)
 
 
-def _siblings(own: Path, word: str = "") -> list[Path]:
-    """Files in a mesh's folder whose names differ from its name only in the number at the end, and
-    by a word before that number."""
+def _siblings(scene: Scene, word: str = "") -> list[Path]:
+    """Files in the folder of a scene's mesh whose names differ from its name only in the number at
+    the end, and by a word before that number. A box and a CAD file have none."""
+    if scene.body.mesh.file is None or scene.body.mesh.is_cad:
+        return []
+    own = scene.mesh_path
     named = re.fullmatch(r"(.*?)_?\d+", own.stem)
     if not named or re.search(r"(?i)(^|[^a-z])v$", named[1]):
         return []
@@ -1108,7 +1120,7 @@ def _level(name: str, scene: Scene, is_own: bool, element: str = "linear") -> Me
 
 def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
     """The scene's own mesh and its refinements, with the same fixed regions."""
-    levels = [_level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path), True)]
+    levels = [_own_level(scene)]
     body = only_body(with_element(scene, "linear"))
     mesh, is_fixed = body.mesh, body.fixed
     for number in range(1, REFINEMENTS + 1):
@@ -1116,7 +1128,7 @@ def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
             break
         mesh, ends = refine(mesh)
         is_fixed = np.concatenate([is_fixed, is_fixed[ends].all(axis=1)])
-        file = (folder / f"{scene.mesh_path.stem}_refined_{number}.vtk").resolve()
+        file = (folder / f"{scene.mesh_name}_refined_{number}.vtk").resolve()
         folder.mkdir(parents=True, exist_ok=True)
         write_mesh(file, mesh)
         nodes = tuple(int(node) for node in np.flatnonzero(is_fixed))
@@ -1147,7 +1159,7 @@ def vary_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
         apart = np.linalg.norm(followed.positions - exact, axis=2)
         added = float(np.sqrt(np.mean(apart**2)) / displacement)
         return AccuracyRow(
-            knob, setting, scene.mesh_path.stem, scene.body.element, scene.body.material.law,
+            knob, setting, scene.mesh_name, scene.body.element, scene.body.material.law,
             size.node_count, size.dof_count, 1e3 * followed.times.median,
             1e3 * followed.times.p99, error_added=added)
 

@@ -512,7 +512,7 @@ def choose(
     check_reference([row for row in known if row.knob == MESH], scene.name)
     models = Models(levels, hexahedra)
     known = [row for row in known if row.mesh in models]
-    found = beside(held.mesh_path.resolve().parent, write.resolve().parent)
+    found = beside(held.mesh_folder(held.body).resolve(), write.resolve().parent)
     given = [file for file in (named, *reduced) if file is not None]
     for model in reduced_models(given, found, models.every):
         models.add(model)
@@ -581,7 +581,7 @@ def _machine_share(
     full: Sequence[AccuracyRow], held: Scene, clock: SettingClock | None
 ) -> float:  # fmt: skip
     """Time of a step on this machine beside its other programs, by that in the file of errors."""
-    own = [row.step_ms for row in full if row.mesh == held.mesh_path.stem
+    own = [row.step_ms for row in full if row.mesh == held.mesh_name
            and (row.element, row.law) == ("linear", held.body.material.law)]
     if clock is None or not own:
         return 1.0

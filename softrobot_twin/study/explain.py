@@ -59,6 +59,11 @@ def limits(bounds, unit: str) -> str:
 def describe_mesh(mesh) -> str:
     """A mesh entry."""
     words = [str(mesh.file)]
+    if mesh.box is not None:
+        cells = "×".join(map(str, mesh.box.cell_counts))
+        words = [f"a box of {millimetres(mesh.box.size)}, {cells} cells"]
+    elif mesh.is_cad:
+        words.append(f"tetrahedra of {number(1e3 * mesh.size)} mm")
     if mesh.scale != 1.0:
         words.append(f"scale {number(mesh.scale)}")
     if any(mesh.rotation):

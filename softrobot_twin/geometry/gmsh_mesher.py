@@ -1,0 +1,198 @@
+"""Meshes a part with gmsh, in a process of its own: ``python gmsh_mesher.py FOLDER``.
+
+A process of its own keeps gmsh, its threads and its libraries of windows out of a running twin, can
+be stopped at any time, and an abort of gmsh on a bad file ends only it. `cad_meshing` writes
+``job.json`` and, of surfaces, ``shells.npz`` to the folder, and reads ``mesh.npz`` or ``error.json``.
+All lengths are in millimetres here, in which gmsh's tolerances suit parts of robots. Only numpy and
+gmsh are imported.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+# Angle between two facets above which their common edge is kept [rad].
+_SHARP = np.radians(35.0)
+# Angle between two segments of such an edge above which their common point is kept [rad].
+_CORNER = np.radians(60.0)
+# Tetrahedra of edge length 1 in a unit of volume.
+TETS_PER_VOLUME = 6.0 * 2.0**0.5
+
+
+class Refused(Exception):
+    """The part cannot be meshed; the message says why."""
+
+
+def main(folder: Path) -> int:
+    """Meshes the part of a folder and returns the exit code."""
+    job = json.loads((folder / "job.json").read_text())
+    try:
+        import gmsh
+    except ModuleNotFoundError as error:
+        return _failed(folder, "not installed", str(error))
+    except OSError as error:
+        return _failed(folder, "library", str(error))
+    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
+    gmsh.logger.start()
+    try:
+        _set_options(gmsh, job["size"])
+        if "shells" in job:
+            names = _solids_of_shells(gmsh, np.load(folder / "shells.npz"), job["solids"])
+        else:
+            names = _solids_of_file(gmsh, job)
+        _mesh(gmsh)
+        nodes, tets, solids = _tets(gmsh)
+    except Refused as error:
+        return _failed(folder, "refused", str(error))
+    except Exception as error:  # gmsh raises Exception itself
+        lines = [line for line in gmsh.logger.get() if line.startswith(("Error", "Warning"))]
+        return _failed(folder, "gmsh", " ".join([str(error), *lines[-3:]]))
+    np.savez(folder / "mesh.npz", nodes=nodes, tets=tets, solids=solids, names=np.array(names),
+             version=np.array(gmsh.__version__))
+    return 0
+
+
+def _failed(folder: Path, kind: str, text: str) -> int:
+    (folder / "error.json").write_text(json.dumps({"kind": kind, "text": text}))
+    return 1
+
+
+def _set_options(gmsh, size: float) -> None:
+    """The same edge length everywhere, and one thread, so that each run gives the same mesh."""
+    options = {
+        "General.Terminal": 0, "General.NumThreads": 1, "Mesh.MeshSizeMax": size,
+        "Mesh.MeshSizeFromPoints": 0, "Mesh.MeshSizeFromCurvature": 0,
+        "Mesh.MeshSizeExtendFromBoundary": 0, "Mesh.Algorithm": 6, "Mesh.Algorithm3D": 1,
+        "Mesh.Optimize": 1, "Mesh.OptimizeNetgen": 1, "Mesh.ElementOrder": 1,
+        "Geometry.OCCImportLabels": 1,
+    }  # fmt: skip
+    for name, value in options.items():
+        gmsh.option.setNumber(name, value)
+
+
+def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> list[str]:
+    """Solids between closed surfaces of triangles.
+
+    Args:
+        gmsh: The library.
+        shells: Arrays `points` [mm], `triangles`, and the shell of each triangle, `shells`.
+        solids: Outer shell of each solid, and those of its cavities.
+
+    Returns:
+        Name of each solid: none has one.
+    """
+    points, triangles, shell_of = shells["points"], shells["triangles"], shells["shells"]
+    places = {}
+    first = 0
+    for shell in range(shell_of.max() + 1):
+        used, corners = np.unique(triangles[shell_of == shell], return_inverse=True)
+        surface = gmsh.model.addDiscreteEntity(2)
+        tags = first + 1 + np.arange(len(used))
+        gmsh.model.mesh.addNodes(2, surface, tags, points[used].ravel())
+        gmsh.model.mesh.addElementsByType(surface, 2, [], (first + 1 + corners).ravel())
+        places.update((row.tobytes(), shell) for row in points[used])
+        first += len(used)
+    gmsh.model.mesh.classifySurfaces(_SHARP, True, True, _CORNER)
+    gmsh.model.mesh.createGeometry()
+    of_shell: dict[int, list[int]] = {}
+    for _, surface in gmsh.model.getEntities(2):
+        _, coordinates, _ = gmsh.model.mesh.getNodes(2, surface, includeBoundary=True)
+        found = {places[row.tobytes()] for row in np.reshape(coordinates, (-1, 3))
+                 if row.tobytes() in places}  # fmt: skip
+        if len(found) != 1:
+            raise Refused(f"its surface could not be divided into patches (patch {surface})")
+        of_shell.setdefault(found.pop(), []).append(surface)
+    for own in solids:
+        loops = [gmsh.model.geo.addSurfaceLoop(of_shell[shell]) for shell in own]
+        gmsh.model.geo.addVolume(loops)
+    gmsh.model.geo.synchronize()
+    return [""] * len(solids)
+
+
+def _solids_of_file(gmsh, job: dict) -> list[str]:
+    """The solids of a STEP file, joined where they touch; returns their names."""
+    gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+    occ = gmsh.model.occ
+    try:
+        found = occ.importShapes(job["file"], highestDimOnly=True)
+    except Exception as error:
+        raise Refused(f"cannot be read as STEP ({error})") from None
+    occ.synchronize()
+    solids = [one for one in found if one[0] == 3]
+    if not solids:
+        raise Refused("has no solids; export the part as a solid, not as surfaces or curves"
+                      if found else "has no shapes")  # fmt: skip
+    names = [gmsh.model.getEntityName(*one).rpartition("/")[2] for one in solids]
+    volume = sum(occ.getMass(*one) for one in solids)
+    boxes = np.array([occ.getBoundingBox(*one) for one in solids])
+    refuse_size(job["size"], boxes[:, 3:].max(axis=0) - boxes[:, :3].min(axis=0), volume,
+                job["most_tets"])  # fmt: skip
+    if len(solids) > 1:
+        _, pieces = occ.fragment(solids, [])
+        occ.synchronize()
+        owner = {}
+        for index, own in enumerate(pieces):
+            for one in own:
+                if owner.setdefault(one, index) != index:
+                    raise Refused(f"two of its {len(solids)} solids overlap "
+                                  f"({names[owner[one]] or owner[one]}, {names[index] or index})")
+        names = [names[owner.get(one, 0)] for one in gmsh.model.getEntities(3)]
+    return names
+
+
+def refuse_size(size: float, extents: np.ndarray, volume: float, most_tets: int) -> None:
+    """Refuses an edge length that does not suit a part.
+
+    Args:
+        size: Edge length [mm].
+        extents: Edges of the part's bounding box [mm], shape (3,).
+        volume: Its volume [mm³].
+        most_tets: Greatest number of tetrahedra.
+
+    Raises:
+        Refused: It is longer than the part, or makes too many tetrahedra.
+    """
+    shown = " × ".join(f"{extent:.4g}" for extent in extents)
+    if size > extents.max():
+        raise Refused(f"a size of {size:.4g} mm is larger than the part, {shown} mm")
+    count = TETS_PER_VOLUME * volume / size**3
+    if count > most_tets:
+        least = (TETS_PER_VOLUME * volume / most_tets) ** (1.0 / 3.0)
+        raise Refused(f"a size of {size:.4g} mm makes about {count:.2g} tetrahedra of a part of "
+                      f"{shown} mm, more than {most_tets}; give at least {least:.3g} mm, and check "
+                      "the unit")  # fmt: skip
+
+
+def _mesh(gmsh) -> None:
+    """Curves, surfaces, solids; a failure of one says which."""
+    for dimension, what in enumerate(("", "edges", "surfaces", "inside"), start=0):
+        if not dimension:
+            continue
+        try:
+            gmsh.model.mesh.generate(dimension)
+        except Exception as error:
+            raise Refused(f"gmsh cannot mesh its {what} with this size ({error}); a smaller size "
+                          "follows thin walls and curved faces better") from None  # fmt: skip
+
+
+def _tets(gmsh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes [mm], tetrahedra, and the solid of each tetrahedron."""
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    number = np.zeros(int(tags.max()) + 1, np.int64)
+    number[tags] = np.arange(len(tags))
+    tets, solids = [], []
+    for index, (_, volume) in enumerate(gmsh.model.getEntities(3)):
+        _, corners = gmsh.model.mesh.getElementsByType(4, volume)
+        tets.append(number[corners].reshape(-1, 4))
+        solids.append(np.full(len(tets[-1]), index))
+    if sum(map(len, tets)) == 0:
+        raise Refused("gmsh made no tetrahedra inside its surface")
+    return coordinates.reshape(-1, 3), np.concatenate(tets), np.concatenate(solids)
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))
