@@ -23,7 +23,9 @@ from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
-    from softrobot_twin.ros.twin_node import TwinNode, ViewFeed
+    from softrobot_twin.record.run_recorder import RunRecorder
+    from softrobot_twin.ros.twin_node import TwinNode
+    from softrobot_twin.ros.view_feed import ViewFeed
 
 
 _MILLI = 1.0e3
@@ -141,6 +143,8 @@ class TwinDiagnostics:
         }
         if self._node is not None:
             parts["graph"] = self._of_graph(self._node)
+        if self._node is not None and self._node.recording is not None:
+            parts["record"] = self._of_record(self._node.recording.recorder)
         if (contact := self._loop.simulation.scene.contact) is not None:
             follows = self._loop.mode is Mode.INVERSE
             parts["contact"] = contact_status(contact, self._window, follows)
@@ -468,6 +472,19 @@ class TwinDiagnostics:
             return OK, "no other publisher on its topics", values
         level = ERROR if any(clash.is_severe for clash in clashes) else WARN
         return level, "; ".join(values.values()), values
+
+    @staticmethod
+    def _of_record(recorder: RunRecorder) -> tuple[bytes, str, dict[str, object]]:
+        """The recording of the run: what it lost, and whether it still grows."""
+        values = {
+            "file": recorder.path, "ticks": recorder.ticks, "waiting": recorder.waiting,
+            "lost": recorder.lost,
+        }  # fmt: skip
+        if recorder.failure:
+            return ERROR, f"nothing is recorded any more: {recorder.failure}", values
+        if recorder.lost:
+            return WARN, "ticks were dropped: the run can be replayed only up to there", values
+        return OK, "recording", values
 
     def _of_view(self):
         if self._feed is None:

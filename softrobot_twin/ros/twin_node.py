@@ -5,9 +5,8 @@ results.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,6 +14,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped, 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header
@@ -49,10 +49,13 @@ from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
 from softrobot_twin.ros.topics import open_publisher, open_subscription
+from softrobot_twin.ros.view_feed import ViewFeed
+from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
-from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
-from softrobot_twin.view.frame import OtherActuator
+
+if TYPE_CHECKING:
+    from softrobot_twin.ros.run_recording import RunRecording
 
 
 class SolidOutputs:
@@ -142,191 +145,6 @@ class ComplianceOutputs:
                 publisher.publish(matrix_message(matrix, self._WORLD, columns, header))
 
 
-OPEN_TENSION = 10.0
-"""Upper end of the colour scale when no cable has a tension limit [N]."""
-OPEN_PRESSURE = 1.0e4
-"""The same when no cavity has a pressure limit [Pa]."""
-AXIS_SHARE = 0.1
-"""Length of the axes of an effector's orientation, as a share of the robot's size."""
-# Sections of a scene whose actuators have drawings of their own.
-_DRAWN_SECTIONS = ("cables", "cavities")
-
-
-class ViewFeed:
-    """Turns ticks into frames and offers them to the mirror, which never waits.
-
-    Args:
-        simulation: The simulation to show.
-        parameters: Values of ``view``, ``view_port``, ``view_every``, ``view_spawn``,
-            ``view_force_scale``, ``record_file`` and ``record_every``.
-
-    Raises:
-        ViewError: The view cannot be opened.
-    """
-
-    def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
-        self._simulation = simulation
-        self._is_oriented = any(simulation.oriented_effectors)
-        # All beams are one surface: each surface takes time that an arm of many ribs has not.
-        self._soft_count = len(simulation.skins) - len(simulation.model.beams)
-        self._every = int(parameters["view_every"])
-        self._ticks = 0
-        self._cables = simulation.actuators.of_section("cables")
-        kind_of = simulation.actuators.kind_of
-        others = {
-            name: kind for name, kind in kind_of.items() if kind.section not in _DRAWN_SECTIONS
-        }
-        self._others = np.array([list(kind_of).index(name) for name in others], int)
-        limits = simulation.limits.effort_max[self._cables]
-        limits = limits[np.isfinite(limits)]
-        stage = Stage(
-            name=simulation.scene.name,
-            bodies=self._surfaces(),
-            cable_names=simulation.actuator_names[self._cables],
-            tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
-            cavities=tuple(
-                Surface(skin.name, skin.triangles) for skin in simulation.cavities.skins
-            ),
-            pressure_range=self._pressure_range(),
-            other_actuators=tuple(
-                OtherActuator(name, kind.setpoint.unit, kind.effort.unit)
-                for name, kind in others.items()
-            ),
-            effector_names=simulation.effector_names,
-            marker_ids=simulation.marker_ids,
-            rigid_bodies=tuple(
-                Surface(skin.name, skin.triangles, skin.points)
-                for skin in simulation.rigid_skins()
-            ),
-            obstacles=tuple(
-                Surface(skin.name, skin.triangles, skin.points)
-                for skin in simulation.obstacle_skins()
-            ),
-            shows_contact=simulation.scene.contact is not None,
-            axis_length=AXIS_SHARE * simulation.model.nodes.size if self._is_oriented else 0.0,
-            force_scale=float(parameters["view_force_scale"]),
-        )
-        record = str(parameters["record_file"])
-        self.mirror: RerunMirror = RerunMirror(
-            stage,
-            serve=bool(parameters["view"]),
-            port=int(parameters["view_port"]),
-            record=Path(record) if record else None,
-            record_every=int(parameters["record_every"]),
-            spawn_viewer=bool(parameters["view_spawn"]),
-        )
-
-    def _pressure_range(self) -> tuple[float, float]:
-        """Deepest vacuum and greatest pressure that the scene allows [Pa]."""
-        limits = np.array([skin.limits for skin in self._simulation.cavities.skins])
-        limits = limits[np.isfinite(limits)]
-        vacuum, most = float(limits.min(initial=0.0)), float(limits.max(initial=0.0))
-        return (vacuum, most) if vacuum < most else (0.0, OPEN_PRESSURE)
-
-    def _surfaces(self) -> tuple[Surface, ...]:
-        """Surface of each soft body, and one of all beams."""
-        skins = self._simulation.skins
-        soft = [Surface(skin.name, skin.triangles) for skin in skins[: self._soft_count]]
-        beams = skins[self._soft_count :]
-        if len(beams) < 2:
-            return (*soft, *(Surface(skin.name, skin.triangles) for skin in beams))
-        points = self._simulation.skin_positions()[self._soft_count :]
-        firsts = np.cumsum([0, *map(len, points)])
-        triangles = np.vstack([
-            skin.triangles + first for skin, first in zip(beams, firsts, strict=False)
-        ])  # fmt: skip
-        return (*soft, Surface("beams", triangles))
-
-    def _points_of_surfaces(self) -> tuple[np.ndarray, ...]:
-        """Points of the surfaces [m], each (point_count, 3)."""
-        points = self._simulation.skin_positions()
-        if len(points) - self._soft_count < 2:
-            return points
-        return (*points[: self._soft_count], np.vstack(points[self._soft_count :]))
-
-    @staticmethod
-    def is_wanted(parameters: Mapping[str, object]) -> bool:
-        """True when the parameters request viewers or a recording."""
-        return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
-
-    def offer(
-        self, outcome: TickOutcome, time_ns: int, discretization_error: float = float("nan")
-    ) -> None:
-        """Offers a tick to the mirror, if it is one of those to show.
-
-        Args:
-            outcome: The tick.
-            time_ns: Its time [ns].
-            discretization_error: Newest estimate of the effectors' error due to the mesh [m].
-        """
-        self._ticks += 1
-        if (self._ticks - 1) % self._every:
-            return
-        simulation, result = self._simulation, outcome.result
-        names, paths = simulation.actuator_names, simulation.actuator_paths()
-        errors = outcome.tracking_errors[np.isfinite(outcome.tracking_errors)]
-        self.mirror.offer(
-            Frame(
-                step=self._ticks,
-                time_ns=time_ns,
-                surface_positions=self._points_of_surfaces(),
-                cable_paths=tuple(paths[name] for name in names[self._cables]),
-                cable_lengths=result.setpoints[self._cables],
-                cable_tensions=result.efforts[self._cables],
-                other_setpoints=result.setpoints[self._others],
-                other_efforts=result.efforts[self._others],
-                effector_positions=result.effector_positions,
-                targets=outcome.reading.targets,
-                predicted_markers=outcome.predicted_markers,
-                measured_markers=outcome.measured_markers,
-                effector_error=float(errors.max()) if len(errors) else float("nan"),
-                stage_times=result.report.stage_times,
-                compute_time=result.report.compute_time,
-                status=f"{outcome.activity.value}: {result.status.value}",
-                residual=result.report.residual,
-                linearization_error=result.report.linearization_error,
-                discretization_error=discretization_error,
-                **self._of_cavities(),
-                **self._of_solids(outcome),
-                **self._of_orientations(outcome),
-            )
-        )
-
-    def _of_orientations(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
-        """Turns of effectors and targets as fields of a frame, for scenes that ask for them."""
-        if not self._is_oriented:
-            return {}
-        return {
-            "effector_orientations": outcome.result.effector_orientations,
-            "target_orientations": outcome.reading.orientations,
-        }
-
-    def _of_cavities(self) -> dict[str, object]:
-        """Walls, pressures and volumes of cavities as fields of a frame, for scenes with them."""
-        simulation = self._simulation
-        if not simulation.cavities.skins:
-            return {}
-        return {
-            "cavity_positions": simulation.cavity_positions(),
-            "cavity_pressures": simulation.cavities.pressures(simulation.state),
-            "cavity_volumes": simulation.cavities.volumes(simulation.state),
-        }
-
-    def _of_solids(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
-        """Rigid poses and contacts as fields of a frame, for scenes that have them."""
-        shown = {}
-        if self._simulation.rigid_names:
-            shown["rigid_positions"], shown["rigid_quaternions"] = self._simulation.rigid_poses()
-        if outcome.result.contacts is not None:
-            shown["contact_positions"] = outcome.result.contacts.positions
-            shown["contact_forces"] = outcome.result.contacts.forces
-        return shown
-
-    def close(self) -> None:
-        """Finishes the file and stops serving."""
-        self.mirror.close()
-
-
 _DIAGNOSTICS_PERIOD = 1.0
 _WARN_EVERY = 2.0
 _TABLE = {entry.name: entry for entry in TWIN}
@@ -340,11 +158,13 @@ class TwinNode(TickingNode):
 
     Attributes:
         loop: The loop.
+        recording: Records the run; None without `record`.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene, its mesh or the view cannot be used.
     """
 
+    recording: RunRecording | None = None
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
@@ -360,7 +180,14 @@ class TwinNode(TickingNode):
         self._values = values
         settings = loop_settings(values)
         path = find_scene_file(str(values["scene_file"]), "scene_file")
-        simulation = Simulation.from_scene_file(path)
+        if values["record"]:
+            # Only a recorded run loads the room that writes it.
+            from softrobot_twin.ros.run_recording import RunRecording
+
+            self.recording = RunRecording(self, str(values["record"]))
+            simulation = Simulation(load_scene(path), self.recording.clock)
+        else:
+            simulation = Simulation.from_scene_file(path)
         for note in simulation.notes:
             self.get_logger().warning(note)
         if values["mesh_error"]:
@@ -375,6 +202,8 @@ class TwinNode(TickingNode):
         for note in self.loop.cavities.notes:
             self.get_logger().warning(note)
         simulation.warm_up()
+        if self.recording is not None:
+            self.recording.begin(values)
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
         self._window = DiagnosticsWindow()
@@ -392,6 +221,18 @@ class TwinNode(TickingNode):
         self.watch_topics((self._cables, *angles, *self._pressures.values(), *self._solids.commands,
                            *self._measurements), self._commands)
         self._log_ready(path)
+
+    def create_publisher(self, *arguments, **options) -> Publisher:
+        """Opens a publisher, whose messages are recorded with `record`."""
+        publisher = super().create_publisher(*arguments, **options)
+        return publisher if self.recording is None else self.recording.publisher(publisher)
+
+    def create_subscription(self, kind, topic, callback, *arguments, **options) -> Subscription:
+        """Opens a subscription, whose messages are recorded with `record`."""
+        if self.recording is not None:
+            name = self.resolve_topic_name(topic)
+            callback = self.recording.receiver(kind, name, callback)
+        return super().create_subscription(kind, topic, callback, *arguments, **options)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
         name, names = self._values["velocity_effector"], simulation.effector_names
@@ -591,6 +432,8 @@ class TwinNode(TickingNode):
         if self._feed is not None:
             self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
         self._window.add(outcome)
+        if self.recording is not None:
+            self.recording.pass_on()
 
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
@@ -715,8 +558,8 @@ class TwinNode(TickingNode):
         )
 
     def destroy_node(self) -> None:
-        """Closes the view and the process that estimates the mesh's error, then destroys the
-        node.
+        """Closes the view, the recording and the process that estimates the mesh's error, then
+        destroys the node.
         """
         if self._mesh_error is not None:
             self._mesh_error.close()
@@ -724,4 +567,6 @@ class TwinNode(TickingNode):
             self._reduction.close()
         if self._feed is not None:
             self._feed.close()
+        if self.recording is not None:
+            self.recording.close()
         super().destroy_node()

@@ -1,7 +1,6 @@
 """Draws frames as rerun entities, and defines the layout of the viewer.
 
-The file contains, in this order: surface normals, colours of tensions and pressures, the effectors'
-recent path, rigid bodies and obstacles, contacts, axes of effectors, cavities, slides, the picture of a whole frame,
+The file contains, in this order: surface normals, the effectors' recent path, rigid bodies and obstacles, contacts, axes of effectors, cavities, slides, the picture of a whole frame,
 and the layout.
 """
 
@@ -15,6 +14,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy import sparse
 
+from softrobot_twin.view.colours import (
+    CLEAR_SURFACE_COLOUR,
+    EFFECTOR_COLOUR,
+    OBSTACLE_COLOUR,
+    RIGID_COLOUR,
+    SURFACE_COLOUR,
+    TARGET_COLOUR,
+    pressure_colours,
+    pressure_legend,
+    tension_colours,
+)
 from softrobot_twin.view.frame import Frame, OtherActuator, Stage, Surface
 from softrobot_twin.view.recording import Recording, past_range, time_panel
 
@@ -45,98 +55,6 @@ class SurfaceNormals:
         sums = self._faces_around @ doubled_areas
         lengths = np.sqrt(np.einsum("ij,ij->i", sums, sums))
         return sums / np.where(lengths > 0.0, lengths, 1.0)[:, None]
-
-
-_VACUUM, _NOTHING, _MIDDLE, _MOST = ([43, 98, 201], [150, 152, 158], [226, 176, 66],
-                                     [214, 32, 32])
-_NOT_FINITE_COLOUR = np.array([255, 0, 255, 255], dtype=np.uint8)
-_SCALE_SIZE = 256
-
-# Oklab (B. Ottosson, "A perceptual color space for image processing", 2020): first matrix: linear
-# sRGB to cone responses; second: their cube roots to lightness and two opponent colours.
-_CONES = np.array([[0.4122214708, 0.5363325363, 0.0514459929],
-                   [0.2119034982, 0.6806995451, 0.1073969566],
-                   [0.0883024619, 0.2817188376, 0.6299787005]])
-_OPPONENTS = np.array([[0.2104542553, 0.7936177850, -0.0040720468],
-                       [1.9779984951, -2.4285922050, 0.4505937099],
-                       [0.0259040371, 0.7827717662, -0.8086757660]])
-
-
-def _to_oklab(srgb: np.ndarray) -> np.ndarray:
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    return np.cbrt(linear @ _CONES.T) @ _OPPONENTS.T
-
-
-def _from_oklab(lab: np.ndarray) -> np.ndarray:
-    cones = np.linalg.solve(_OPPONENTS, lab.T) ** 3
-    linear = np.clip(np.linalg.solve(_CONES, cones).T, 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
-def _scale(stops: dict[float, list[int]]) -> np.ndarray:
-    """Colours between those at places from 0 to 1, shape (_SCALE_SIZE, 4)."""
-    stop_colours = _to_oklab(np.array(list(stops.values())) / 255.0)
-    place = np.linspace(0.0, 1.0, _SCALE_SIZE)
-    lab = np.column_stack([np.interp(place, list(stops), axis) for axis in stop_colours.T])
-    opaque = np.full((_SCALE_SIZE, 1), 255.0)
-    return np.rint(np.hstack([255.0 * _from_oklab(lab), opaque])).astype(np.uint8)
-
-
-_TENSION_SCALE = _scale({0.0: _NOTHING, 0.5: _MIDDLE, 1.0: _MOST})
-_PRESSURE_SCALE = _scale({0.0: _VACUUM, 0.5: _NOTHING, 0.75: _MIDDLE, 1.0: _MOST})
-
-
-def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) -> np.ndarray:
-    """Colours of tensions on a perceptually uniform scale.
-
-    Args:
-        tensions: Tensions [N], shape (cable_count,).
-        tension_range: Tensions at the ends of the scale [N]; values outside get the end's colour.
-
-    Returns:
-        sRGB colours with alpha, shape (cable_count, 4), 8 bits each; a tension that is not
-        finite is magenta.
-    """
-    slack, limit = tension_range
-    return _colours((np.asarray(tensions, dtype=float) - slack) / (limit - slack), _TENSION_SCALE)
-
-
-def pressure_colours(pressures: np.ndarray, pressure_range: tuple[float, float]) -> np.ndarray:
-    """Colours of gauge pressures: grey at 0, amber to red above, blue in a vacuum.
-
-    A pressure and a vacuum of the same magnitude have colours of the same strength.
-
-    Args:
-        pressures: Gauge pressures [Pa], shape (cavity_count,).
-        pressure_range: Deepest vacuum or 0, and limit or 0 [Pa]; values outside get the end's
-            colour.
-
-    Returns:
-        sRGB colours with alpha, shape (cavity_count, 4), 8 bits each; a pressure that is not
-        finite is magenta.
-    """
-    vacuum, limit = pressure_range
-    inside = np.clip(np.asarray(pressures, dtype=float), vacuum, limit)
-    shares = 0.5 + 0.5 * inside / max(-vacuum, limit)
-    return _colours(np.where(np.isfinite(pressures), shares, np.nan), _PRESSURE_SCALE)
-
-
-def _colours(shares: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Colours at shares of a scale, shape (count, 4); a share that is not finite is magenta."""
-    known = np.isfinite(shares)
-    places = np.clip(np.where(known, shares, 0.0), 0.0, 1.0)
-    colours = scale[np.rint(places * (_SCALE_SIZE - 1)).astype(int)]
-    colours[~known] = _NOT_FINITE_COLOUR
-    return colours
-
-
-def pressure_legend(pressure_range: tuple[float, float]) -> str:
-    """The colour scale of pressures in words, such as ``blue -20, grey 0, red 20 kPa``."""
-    vacuum, limit = pressure_range
-    end = 1e-3 * max(-vacuum, limit)
-    words = ([f"blue {-end:g}"] if vacuum < 0.0 else []) + ["grey 0"]
-    words += [f"red {end:g}"] if limit > 0.0 else []
-    return f"{', '.join(words)} kPa"
 
 
 class RecentPath:
@@ -178,9 +96,6 @@ class RecentPath:
 RIGID_BODIES = "/rigid_bodies"
 OBSTACLES = "/obstacles"
 
-_RIGID_COLOUR = (214, 168, 96)
-_OBSTACLE_COLOUR = (112, 116, 124)
-
 
 class SolidDrawing:
     """Draws rigid bodies and obstacles.
@@ -194,9 +109,9 @@ class SolidDrawing:
         self._recording = recording
         self._names = [body.name for body in stage.rigid_bodies]
         for body in stage.rigid_bodies:
-            recording.log(f"{RIGID_BODIES}/{body.name}", _mesh(body, _RIGID_COLOUR), static=True)
+            recording.log(f"{RIGID_BODIES}/{body.name}", _mesh(body, RIGID_COLOUR), static=True)
         for obstacle in stage.obstacles:
-            recording.log(f"{OBSTACLES}/{obstacle.name}", _mesh(obstacle, _OBSTACLE_COLOUR),
+            recording.log(f"{OBSTACLES}/{obstacle.name}", _mesh(obstacle, OBSTACLE_COLOUR),
                           static=True)
 
     def log(self, frame: Frame) -> None:
@@ -394,12 +309,7 @@ _WHOLE_STEP = "whole step"
 _ERRORS = ("to the target", "of linearizing, estimated", "of the mesh, estimated")
 _TRAIL_DURATION = 5.0
 
-_SURFACE_COLOUR = (178, 190, 208, 130)
-# Of bodies with cavities inside.
-_CLEAR_SURFACE_COLOUR = (178, 190, 208, 60)
-_EFFECTOR_COLOUR = (255, 255, 255)
 _TRAIL_COLOUR = (130, 190, 255)
-_TARGET_COLOUR = (60, 220, 110)
 _PREDICTED_COLOUR = (70, 150, 255)
 _MEASURED_COLOUR = (255, 160, 40)
 # Okabe and Ito's colours without black; colour-blind people can distinguish them.
@@ -435,7 +345,7 @@ class Picture:
 
     def _log_stage(self) -> None:
         stage, log = self._stage, self._recording.log
-        colour = _CLEAR_SURFACE_COLOUR if stage.cavities else _SURFACE_COLOUR
+        colour = CLEAR_SURFACE_COLOUR if stage.cavities else SURFACE_COLOUR
         log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in stage.bodies:
             triangles = np.asarray(body.triangles, dtype=np.uint32)
@@ -444,8 +354,8 @@ class Picture:
         marker_names = [str(marker) for marker in stage.marker_ids]
         radius = rr.Radius.ui_points
         for path, colour, size, names in (
-                (EFFECTORS, _EFFECTOR_COLOUR, 5.0, stage.effector_names),
-                (TARGETS, _TARGET_COLOUR, 6.0, None),
+                (EFFECTORS, EFFECTOR_COLOUR, 5.0, stage.effector_names),
+                (TARGETS, TARGET_COLOUR, 6.0, None),
                 (PREDICTED_MARKERS, _PREDICTED_COLOUR, 4.5, marker_names),
                 (MEASURED_MARKERS, _MEASURED_COLOUR, 4.5, None)):
             log(path, rr.Points3D.from_fields(colors=[colour], radii=[radius(size)], labels=names,

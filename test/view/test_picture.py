@@ -8,7 +8,7 @@ import pytest
 
 from softrobot_twin.view import ViewError
 from softrobot_twin.view.frame import OtherActuator
-from softrobot_twin.view.picture import tension_colours
+from softrobot_twin.view.colours import tension_colours
 
 
 @pytest.fixture
