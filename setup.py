@@ -62,7 +62,7 @@ setup(
         # Meshes from CAD files. gmsh has no wheel for aarch64.
         "mesh": ["gmsh>=4.12; platform_machine == 'x86_64'"],
         # The parameter `record` of the twin, and `replay`.
-        "record": ["mcap>=1.2"],
+        "record": ["mcap>=1.5"],
         # colcon uses commands that setuptools 80 removed.
         "test": [
             "colcon-common-extensions",

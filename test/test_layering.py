@@ -27,16 +27,18 @@ ALLOWED_ROOMS = {
     "simulation": CORE - {"simulation"},
     "control": {"simulation"},
     "view": set(),
-    "ros": CORE | {"control", "view"},
+    "record": CORE | {"control"},
+    "ros": CORE | {"control", "view", "record"},
     "study": CORE,
     "scripting": CORE | {"control", "study", "view"},
     "command_line": {"study", "ros", "demo_command"},
 }
 # The files at the top besides commands, which put rooms together and end in "_command".
 ENTRANCE = {"__init__.py", "__main__.py", "errors.py"}
-# Where a library may be imported; gmsh makes meshes and is no part of the package.
+# Where a library may be imported; gmsh only in the process that meshes CAD files.
 HOMES = {
-    "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": set()}
+    "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": {"geometry"},
+    "mcap": {"record"}}
 ROS_LIBRARIES = {"rclpy", "rpyutils", "ament_index_python", "std_srvs", "builtin_interfaces"}
 ROS_SUFFIXES = ("_msgs", "_interfaces")
 DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
@@ -48,6 +50,7 @@ LATER_IMPORTS = {
                                    "priority, because threads of its libraries inherit it",
     "control/reduction_error_watch.py": "as control/mesh_error_watch.py",
     "ros/process.py": "a node listens to signals before rclpy and the node's room are imported",
+    "ros/twin_node.py": "only a recorded run loads the room that writes it",
     "view/mirror.py": "only an open view needs rerun",
 }
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "common", "misc"}

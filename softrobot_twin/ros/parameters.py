@@ -228,6 +228,9 @@ TWIN = COMMON + RUNTIME + (
           "without bound: see record_every.", read_only=True),
     Entry("record_every", 5, "The first of every so many shown ticks is recorded.",
           "frames", 1, 100000, read_only=True),
+    Entry("record", "", "File to record the whole run into, .mcap: all inputs, outputs and "
+          "parameters, for `replay`; empty for none. An existing file is refused.",
+          read_only=True),
 )
 
 _TWIN_NAME = Entry("twin", "/twin", "Name of the twin that this node works with.", read_only=True)

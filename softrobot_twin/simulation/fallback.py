@@ -88,7 +88,9 @@ class Fallback:
         self._wanted = {body.name: body.entry.reduced.error for body in bodies}
         self.limits = tuple(f"{body.name}.{body.entry.reduced.fallback}" for body in bodies)
         self.is_active, self._until_check = False, CHECK_EVERY
-        self._other = type(simulation)(better_scene(scene, bodies), with_warnings=False)
+        self._other = type(simulation)(
+            better_scene(scene, bodies), simulation.now, with_warnings=False
+        )
         self._reduced, self._better = simulation.model, self._other.model
         self._pairs = list(zip(self._reduced.bodies, self._better.bodies, strict=True))
         self._inverses: dict[str, np.ndarray] = {}
@@ -140,7 +142,6 @@ class Fallback:
         """Exchange what the two simulations are made of; this object stays with its own."""
         other, own = vars(self._other), vars(simulation)
         other["_fallback"], own["_fallback"] = self, None
-        other["_now"], own["_now"] = own["_now"], other["_now"]
         simulation.__dict__, self._other.__dict__ = other, own
         self.is_active = not self.is_active
 

@@ -86,6 +86,7 @@ class Simulation(Readouts):
     Attributes:
         model: The built scene.
         state: Where it stands now.
+        now: Gives the time that stages and budgets are measured by [s].
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class Simulation(Readouts):
             MeshError: The mesh cannot be used.
         """
         self.model = build_model(scene, factorization_type, with_warnings)
-        self._now = now
+        self.now = now
         self._time_budget = TimeBudget()
         self._motion = _motion_of(self.model)
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
@@ -247,7 +248,7 @@ class Simulation(Readouts):
         Raises:
             CommandError: The command or the touch does not fit this scene, or is not finite.
         """
-        clock = StageClock(self._now)
+        clock = StageClock(self.now)
         if self._fallback is not None:
             self._fallback.choose(self)
             clock.mark("fallback")

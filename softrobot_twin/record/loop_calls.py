@@ -1,0 +1,162 @@
+"""All calls by which anything reaches a loop from outside, and their arguments as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import fields
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
+from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.record.run_values import number, numbers, plain
+
+
+def settings_to_json(settings: LoopSettings) -> dict[str, object]:
+    """Settings as JSON."""
+    return {field.name: plain(getattr(settings, field.name)) for field in fields(settings)}
+
+
+def settings_from_json(values: dict[str, object]) -> LoopSettings:
+    """The settings of `settings_to_json`.
+
+    Raises:
+        ParameterError: A value cannot be used.
+        TypeError: A setting is unknown.
+    """
+    known, default = {}, LoopSettings()
+    for name, value in values.items():
+        kind = getattr(default, name, None)
+        if isinstance(kind, Enum):
+            value = WhenLost(value)
+        known[name] = tuple(value) if isinstance(kind, tuple) else value
+    return LoopSettings(**known)
+
+
+def _arrival(value: list) -> Arrival:
+    frame_id, stamp, ros_time, time = value
+    return Arrival(frame_id, stamp, ros_time, number(time))
+
+
+def _same(value: object) -> object:
+    return value
+
+
+def _ids(value: list) -> np.ndarray:
+    return np.array(value, dtype=np.uint32)
+
+
+def _points(value: list) -> np.ndarray:
+    # An empty list has no second dimension.
+    return numbers(value) if value else np.empty((0, 3))
+
+
+Decoding = tuple[Callable[[object], object], ...]
+_ROW: Decoding = (_same, numbers, _arrival)
+_NAMED: Decoding = (_same, numbers, numbers, _arrival)
+_ONE: Decoding = (_same, number, _arrival)
+
+CALLS: dict[str, Decoding] = {
+    "targets.accept_point": _ROW,
+    "targets.accept_pose": _NAMED,
+    "targets.accept_velocity": (numbers, number),
+    "stiffness.accept": _ROW,
+    "direct.accept": _NAMED,
+    "selected.accept": _NAMED,
+    "device.accept": _NAMED,
+    "angles.accept": _NAMED,
+    "measured_angles.accept": _NAMED,
+    "pressures.accept": _ONE,
+    "measured_pressures.accept": _ONE,
+    "poses.accept": _NAMED,
+    "touches.accept_force": _ROW,
+    "touches.accept_place": _ROW,
+    "markers.accept": (_ids, _points, _arrival),
+    "enable": (number,),
+    "disable": (),
+    "reset": (),
+    "apply": (settings_from_json,),
+}
+"""The calls, by part of the loop and method, and how each argument is read from JSON."""
+
+
+class Call(NamedTuple):
+    """One call.
+
+    Attributes:
+        name: One of `CALLS`.
+        arguments: What was given.
+        answer: What the loop returned: the reason of a refusal, or what a service answers.
+    """
+
+    name: str
+    arguments: tuple
+    answer: object
+
+    def to_json(self) -> dict[str, object]:
+        """The call as JSON."""
+        arguments = [
+            settings_to_json(one) if isinstance(one, LoopSettings) else plain(one)
+            for one in self.arguments
+        ]
+        return {"to": self.name, "arguments": arguments, "answer": answer_to_json(self.answer)}
+
+
+def answer_to_json(answer: object) -> object:
+    """What a call returned, as JSON."""
+    return answer.value if isinstance(answer, Refusal) else plain(answer)
+
+
+def owner_of(loop: TwinLoop, name: str) -> tuple[object, str]:
+    """The part of a loop that takes a call, and the name of its method."""
+    part, _, method = name.rpartition(".")
+    return (getattr(loop, part) if part else loop), method
+
+
+def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
+    """Makes a recorded call.
+
+    Args:
+        loop: The loop.
+        name: One of `CALLS`.
+        arguments: Its arguments as JSON.
+
+    Returns:
+        Its answer as JSON.
+
+    Raises:
+        KeyError: There is no such call.
+        ValueError: The arguments do not fit.
+    """
+    owner, method = owner_of(loop, name)
+    read = [decode(one) for decode, one in zip(CALLS[name], arguments, strict=True)]
+    return answer_to_json(getattr(owner, method)(*read))
+
+
+def listen(loop: TwinLoop, note: Callable[[Call], None]) -> None:
+    """Notes every call from now on, after it was made.
+
+    Only this loop is changed: its methods are replaced by objects that call them.
+
+    Args:
+        loop: The loop.
+        note: Takes each call.
+    """
+    for name in CALLS:
+        owner, method = owner_of(loop, name)
+        setattr(owner, method, _Listener(name, getattr(owner, method), note))
+
+
+class _Listener:
+    """Makes a call and notes it."""
+
+    def __init__(self, name: str, call: Callable, note: Callable[[Call], None]):
+        self._name, self._call, self._note = name, call, note
+
+    def __call__(self, *arguments):
+        answer = self._call(*arguments)
+        self._note(Call(self._name, arguments, answer))
+        return answer

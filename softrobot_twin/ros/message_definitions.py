@@ -1,0 +1,63 @@
+"""Definitions of messages as text, which a file of messages contains beside them."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+
+_SEPARATOR = "=" * 80
+_SIMPLE = {"float": "float32", "double": "float64", "boolean": "bool", "octet": "byte"}
+_SEQUENCE = re.compile(r"sequence<(?P<item>[^,>]+(?:<\d+>)?)(?:, *(?P<most>\d+))?>")
+_ARRAY = re.compile(r"(?P<item>.+)\[(?P<count>\d+)\]")
+_BOUNDED = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
+
+
+def type_name(kind: type) -> str:
+    """Full name of a type of messages, such as ``sensor_msgs/msg/JointState``."""
+    package, folder, *_ = kind.__module__.split(".")
+    return f"{package}/{folder}/{kind.__name__}"
+
+
+def definition(kind: type) -> str:
+    """Definition of a type of messages (``ros2msg``), with those of all types inside it.
+
+    Args:
+        kind: The class that Python has for it.
+    """
+    texts: dict[str, str] = {}
+    _collect(kind, texts)
+    (_, first), *others = texts.items()
+    parts = [first, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)]
+    return "".join(parts)
+
+
+def _collect(kind: type, texts: dict[str, str]) -> None:
+    package, _, name = type_name(kind).split("/")
+    key = f"{package}/{name}"
+    if key in texts:
+        return
+    texts[key] = ""
+    inner, lines = [], []
+    for field, idl in kind.get_fields_and_field_types().items():
+        written, item = _type_of(idl)
+        lines.append(f"{written} {field}\n")
+        if "/" in item:
+            inner.append(item)
+    texts[key] = "".join(lines)
+    for item in inner:
+        inner_package, inner_name = item.split("/")
+        _collect(getattr(import_module(f"{inner_package}.msg"), inner_name), texts)
+
+
+def _type_of(idl: str) -> tuple[str, str]:
+    """A type in the words of a message file, and that of its items."""
+    if found := _SEQUENCE.fullmatch(idl):
+        item, most = _type_of(found["item"])[0], found["most"]
+        return f"{item}[<={most}]" if most else f"{item}[]", item
+    if found := _ARRAY.fullmatch(idl):
+        item = _type_of(found["item"])[0]
+        return f"{item}[{found['count']}]", item
+    if found := _BOUNDED.fullmatch(idl):
+        return f"{found['kind']}<={found['most']}", found["kind"]
+    written = _SIMPLE.get(idl, idl)
+    return written, written
