@@ -47,9 +47,9 @@ _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": Tru
           "font.size": 9, "legend.frameon": False}
 
 
-# Colours of a PNG picture, of 256: those of most pixels, and those of pixels that are then wrong by
+# Colours of a PNG picture, of 256 with white: those of most pixels, and those of pixels that are then wrong by
 # more than the last number, such as a small mark of a colour of its own.
-_COMMON, _RARE, _WRONG = 200, 56, 20
+_COMMON, _RARE, _WRONG = 200, 55, 20
 
 
 def save_figure(figure, path: Path, dpi: int) -> None:
@@ -83,12 +83,12 @@ def _with_few_colours(picture):
     first = quantized(picture, _COMMON)
     pixels = np.asarray(picture)
     off = np.abs(np.asarray(first.convert("RGB"), np.int16) - pixels).max(axis=2)
+    colours = [255, 255, 255, *first.getpalette()[: 3 * _COMMON]]
     wrong = pixels[off > _WRONG]
-    if not len(wrong):
-        return first
-    rare = quantized(Image.fromarray(wrong[None]), _RARE)
+    if len(wrong):
+        colours += quantized(Image.fromarray(wrong[None]), _RARE).getpalette()[: 3 * _RARE]
     palette = Image.new("P", (1, 1))
-    palette.putpalette(first.getpalette()[: 3 * _COMMON] + rare.getpalette()[: 3 * _RARE])
+    palette.putpalette(colours)
     return picture.quantize(palette=palette, dither=Image.Dither.NONE)
 
 

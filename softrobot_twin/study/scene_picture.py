@@ -307,14 +307,20 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
 
 # Least size of lines and marks, as a share of that of the whole scene.
 _LEAST_SHARE = 0.4
+_SIZE_OF_A_POINT = 0.1
 
 
 def _size(simulation: Simulation) -> float:
     """Size by which lines and marks are scaled [m]: of the largest body, not too small for all."""
-    points = np.concatenate([np.empty((0, 3)), *simulation.skin_positions(),
+    springs = [term.ends(simulation.state.positions).reshape(-1, 3)
+               for term in simulation.terms if isinstance(term, Springs)]
+    points = np.concatenate([np.empty((0, 3)), *simulation.skin_positions(), *springs,
                              *simulation.actuator_paths().values()])
     whole = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
-    return max(simulation.model.nodes.size, _LEAST_SHARE * whole)
+    largest = simulation.model.nodes.size
+    if np.isfinite(largest):
+        return max(largest, _LEAST_SHARE * whole)
+    return whole or _SIZE_OF_A_POINT  # nothing but a single point mass
 
 
 def _bodies(simulation: Simulation) -> list[Solid]:
@@ -536,7 +542,7 @@ def _middle(entry, scene) -> np.ndarray:
 
 def _on_plane(simulation: Simulation, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """A place on a plane beside what stands on it [m]."""
-    aside = np.array([0.5, -0.3, 0.0]) * simulation.model.nodes.size
+    aside = np.array([0.5, -0.3, 0.0]) * _size(simulation)
     return point + aside - (aside @ normal) * normal
 
 
