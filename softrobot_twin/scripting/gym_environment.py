@@ -1,0 +1,305 @@
+"""A `gymnasium` environment: an effector reaches for targets, with a robot of any scene.
+
+    from softrobot_twin.scripting.gym_environment import ReachingEnvironment
+    environment = ReachingEnvironment("config/scenes/finger.yaml")
+
+or, once this module is imported, ``gymnasium.make("softrobot_twin/Reaching-v0", scene=...)``.
+gymnasium is an extra: ``pip install gymnasium``.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import CommandError
+from softrobot_twin.scene import Scene
+from softrobot_twin.scripting.named_commands import finite_numbers, unknown
+from softrobot_twin.scripting.robot import Robot, load
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.study.figure import MissingExtraError, load_pyplot
+from softrobot_twin.study.scene_picture import figure_of, take_snapshot
+
+try:
+    import gymnasium
+except ImportError as error:
+    raise MissingExtraError("gymnasium", "learning environments need it") from error
+
+ENVIRONMENT_ID = "softrobot_twin/Reaching-v0"
+# Where observed places end, in sizes of the robot: further than any of its points gets.
+_FAR = 4.0
+# Steps in which a robot comes to rest at random setpoints, and how many of these are tried.
+_MOST_STEPS, _MOST_DRAWS = 100, 20
+
+
+class Drive(NamedTuple):
+    """Actuators that an action moves together: one, or the cables of a motor.
+
+    Attributes:
+        name: Name of the actuator or motor.
+        places: The actuators among all of the scene.
+        least: Least displacement from rest or, where the effort is what is set, least effort.
+        most: The greatest.
+        rate: Its greatest change in a second.
+    """
+
+    name: str
+    places: tuple[int, ...]
+    least: float
+    most: float
+    rate: float
+
+
+class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
+    """An effector shall reach a target within an episode.
+
+    - Action: for each drive (an actuator, or a motor with its cables) the speed at which its
+      setpoint moves, -1 to 1: as a share of its rate in the scene.
+    - Observation: the setpoint of each drive, -1 to 1 between its limits; the effector's place less
+      that at the start of the episode; the target less the effector's place. Both places are shares
+      of the robot's size, along x, y and z.
+    - Reward of a step: less the distance to the target [m].
+    - An episode ends (`terminated`) where the target is reached, and is cut (`truncated`) after
+      `most_steps`.
+    - Targets are reachable: the effector's place at random setpoints, in balance.
+
+    A step without solution leaves the robot where it is; ``info["status"]`` says so. The same seed
+    gives the same episodes.
+
+    Attributes:
+        robot: The robot.
+        drives: What an action moves, in its order.
+        target: Of this episode [m], shape (3,).
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(
+        self,
+        scene: Path | str | Scene | Robot,
+        *,
+        effector: str | None = None,
+        time_step: float = 0.1,
+        most_steps: int = 50,
+        reached_within: float = 1.0e-3,
+        travel: float = 0.6,
+        render_mode: str | None = None,
+    ):
+        """Build the robot.
+
+        Args:
+            scene: File of a scene, a scene, or a robot, which the environment then moves.
+            effector: Name of the effector; by default the first one.
+            time_step: Duration of a step [s].
+            most_steps: Steps of an episode.
+            reached_within: Distance at which a target counts as reached [m]; 0 for never.
+            travel: Share of the range of each drive, around its setpoint at rest, that targets
+                are drawn from.
+            render_mode: ``rgb_array`` for pictures by `render`, which need matplotlib; or None.
+
+        Raises:
+            CommandError: The scene has no such effector or no actuator, an actuator has no limits
+                or no rate, or a value is out of its range.
+            SceneError: The scene cannot be used.
+        """
+        if isinstance(scene, Robot):
+            self.robot = scene
+        else:
+            self.robot = Robot(scene) if isinstance(scene, Scene) else load(scene)
+        names = self.robot.effector_names
+        if not names or effector not in (None, *names):
+            raise unknown(effector or "effector", "effectors:", names)
+        self.effector = effector or names[0]
+        self.time_step = _within("time_step", time_step, 1.0e-6, 1.0e3)
+        self.most_steps = int(_within("most_steps", most_steps, 1, 10**9))
+        self.reached_within = _within("reached_within", reached_within, 0.0, math.inf)
+        self.travel = _within("travel", travel, 0.0, 1.0)
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise CommandError("render_mode", f"{render_mode!r} must be None or rgb_array")
+        self.render_mode = render_mode
+
+        self._simulation = self.robot.simulation
+        self.drives = _drives_of(self._simulation)
+        self._least, self._most, self._rates = (
+            np.array([getattr(drive, field) for drive in self.drives])
+            for field in ("least", "most", "rate")
+        )
+        self._size = float(self._simulation.model.nodes.size)
+        self._start = self.target = np.full(3, np.nan)
+        self._step_count = 0
+        places = np.full(6, _FAR, np.float32)
+        shares = np.ones(len(self.drives), np.float32)
+        self.action_space = gymnasium.spaces.Box(-shares, shares, dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(
+            -np.append(shares, places), np.append(shares, places), dtype=np.float32
+        )
+
+    @property
+    def place(self) -> np.ndarray:
+        """Position of the effector [m], shape (3,)."""
+        return self.robot.effectors[self.effector]
+
+    @property
+    def distance(self) -> float:
+        """Of the effector from its target [m]."""
+        return float(np.linalg.norm(self.target - self.place))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begins an episode: the robot at rest, and a target.
+
+        Args:
+            seed: Of the random targets from now on; None goes on with them.
+            options: ``{"target": [x, y, z]}`` is the target [m] in place of a random one.
+
+        Returns:
+            The observation and the info, see `step`.
+
+        Raises:
+            CommandError: An option is unknown or no place.
+        """
+        super().reset(seed=seed)
+        given = dict(options or {})
+        target = given.pop("target", None)
+        if given:
+            raise CommandError(next(iter(given)), "is no option of reset; there is: target")
+        self.target = self._random_target() if target is None else _place_of(target)
+        self.robot.reset()
+        self.robot.settle(time_step=self.time_step, most_steps=_MOST_STEPS)
+        self._start, self._step_count = self.place, 0
+        return self._observation(), self._info()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Moves the setpoints for one time step.
+
+        Args:
+            action: Speed of each drive, -1 to 1, shape (drive_count,).
+
+        Returns:
+            Observation, reward [m], terminated, truncated, and info: ``distance`` [m], ``status`` of
+            the step and ``is_success``, whether the target is reached.
+
+        Raises:
+            CommandError: `reset` was never called, or the action is not finite or of another shape.
+        """
+        speeds = np.asarray(action, dtype=float)
+        if speeds.shape != self._least.shape or not np.isfinite(speeds).all():
+            raise CommandError("action", f"{action!r} must be {len(self.drives)} finite numbers")
+        if not np.isfinite(self.target).all():
+            raise CommandError("step", "an episode begins with reset()")
+        moved = self._present() + np.clip(speeds, -1.0, 1.0) * self._rates * self.time_step
+        outcome = self._simulation.step(self._command(np.clip(moved, self._least, self._most)))
+        self._step_count += 1
+        info = self._info() | {"status": outcome.status.value}
+        truncated = self._step_count >= self.most_steps
+        return self._observation(), -info["distance"], info["is_success"], truncated, info
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """A picture of the robot and its target, where `render_mode` asks for it.
+
+        Returns:
+            Red, green and blue, 0 to 255, shape (height, width, 3); None without a mode.
+
+        Raises:
+            MissingExtraError: matplotlib is not installed.
+        """
+        if self.render_mode is None:
+            return None
+        targets = np.full((len(self.robot.effector_names), 3), np.nan)
+        targets[self.robot.effector_names.index(self.effector)] = self.target
+        snapshot = take_snapshot(self._simulation, None, self.robot.name, targets)
+        figure = figure_of([snapshot], self.robot.name)
+        load_pyplot().close(figure)  # Its canvas stays; nothing else keeps it.
+        canvas = figure.canvas
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+    def _random_target(self) -> np.ndarray:
+        """Where the effector comes to rest at random setpoints [m], shape (3,)."""
+        rest = np.clip(0.0, self._least, self._most)
+        least, most = (rest + self.travel * (end - rest) for end in (self._least, self._most))
+        for _ in range(_MOST_DRAWS):
+            self.robot.reset()
+            wanted = self._command(self.np_random.uniform(least, most))
+            result = self.robot.settle(wanted, time_step=self.time_step, most_steps=_MOST_STEPS)
+            if not result.status.is_failure:
+                return self.place
+        raise CommandError(
+            self.effector, f"the robot stood at none of {_MOST_DRAWS} random setpoints: lower "
+            "travel, or narrow the limits of its actuators")
+
+    def _present(self) -> np.ndarray:
+        """What each drive is set to: its displacement or effort, shape (drive_count,)."""
+        all_drives = self._simulation.actuators.drives(self._simulation.state.setpoints)
+        return np.array([all_drives[drive.places[0]] for drive in self.drives])
+
+    def _command(self, values: np.ndarray) -> CommandSetpoints:
+        actuators = self._simulation.actuators
+        every = actuators.drives(self._simulation.state.setpoints).copy()
+        for drive, value in zip(self.drives, values, strict=True):
+            every[list(drive.places)] = value
+        return CommandSetpoints(actuators.setpoints(every), self.time_step)
+
+    def _observation(self) -> np.ndarray:
+        place = self.place
+        shares = 2.0 * (self._present() - self._least) / (self._most - self._least) - 1.0
+        seen = np.concatenate(
+            [shares, (place - self._start) / self._size, (self.target - place) / self._size]
+        ).astype(np.float32)
+        space = self.observation_space
+        return np.clip(seen, space.low, space.high)  # type: ignore[attr-defined, no-any-return]
+
+    def _info(self) -> dict[str, Any]:
+        distance = self.distance
+        return {"distance": distance, "is_success": bool(distance < self.reached_within)}
+
+
+def _drives_of(simulation: Simulation) -> tuple[Drive, ...]:
+    """What an action moves: motors with their cables, and all other actuators."""
+    actuators, limits = simulation.actuators, simulation.limits
+    names = list(actuators.names)
+    groups = {motor: tuple(map(names.index, cables)) for motor, cables in simulation.motors.items()}
+    of_motors = {place for places in groups.values() for place in places}
+    groups |= {name: (i,) for i, name in enumerate(names) if i not in of_motors}
+    drives = []
+    for name, places in groups.items():
+        by_effort, index = bool(actuators.is_effort_driven[places[0]]), list(places)
+        ends = ((limits.effort_min, limits.effort_max) if by_effort
+                else (limits.displacement_min, limits.displacement_max))  # fmt: skip
+        least, most = float(ends[0][index].max()), float(ends[1][index].min())
+        rate = float(limits.rate[index].min())
+        word = (actuators.kinds[places[0]].effort if by_effort
+                else actuators.kinds[places[0]].displacement).word  # fmt: skip
+        if not (math.isfinite(least) and math.isfinite(most) and least < most):
+            raise CommandError(name, f"has a {word} from {least:g} to {most:g}; an environment "
+                               f"needs finite limits: give {word}: [least, most] in the scene")
+        if not math.isfinite(rate):
+            raise CommandError(name, "has no rate, which an environment needs: give it in the scene")
+        drives.append(Drive(name, places, least, most, rate))
+    if not drives:
+        raise CommandError(simulation.scene.name, "has no actuator that could learn")
+    return tuple(drives)
+
+
+def _within(name: str, value: float, least: float, most: float) -> float:
+    number = finite_numbers(name, value)[0]
+    if not least <= number <= most:
+        raise CommandError(name, f"{value} must be from {least:g} to {most:g}")
+    return number
+
+
+def _place_of(target: Any) -> np.ndarray:
+    numbers = finite_numbers("target", target)
+    if len(numbers) != 3:
+        raise CommandError("target", f"has {len(numbers)} numbers, not x, y and z [m]")
+    return np.array(numbers)
+
+
+gymnasium.register(
+    id=ENVIRONMENT_ID,
+    entry_point=f"{__name__}:ReachingEnvironment",
+)
