@@ -26,12 +26,12 @@ ALLOWED_ROOMS = {
     "scene": {"geometry", "mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
     "control": {"simulation"},
-    "view": set(),
+    "view": {"simulation"},
     "record": CORE | {"control"},
     "ros": CORE | {"control", "view", "record"},
     "study": CORE,
     "scripting": CORE | {"control", "study", "view"},
-    "command_line": {"study", "ros", "demo_command"},
+    "command_line": {"study", "ros", "demo_command", "replay_command"},
 }
 # The files at the top besides commands, which put rooms together and end in "_command".
 ENTRANCE = {"__init__.py", "__main__.py", "errors.py"}
