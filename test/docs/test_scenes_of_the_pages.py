@@ -19,35 +19,48 @@ def text_of(page):
     return (PAGES / f"{page}.md").read_text()
 
 
+def parts_of(page):
+    """The scenes and parts of scenes that a page shows."""
+    return [read_yaml(text) for text in re.findall(r"```yaml\n(.*?)```", text_of(page), re.S)]
+
+
 @pytest.fixture
 def shown():
-    """The scenes and parts of scenes, as they stand there; a robot, and one with symmetry, first."""
+    """Those of all pages; a finger, a robot and one with symmetry first."""
     pages = ("own_robot", "effectors", "surroundings", "materials", "beams")
-    texts = (text for page in pages
-             for text in re.findall(r"```yaml\n(.*?)```", text_of(page), re.S))  # fmt: skip
-    return [read_yaml(text) for text in texts]
+    return [part for page in pages for part in parts_of(page)]
 
 
 def test_the_scene_of_a_robot_of_the_pages_is_valid(shown):
-    scene = scene_from_mapping(shown[0])
+    scene = scene_from_mapping(shown[1])
     assert scene.body.element == "quadratic" and len(scene.cables) == 1
 
 
-def test_the_surroundings_of_the_pages_fit_the_robot(shown):
-    """The block with springs says what it takes from the first: the body's entries, cables."""
-    robot = copy.deepcopy(shown[0])
-    (around,) = copy.deepcopy([part for part in shown if "springs" in part])
+def test_the_surroundings_and_actuators_of_the_pages_fit_the_robot(shown):
+    """The parts say what they take from the robot: the body's entries, cables."""
+    robot = copy.deepcopy(shown[1])
+    around = {}
+    for part in (*parts_of("surroundings"), *parts_of("actuators")):
+        around |= part
+    cables = around.pop("cables")
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
     whole = {key: robot[key] for key in robot if key != "body"} | around
-    whole["cables"].append(whole["cables"][0] | {"name": "right"})
+    whole["cables"] += [cables[0], whole["cables"][0] | {"name": "right"}]
     for section in ("cables", "effectors", "markers"):
         whole[section] = [entry | {"body": "finger"} for entry in whole[section]]
     scene = scene_from_mapping(whole)
-    assert scene.contact is not None and scene.slides and scene.motors
+    assert scene.contact is not None and scene.slides and scene.motors and scene.springs
+    assert scene.cavities[0].walls[0].part == "chamber" and scene.cables[1].pulley is not None
+
+
+@pytest.mark.parametrize("page", ["index", "scene_reference", "own_robot"])
+def test_the_first_scene_of_a_page_is_whole(page):
+    scene = scene_from_mapping(parts_of(page)[0])
+    assert scene.deformables and scene.effectors
 
 
 def test_the_robot_with_symmetry_of_the_pages_is_valid(shown):
-    scene = scene_from_mapping(shown[1])
+    scene = scene_from_mapping(shown[2])
     assert [cable.body for cable in scene.cables] == ["arm_0", "arm_1", "arm_2"]
     assert [scene.tubes[0].name, scene.tubes[-1].name] == ["tube_0_a", "tube_4_c"]
     assert [marker.id for marker in scene.markers] == [0, 1, 2]
@@ -55,8 +68,8 @@ def test_the_robot_with_symmetry_of_the_pages_is_valid(shown):
 
 def test_the_laws_of_the_pages_fit_the_robot_and_all_laws_of_the_package_are_in_its_table(shown):
     (part,) = (part for part in shown if list(part) == ["materials"])
-    body = {**shown[0]["body"], **part}
-    laws = [entry.law for entry in scene_from_mapping({**shown[0], "body": body}).body.materials]
+    body = {**shown[1]["body"], **part}
+    laws = [entry.law for entry in scene_from_mapping({**shown[1], "body": body}).body.materials]
     assert laws == ["mooney_rivlin", "yeoh", "ogden"]
     table = text_of("materials").split("## Laws of materials")[1].split("```")[0]
     files = (ROOT / "softrobot_twin" / "mechanics" / "laws").glob("[a-z]*.py")
@@ -66,7 +79,7 @@ def test_the_laws_of_the_pages_fit_the_robot_and_all_laws_of_the_package_are_in_
 
 def test_the_orientation_and_the_stiffness_of_the_pages_fit_the_robot(shown):
     orientation, stiffness = (
-        scene_from_mapping({**shown[0], **part}).effectors[0]
+        scene_from_mapping({**shown[1], **part}).effectors[0]
         for part in shown if list(part) == ["effectors"]
     )  # fmt: skip
     assert stiffness.stiffness.target == (None, None, 300.0)
@@ -100,13 +113,13 @@ def test_the_motor_of_a_hinge_of_the_pages_fits_the_beams(shown):
 
 def test_the_touch_of_the_pages_fits_the_robot(shown):
     (part,) = (part for part in shown if list(part) == ["touches"])
-    touch = scene_from_mapping({**shown[0], **part}).touches[0]
+    touch = scene_from_mapping({**shown[1], **part}).touches[0]
     assert len(touch.points) == 2 and touch.while_touched == "hold_actuators"
 
 
 def test_the_rubber_of_the_pages_is_valid_and_its_table_is_that_of_the_presets(shown):
     (part,) = [part for part in shown if list(part) == ["material"]]
-    robot = copy.deepcopy(shown[0])
+    robot = copy.deepcopy(shown[1])
     robot["body"]["material"] = part["material"]
     robot["body"].pop("materials", None)
     material = scene_from_mapping(robot).body.material
@@ -123,3 +136,15 @@ def test_the_rubber_of_the_pages_is_valid_and_its_table_is_that_of_the_presets(s
         given = {key: 1e3 * float(value) for key, value in pairs}
         assert given == pytest.approx(preset.constants)
     assert all(f"`{name}`" in text for name in UNFITTED)
+
+
+def test_the_first_lines_of_python_move_the_finger_of_the_same_page(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for kind, name in (("yaml", "finger.yaml"), ("python", "first.py")):
+        block = re.search(rf"```{kind}\n(.*?)```", text_of("index"), re.S)[1]
+        (tmp_path / name).write_text(block)
+    names = {}
+    exec(compile((tmp_path / "first.py").read_text(), "first.py", "exec"), names)
+    assert names["result"].tip[:2] == pytest.approx([0.095, 0.03], abs=1e-4)
+    assert "tip at" in capsys.readouterr().out
+    assert (tmp_path / "finger.png").stat().st_size > 10_000
