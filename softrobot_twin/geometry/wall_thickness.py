@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.surface import boundary_faces
 
 # Rays that a thickness is measured by, at most.
 _MOST_RAYS = 400
@@ -17,6 +19,10 @@ _PORTION = 40
 _WEDGES = 0.02
 # Least cosine between a ray and the normal of the face where it leaves.
 _FACING = 0.5
+# Rays up to this many times as long as the thickness count as the thinnest part.
+_NEARLY = 1.25
+# How far inside the face where a ray begins its element is looked for, as a share of the ray.
+_INSIDE = 0.02
 
 
 class ThinnestPart(NamedTuple):
@@ -25,7 +31,8 @@ class ThinnestPart(NamedTuple):
     Attributes:
         thickness: Between two faces that look away from each other [m].
         place: Middle of it [m], shape (3,).
-        elements: Number of elements across it: the thickness by the length of an edge there.
+        elements: Number of elements across it: the thickness by the extent of an element there, in
+            the direction across, the median over places that are nearly as thin.
     """
 
     thickness: float
@@ -43,7 +50,28 @@ def thinnest_part(positions: np.ndarray, tets: np.ndarray) -> ThinnestPart:
     Returns:
         Its thinnest part; corners are left out.
     """
-    triangles = boundary_triangles(tets)
+    faces = boundary_faces(tets)
+
+    def cells_at(starts, normals, depths, chosen):
+        return tets[faces.tets[chosen]]
+
+    return _thinnest(positions, faces.triangles, cells_at)
+
+
+def thinnest_part_of(mesh: CellMesh) -> ThinnestPart:
+    """The same of a mesh of any cells; what its elements have inside of their edges is left out."""
+    corners = mesh.corner_mesh
+
+    def cells_at(starts, normals, depths, chosen):
+        inside = starts - _INSIDE * depths[:, None] * normals
+        return corners.cells[locate_points(corners, inside).cells]
+
+    return _thinnest(corners.node_positions, corners.surface_triangles, cells_at)
+
+
+def _thinnest(positions: np.ndarray, triangles: np.ndarray, cells_at) -> ThinnestPart:
+    """The thinnest part; `cells_at` tells the nodes of the cells in which rays begin, of their
+    starts [m], outward normals, lengths [m] and triangles."""
     corners = positions[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -58,11 +86,14 @@ def thinnest_part(positions: np.ndarray, tets: np.ndarray) -> ThinnestPart:
         size = float(np.ptp(positions[triangles.ravel()], axis=0).min())
         return ThinnestPart(size, positions.mean(axis=0), float("nan"))
     ranked = known[np.argsort(lengths[known], kind="stable")]
-    ray = ranked[int(_WEDGES * len(ranked))]
-    own = corners[chosen[ray]]
-    edge = float(np.linalg.norm(own - np.roll(own, 1, axis=0), axis=1).mean())
+    first = int(_WEDGES * len(ranked))
+    ray = ranked[first]
+    thin = ranked[first:][lengths[ranked[first:]] <= _NEARLY * lengths[ray]]
+    across = normals[chosen[thin]]
+    cells = cells_at(starts[thin], across, lengths[thin], chosen[thin])
+    extents = np.ptp(np.einsum("rni,ri->rn", positions[cells], across), axis=1)
     place = starts[ray] - 0.5 * lengths[ray] * normals[chosen[ray]]
-    return ThinnestPart(float(lengths[ray]), place, float(lengths[ray]) / edge)
+    return ThinnestPart(float(lengths[ray]), place, float(np.median(lengths[thin] / extents)))
 
 
 def _depths(
