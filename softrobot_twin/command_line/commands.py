@@ -437,6 +437,39 @@ class NoRosError(SoftRobotTwinError):
         super().__init__(f"ROS 2 was not found ({reason}): source ROS 2 Jazzy, or run 'make demo'")
 
 
+def add_replay(commands) -> None:
+    """Declares ``replay``."""
+    parser = add_command(
+        commands, "replay", _replay, "run a recorded run of a twin again",
+        "Run a run again that a twin recorded with its parameter record: each message, service "
+        "call and tick in its order, at its time. Prints whether all results are equal to the bit, "
+        "or the first difference and the largest of each quantity. With another scene it prints "
+        "how the run would have differed, and the exit code is 0. ROS is not needed.",
+        examples=(
+            "run.mcap",
+            "run.mcap --set body.material.young_modulus=1.5e5",
+            "run.mcap --scene config/scenes/diamond.yaml --output run.csv",
+        ),
+    )
+    parser.add_argument("recorded", metavar="FILE.mcap", type=Path, help="file of the run")
+    other = parser.add_mutually_exclusive_group()
+    other.add_argument("--scene", metavar="FILE.yaml", type=Path,
+                       help="another scene, with the same actuators and effectors")
+    other.add_argument("--set", nargs="+", default=(), dest="changes", metavar="KEY=VALUE",
+                       help="other values of entries of the recorded scene, such as "
+                       "body.material.young_modulus=1.5e5 or cables[0].tension=[0,5]")
+    parser.add_argument("--output", metavar="FILE.csv", type=Path,
+                        help="file to write, one row per tick of the replay")
+
+
+def _replay(chosen: argparse.Namespace) -> int:
+    if chosen.output is not None and chosen.output.resolve() == chosen.recorded.resolve():
+        raise OptionError("--output", f"{chosen.output} would overwrite the run")
+    # The loop is loaded only for a run of it.
+    from softrobot_twin.replay_command import replay
+    return replay(chosen.recorded, chosen.scene, tuple(chosen.changes), chosen.output)
+
+
 def add_demo(commands) -> None:
     """Declares ``demo``."""
     parser = add_command(
@@ -674,7 +707,7 @@ def _reduce(chosen: argparse.Namespace) -> int:
 
 COMMANDS = (
     add_simulate, add_explain, add_workspace, add_bench, add_accuracy, add_choose, add_reduce,
-    add_reduce_vertebrae, add_demo, add_completion,
+    add_reduce_vertebrae, add_replay, add_demo, add_completion,
 )  # fmt: skip
 """What declares each command, in the order of the list of commands."""
 

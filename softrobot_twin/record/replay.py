@@ -22,12 +22,14 @@ from softrobot_twin.record.run_description import (
     files_named,
     names_of,
 )
-from softrobot_twin.record.run_file import CALL, RunFile, RunFileError
+from softrobot_twin.record.run_file import CALL, TICK, RunFile, RunFileError
 from softrobot_twin.record.run_values import (
     ACTUATORS,
     COMPUTE_TIME,
     EFFECTORS,
+    ONE,
     QUANTITIES,
+    STATE_DIGEST,
     TOUCHES,
     Quantity,
     numbers,
@@ -69,7 +71,8 @@ class Difference:
 
     def in_words(self) -> str:
         """The difference as a sentence."""
-        where = f"{self.quantity} of {self.place}" if self.place else self.quantity
+        of = "" if self.place.startswith("[") else "of "
+        where = f"{self.quantity} {of}{self.place}" if self.place else self.quantity
         return (f"tick {self.tick} at {self.time:.3f} s: {where}: recorded {_short(self.recorded)}, "
                 f"replayed {_short(self.replayed)}")  # fmt: skip
 
@@ -172,6 +175,8 @@ class TickComparison:
         self, tick: int, time: float, name: str, before: object, after: object
     ) -> Difference:
         quantity = QUANTITIES.get(name, Quantity())
+        if not quantity.is_number:
+            return Difference(tick, time, name, "", before, after, np.inf)
         try:
             first, second = numbers(before), numbers(after)
         except (TypeError, ValueError):
@@ -181,7 +186,8 @@ class TickComparison:
         apart = _apart(first, second)
         place = np.unravel_index(int(apart.argmax()), apart.shape) if apart.shape else ()
         unit = self._unit(quantity, place)
-        words = " ".join(filter(None, (self._name(quantity, place), f"[{unit}]" if unit else "")))
+        shown = "" if unit == ONE else f"[{unit}]"
+        words = " ".join(filter(None, (self._name(quantity, place), shown)))
         return Difference(
             tick, time, name, words, _item(before, place), _item(after, place),
             float(apart[place]),
@@ -370,8 +376,8 @@ class Replay:
             str(parameters["frame_id"]), float(parameters["ambient_pressure"]),
         )  # fmt: skip
         simulation.warm_up()
-        # The time of a step of another scene is not its own.
-        left_out = () if self.is_of_its_scene else (COMPUTE_TIME,)
+        # The time of a step of another scene is not its own, and all its nodes differ.
+        left_out = () if self.is_of_its_scene else (COMPUTE_TIME, STATE_DIGEST)
         self._compare = TickComparison(run.description, left_out)
 
     def all_ticks(
@@ -389,6 +395,8 @@ class Replay:
             if entry.kind == CALL:
                 self._call(content, found.ticks, found.seconds)
                 continue
+            if entry.kind != TICK:
+                raise RunFileError(self.run.path, f"holds an entry {entry.kind}, which is unknown")
             began = content["now"] if began is None else began
             found.seconds = content["now"] - began
             self._clock.play(content["clock"])

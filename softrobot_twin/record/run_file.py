@@ -215,7 +215,8 @@ class RunFile:
         self.is_complete, self.damage, self.lost = False, "", 0
         first = next(self._read(), None)
         if first is None or first.kind != RUN:
-            raise RunFileError(self.path, self.damage or "holds no run of softrobot_twin")
+            why = f": {self.damage}" if self.damage else ""
+            raise RunFileError(self.path, f"holds no run of a twin{why}")
         content = dict(first.content)
         content.pop("kind")
         found = content.pop("format", None)

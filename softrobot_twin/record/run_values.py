@@ -16,14 +16,16 @@ ACTUATORS, EFFECTORS, MARKERS, TOUCHES, NOTHING = "actuators", "effectors", "mar
 """What the rows of a quantity belong to."""
 SETPOINT, EFFORT = "setpoint", "effort"
 """Units that depend on the kind of each actuator."""
-COMPUTE_TIME = "compute_time"
+ONE = "1"
+COMPUTE_TIME, STATE_DIGEST = "compute_time", "state_digest"
 
 
 class Quantity(NamedTuple):
     """What a tick gives.
 
     Attributes:
-        unit: Its unit, or `SETPOINT` or `EFFORT`: that of each actuator; empty for words.
+        unit: Its unit, or `SETPOINT` or `EFFORT`: that of each actuator; empty for words, `ONE` for
+            numbers without a unit.
         rows: What its rows belong to.
         columns: What the columns of a row mean.
     """
@@ -31,6 +33,11 @@ class Quantity(NamedTuple):
     unit: str = ""
     rows: str = NOTHING
     columns: str = ""
+
+    @property
+    def is_number(self) -> bool:
+        """Whether two of them can be subtracted."""
+        return bool(self.unit)
 
 
 QUANTITIES: dict[str, Quantity] = {
@@ -49,15 +56,15 @@ QUANTITIES: dict[str, Quantity] = {
     "efforts": Quantity(EFFORT, ACTUATORS),
     "displacements": Quantity(SETPOINT, ACTUATORS),
     "effector_positions": Quantity("m", EFFECTORS, "xyz"),
-    "effector_orientations": Quantity("", EFFECTORS, "xyzw"),
+    "effector_orientations": Quantity(ONE, EFFECTORS, "xyzw"),
     "effector_stiffness": Quantity("N/m", EFFECTORS, "xyz"),
     "targets": Quantity("m", EFFECTORS, "xyz"),
-    "target_orientations": Quantity("", EFFECTORS, "xyzw"),
+    "target_orientations": Quantity(ONE, EFFECTORS, "xyzw"),
     "aims": Quantity("m", EFFECTORS, "xyz"),
     "measured_effectors": Quantity("m", EFFECTORS, "xyz"),
     "tracking_errors": Quantity("m", EFFECTORS),
     "orientation_errors": Quantity("rad", EFFECTORS),
-    "stiffness_errors": Quantity("", EFFECTORS),
+    "stiffness_errors": Quantity(ONE, EFFECTORS),
     "predicted_markers": Quantity("m", MARKERS, "xyz"),
     "measured_markers": Quantity("m", MARKERS, "xyz"),
     "misfit_rms": Quantity("m"),
@@ -68,15 +75,15 @@ QUANTITIES: dict[str, Quantity] = {
     "touch_displacements": Quantity("m", TOUCHES, "xyz"),
     "residual": Quantity("N"),
     "linearization_error": Quantity("m"),
-    "iterations": Quantity(),
-    "factor_age": Quantity(),
+    "iterations": Quantity(ONE),
+    "factor_age": Quantity(ONE),
     "is_late": Quantity(),
-    "inverted_count": Quantity(),
-    "contact_count": Quantity(),
-    "step_count": Quantity(),
+    "inverted_count": Quantity(ONE),
+    "contact_count": Quantity(ONE),
+    "step_count": Quantity(ONE),
     "time": Quantity("s"),
     COMPUTE_TIME: Quantity("s"),
-    "state_digest": Quantity(),
+    STATE_DIGEST: Quantity(),
 }
 """All that two ticks are compared by. `state_digest` stands for all nodes of the model; the time of
 the computation follows from the recorded readings of the clock."""
@@ -186,7 +193,7 @@ def _result_values(result: StepResult) -> dict[str, object]:
         "step_count": result.state.step_count,
         "time": result.state.time,
         COMPUTE_TIME: report.compute_time,
-        "state_digest": state_digest(result.state),
+        STATE_DIGEST: state_digest(result.state),
     }
 
 
