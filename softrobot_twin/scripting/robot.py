@@ -25,6 +25,7 @@ from softrobot_twin.scripting.named_commands import (
     hold,
     unknown,
 )
+from softrobot_twin.scripting.robot_view import RobotView
 from softrobot_twin.scripting.run_table import RunColumns, Table
 from softrobot_twin.scripting.step_outcome import Names, Pose, Result
 from softrobot_twin.simulation import (
@@ -39,7 +40,8 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
 from softrobot_twin.simulation.input_tables import read_commands
-from softrobot_twin.study.direct_run import DEFAULT_RATE, rigid_poses, run_commands
+from softrobot_twin.simulation.run_columns import rigid_poses
+from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
 from softrobot_twin.study.equilibrium import STILL
 from softrobot_twin.study.figure import load_pyplot
 from softrobot_twin.study.passive_run import no_commands
@@ -154,6 +156,7 @@ class Robot:
             self.simulation.rigid_names, self.simulation.touch_names,
         )  # fmt: skip
         self._compliance: EffectorCompliance | None = None
+        self._view: RobotView | None = None
         self._has_warned = False
         self._forget()
         if state is not None:
@@ -316,6 +319,8 @@ class Robot:
         self._by_effort = np.isfinite(asked.efforts) if isinstance(asked, CommandEfforts) else None
         self._targets = asked.targets if isinstance(asked, FollowTargets) else None
         self._contacts = outcome.contacts
+        if self._view is not None:
+            self._view.show(outcome, asked)
         return Result(
             outcome, self._names, self._columns, self._columns.cells(outcome), self.poses,
             self._is_at_rest(before, outcome.report.residual, outcome.status),
@@ -544,6 +549,34 @@ class Robot:
         figure = figure_of([shot], self.name, view, labelled)
         load_pyplot().close(figure)  # A notebook would show it twice.
         return figure
+
+    def view(
+        self, path: Path | str | None = None, *, serve: bool | None = None, spawn: bool = True,
+        port: int = 0, force_scale: float = 0.1,
+    ) -> RobotView:  # fmt: skip
+        """Opens a view in rerun, which shows this state and each later step until it is closed.
+
+        Args:
+            path: File to write, such as ``finger.rrd``, for ``rerun finger.rrd``; None for none.
+            serve: Whether viewers can connect, on this machine only; by default without a file.
+            spawn: Whether a viewer is opened where there is a display.
+            port: TCP port for viewers; 0 selects a free one.
+            force_scale: Length of the arrow of a contact force [m/N].
+
+        Returns:
+            The view, whose ``address`` a viewer connects to: ``rerun --connect ADDRESS``. It may be
+            used in a ``with`` statement. Another view takes its place.
+
+        Raises:
+            ViewError: It cannot be opened.
+        """
+        if self._view is not None:
+            self._view.close()
+        serves = path is None if serve is None else serve
+        file = None if path is None else Path(path)
+        self._view = RobotView(self.simulation, file, serves, spawn and serves, port, force_scale)
+        self._view.show()
+        return self._view
 
     def save_vtu(self, path: Path | str) -> tuple[str, ...]:
         """Writes the present shape of all bodies, with the displacements of their points [m].

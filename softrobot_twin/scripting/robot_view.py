@@ -1,0 +1,127 @@
+"""A robot in rerun: its states as they are stepped, live, into a file, or both."""
+
+from __future__ import annotations
+
+import time
+import weakref
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softrobot_twin.simulation import Simulation, Status, StepReport, StepResult
+from softrobot_twin.view import RerunMirror
+from softrobot_twin.view.simulation_frames import SimulationFrames
+
+# A step waits until its frame is drawn, but no longer [s]: a viewer may be frozen.
+_LONGEST_WAIT = 1.0
+_POLL = 0.0005
+# Frames a second that viewers get, at most: all of them [Hz].
+_ANY_RATE = 1.0e9
+
+
+class RobotView:
+    """Shows each step of a robot until it is closed; also a context manager.
+
+    Attributes:
+        address: Where viewers connect; None where it only writes a file.
+        path: File that it writes, or None.
+    """
+
+    address: str | None
+    path: Path | None
+
+    def __init__(
+        self, simulation: Simulation, path: Path | None, serve: bool, spawn: bool, port: int,
+        force_scale: float,
+    ):  # fmt: skip
+        """Open it.
+
+        Args:
+            simulation: The simulation to show.
+            path: File to write, ``.rrd``, or None.
+            serve: Whether viewers can connect.
+            spawn: Whether to open a viewer, if there is a display.
+            port: TCP port for viewers; 0 selects a free one.
+            force_scale: Length of the arrow of a contact force [m/N].
+
+        Raises:
+            ViewError: The view cannot be opened.
+        """
+        self._simulation = simulation
+        self._frames = SimulationFrames(simulation, force_scale)
+        self._mirror = RerunMirror(
+            self._frames.stage, serve=serve, port=port, record=path, spawn_viewer=spawn,
+            live_rate=_ANY_RATE,
+        )  # fmt: skip
+        self.address, self.path = self._mirror.address, path
+        self._name, self._count = simulation.scene.name, 0
+        # Also at the end of a script, so that the last frames arrive.
+        self._end = weakref.finalize(self, self._mirror.close)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether steps are still shown."""
+        return self._end.alive
+
+    def show(self, result: StepResult | None = None, command: Any = None) -> None:
+        """Shows the present state.
+
+        Args:
+            result: The step that led to it; None without one.
+            command: What was asked, whose targets are shown.
+        """
+        if not self.is_open:
+            return
+        simulation = self._simulation
+        shown = _standing(simulation) if result is None else result
+        count = len(simulation.effector_names)
+        targets = getattr(command, "targets", np.full((count, 3), np.nan))
+        turns = getattr(command, "orientations", None)
+        markers = simulation.marker_positions() if len(simulation.marker_ids) else np.empty((0, 3))
+        self._count += 1
+        self._mirror.offer(self._frames.frame(
+            self._count, round(1.0e9 * shown.state.time), shown,
+            targets=np.array(targets, float),
+            target_orientations=np.full((count, 4), np.nan) if turns is None else turns,
+            errors=shown.effector_errors, predicted_markers=markers,
+            measured_markers=np.full_like(markers, np.nan), status=shown.status.value,
+        ))  # fmt: skip
+        self._wait()
+
+    def _wait(self) -> None:
+        """Waits until all frames are drawn: else a fast run would show few of its steps."""
+        end = time.monotonic() + _LONGEST_WAIT
+        for thread in self._mirror.drawing_threads:
+            while time.monotonic() < end and self._count > (
+                thread.logged_count + thread.failed_count + thread.dropped_count
+            ):
+                time.sleep(_POLL)
+
+    def close(self) -> None:
+        """Draws the last frames, finishes the file and stops serving; may be called twice."""
+        self._end()
+
+    def __enter__(self) -> RobotView:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        places = [f"at {self.address}" if self.address else "", f"in {self.path}" if self.path else ""]
+        state = "" if self.is_open else ", closed"
+        return f"<View of {self._name} {' and '.join(filter(None, places))}{state}>"
+
+
+def _standing(simulation: Simulation) -> StepResult:
+    """A state without a step, as a result."""
+    state, count = simulation.state, len(simulation.effector_names)
+    actuators = simulation.actuators
+    return StepResult(
+        state, Status.OK, state.setpoints, state.efforts,
+        actuators.displacements(state.setpoints, state.positions),
+        simulation.effector_positions(), np.full(count, np.nan),
+        StepReport({}, 0.0, float("nan"), 0),
+        effector_orientations=simulation.effector_orientations(),
+    )  # fmt: skip
