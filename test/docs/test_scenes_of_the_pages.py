@@ -78,10 +78,11 @@ def test_the_laws_of_the_pages_fit_the_robot_and_all_laws_of_the_package_are_in_
 
 
 def test_the_orientation_and_the_stiffness_of_the_pages_fit_the_robot(shown):
-    orientation, stiffness = (
+    place, orientation, stiffness = (
         scene_from_mapping({**shown[1], **part}).effectors[0]
         for part in shown if list(part) == ["effectors"]
     )  # fmt: skip
+    assert place.points == ((0.0, 0.0, 0.125),) and place.directions == ("x", "y", "z")
     assert stiffness.stiffness.target == (None, None, 300.0)
     orientation = orientation.orientation
     assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4
@@ -118,7 +119,7 @@ def test_the_touch_of_the_pages_fits_the_robot(shown):
 
 
 def test_the_rubber_of_the_pages_is_valid_and_its_table_is_that_of_the_presets(shown):
-    (part,) = [part for part in shown if list(part) == ["material"]]
+    (part,) = [part for part in shown if "viscosity" in part.get("material", {})]
     robot = copy.deepcopy(shown[1])
     robot["body"]["material"] = part["material"]
     robot["body"].pop("materials", None)
