@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
@@ -27,7 +28,9 @@ class MissingExtraError(SoftRobotTwinError):
 
 
 def load_pyplot() -> ModuleType:
-    """matplotlib's pyplot, drawing to files and never to a window.
+    """matplotlib's pyplot, drawing to files and never to a window, unless its user chose otherwise.
+
+    Who has imported pyplot before, such as a notebook, keeps the backend and its own figures.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -36,7 +39,8 @@ def load_pyplot() -> ModuleType:
         import matplotlib
     except ImportError as error:
         raise MissingExtraError("matplotlib") from error
-    matplotlib.use("Agg")
+    if "matplotlib.pyplot" not in sys.modules:
+        matplotlib.use("Agg")
     from matplotlib import pyplot
     return pyplot
 
