@@ -15,6 +15,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
+from softrobot_twin.scripting.entries_in_python import IN_PYTHON, plain_entries
 from softrobot_twin.scripting.labelled_matrix import LabelledMatrix
 from softrobot_twin.scripting.mesh_export import export_mesh
 from softrobot_twin.scripting.named_commands import (
@@ -84,14 +85,14 @@ def build(**entries: Any) -> Robot:
 
     Args:
         **entries: The keys of a scene file, such as ``name="finger"``, ``body={...}`` and
-            ``cables=[...]``. Numpy arrays may stand for lists. Files are relative to the working
-            directory.
+            ``cables=[...]``. Arrays may stand for lists, and a `meshio.Mesh` or a pair of points
+            and cells for a mesh file. Files are relative to the working directory.
 
     Raises:
         SceneError: An entry is not valid; the error names ``<python>`` as its file.
         MeshError: A mesh cannot be used.
     """
-    return _with_notes(Robot(scene_from_mapping(_plain(entries), IN_PYTHON)))
+    return _with_notes(Robot(scene_from_mapping(plain_entries(entries), IN_PYTHON)))
 
 
 def _with_notes(robot: Robot) -> Robot:
@@ -106,21 +107,6 @@ def _rebuilt(scene: Scene, state: State, aims: Mapping[str, Aim]) -> Robot:
     robot = Robot(scene, state)
     robot._aim(aims)
     return robot
-
-
-IN_PYTHON = Path("<python>")
-"""What errors name as the file of a scene that was built in Python."""
-
-
-def _plain(value: Any) -> Any:
-    """The same entries as a scene file would give them: lists, numbers, words."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return str(value) if isinstance(value, Path) else value
 
 
 class Robot:
