@@ -10,6 +10,7 @@ gymnasium is an extra: ``pip install gymnasium``.
 from __future__ import annotations
 
 import math
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +34,8 @@ ENVIRONMENT_ID = "softrobot_twin/Reaching-v0"
 _FAR = 4.0
 # Steps in which a robot comes to rest at random setpoints, and how many of these are tried.
 _MOST_STEPS, _MOST_DRAWS = 100, 20
+# Pixels per inch of a picture.
+_DPI = 80
 
 
 class Drive(NamedTuple):
@@ -213,10 +216,11 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         targets[self.robot.effector_names.index(self.effector)] = self.target
         snapshot = take_snapshot(self._simulation, None, self.robot.name, targets)
         figure = figure_of([snapshot], self.robot.name)
-        load_pyplot().close(figure)  # Its canvas stays; nothing else keeps it.
-        canvas = figure.canvas
-        canvas.draw()
-        return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+        load_pyplot().close(figure)
+        raw = BytesIO()
+        figure.savefig(raw, format="rgba", dpi=_DPI)
+        width, height = (int(inches * _DPI + 1e-6) for inches in figure.get_size_inches())
+        return np.frombuffer(raw.getvalue(), np.uint8).reshape(height, width, 4)[:, :, :3].copy()
 
     def _random_target(self) -> np.ndarray:
         """Where the effector comes to rest at random setpoints [m], shape (3,)."""

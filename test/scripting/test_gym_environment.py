@@ -1,0 +1,208 @@
+"""The environment in which an effector reaches for targets."""
+
+import importlib
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import softrobot_twin as st
+from softrobot_twin.errors import CommandError
+
+gymnasium = pytest.importorskip("gymnasium")
+
+from softrobot_twin.scripting import gym_environment  # noqa: E402
+from softrobot_twin.scripting.gym_environment import ENVIRONMENT_ID, ReachingEnvironment  # noqa: E402
+from softrobot_twin.study.figure import MissingExtraError  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+FINGER = ROOT / "config" / "scenes" / "finger.yaml"
+LENGTH_RATE, TIME_STEP = 0.05, 0.1  # m/s as in the scene, s
+
+
+def small_finger(cables=2, **more):
+    """Entries of a finger of linear elements with cables along it."""
+    heights = [-0.005, 0.005][:cables]
+    return st.build(
+        name="small",
+        body={"mesh": {"file": ROOT / "meshes" / "finger_99.msh"}, "element": "linear",
+              "material": {"young_modulus": 200e3, "poisson_ratio": 0.4, "density": 1000.0},
+              "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [0.001, 1, 1]}}]},
+        cables=[
+            {"name": f"cable_{i}", "pull_point": [0, 0, z], "points": [[0.05, 0, z], [0.09, 0, z]],
+             "hold_radius": 0.004, "shortening": [-0.01, 0.02], "rate": 0.05,
+             "tension": [0.0, 20.0], **more}
+            for i, z in enumerate(heights)
+        ],
+        effectors=[{"name": "tip", "points": [[0.1, 0, 0]]}],
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def environment():
+    return ReachingEnvironment(FINGER, most_steps=20)
+
+
+def play(environment, seed, steps=6):
+    """Observations and rewards of an episode with actions of its own seed."""
+    random = np.random.default_rng(seed)
+    observation, info = environment.reset(seed=seed)
+    seen, rewards = [observation], []
+    for _ in range(steps):
+        step = environment.step(random.uniform(-1.0, 1.0, environment.action_space.shape))
+        seen.append(step[0])
+        rewards.append(step[1])
+    return np.array(seen), np.array(rewards), environment.target.copy()
+
+
+def test_gymnasium_finds_no_fault(environment):
+    from gymnasium.utils.env_checker import check_env
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(environment, skip_render_check=True)
+
+
+def test_it_is_made_by_its_name():
+    made = gymnasium.make(ENVIRONMENT_ID, scene=small_finger(), most_steps=3)
+    made.reset(seed=0)
+    ends = [made.step(made.action_space.sample())[2:4] for _ in range(3)]
+    assert ends == [(False, False), (False, False), (False, True)]
+
+
+def test_the_same_seed_is_the_same_episode_and_another_seed_another(environment):
+    first, other, again = (play(environment, seed) for seed in (3, 4, 3))
+    for one, same in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one, same)
+    assert np.linalg.norm(first[2] - other[2]) > 1e-4
+
+
+def test_random_targets_are_reachable_places(environment):
+    environment.reset(seed=5)
+    for _ in range(3):
+        environment.reset()
+        result = environment.robot.settle(st.targets(tip=environment.target), time_step=TIME_STEP)
+        assert result.errors["tip"] < 1e-5
+
+
+def test_actions_are_shares_of_the_rates_within_the_limits(environment):
+    environment.reset(options={"target": [0.08, 0.0, 0.0]})
+    simulation = environment.robot.simulation
+
+    def lengths():
+        return simulation.actuators.drives(simulation.state.setpoints).copy()
+
+    before = lengths()
+    environment.step(np.array([0.4, -0.2]))
+    np.testing.assert_allclose(lengths() - before, np.array([0.4, -0.2]) * LENGTH_RATE * TIME_STEP)
+    for _ in range(8):
+        observation, *_ = environment.step(np.array([-1.0, -1.0]))
+    np.testing.assert_allclose(lengths(), [-0.015, -0.015])
+    np.testing.assert_allclose(observation[:2], [-1.0, -1.0])
+
+
+def test_the_reward_is_minus_the_distance_and_the_observation_leads_there(environment):
+    observation, _ = environment.reset(seed=6)
+    size = environment.robot.simulation.model.nodes.size
+    observation, reward, terminated, truncated, info = environment.step(np.zeros(2))
+    place = environment.robot.effectors["tip"]
+    distance = np.linalg.norm(environment.target - place)
+    assert reward == -info["distance"] == pytest.approx(-distance)
+    np.testing.assert_allclose(place + observation[5:] * size, environment.target, atol=1e-7)
+    assert environment.observation_space.contains(observation)
+    assert not terminated and not truncated and info["status"] in ("ok", "linearized")
+
+
+def test_an_episode_ends_at_the_target_and_is_cut_after_its_steps(environment):
+    environment.reset(options={"target": environment.place})
+    environment.reset(options={"target": environment.place})
+    *_, terminated, truncated, info = environment.step(np.zeros(2))
+    assert terminated and info["is_success"] and not truncated
+    environment.reset(options={"target": [0.5, 0.0, 0.0]})
+    ends = [environment.step(np.zeros(2))[2:4] for _ in range(20)]
+    assert ends == [(False, False)] * 19 + [(False, True)]
+
+
+def test_a_motor_is_one_drive():
+    entries = small_finger().scene.model_dump(exclude_unset=True, mode="json")
+    one = st.build(**entries | {"motors": [{"name": "grip", "cables": ["cable_0", "cable_1"]}]})
+    environment = ReachingEnvironment(one)
+    assert [drive.name for drive in environment.drives] == ["grip"]
+    environment.reset(seed=0)
+    environment.step(np.array([1.0]))
+    drives = one.simulation.actuators.drives(one.simulation.state.setpoints)
+    np.testing.assert_allclose(drives, LENGTH_RATE * TIME_STEP)
+
+
+def test_a_pressure_is_driven_between_its_limits():
+    springy = st.build(
+        name="springy",
+        body={"mesh": {"file": ROOT / "meshes" / "springy_400.msh"}, "element": "linear",
+              "material": {"young_modulus": 50e3, "poisson_ratio": 0.3, "density": 1070.0},
+              "fixed": [{"box": {"minimum": [-1, -1, -0.001], "maximum": [1, 1, 0.0001]}}]},
+        cavities=[{"name": "air", "walls": [{"part": "cavity"}], "pressure": [-100.0, 300.0],
+                   "rate": 1000.0}],
+        effectors=[{"name": "tip", "points": [[0.0, 0.0, 0.05]]}],
+    )  # fmt: skip
+    environment = ReachingEnvironment(springy, time_step=0.1)
+    assert environment.drives[0][2:] == (-100.0, 300.0, 1000.0)
+    start, _ = environment.reset(seed=0)
+    assert start[0] == pytest.approx(-0.5)  # 0 Pa
+    height = environment.place[2]
+    observation, *_ = environment.step(np.array([1.0]))
+    assert observation[0] == pytest.approx(0.0)  # 100 Pa
+    assert environment.place[2] > height
+
+
+@pytest.mark.parametrize(("limits", "words"), [
+    ({"shortening": [0.0, float("inf")]}, "cable_0.*finite limits: give shortening"),
+    ({"rate": float("inf")}, "cable_0.*has no rate"),
+])  # fmt: skip
+def test_actuators_without_limits_are_refused_by_name(limits, words):
+    entries = small_finger().scene.model_dump(exclude_unset=True, mode="json")
+    for cable in entries["cables"]:
+        for key in limits:
+            del cable[key]
+    robot = st.build(**entries)
+    with pytest.raises(CommandError, match=words):
+        ReachingEnvironment(robot)
+
+
+def test_what_it_cannot_use_is_refused_by_name(environment):
+    robot = environment.robot
+    with pytest.raises(CommandError, match="tup.*effectors: tip"):
+        ReachingEnvironment(robot, effector="tup")
+    for name, value in (("time_step", 0.0), ("most_steps", 0), ("travel", 1.5),
+                        ("reached_within", -1.0), ("render_mode", "human")):
+        with pytest.raises(CommandError, match=name):
+            ReachingEnvironment(robot, **{name: value})
+    with pytest.raises(CommandError, match="step: an episode begins with reset"):
+        ReachingEnvironment(robot).step(np.zeros(2))
+    with pytest.raises(CommandError, match="goal: is no option"):
+        environment.reset(options={"goal": [0.0, 0.0, 0.0]})
+    with pytest.raises(CommandError, match="target: has 2 numbers"):
+        environment.reset(options={"target": [0.0, 0.0]})
+    environment.reset(seed=1)
+    for bad in (np.zeros(3), np.array([np.nan, 0.0])):
+        with pytest.raises(CommandError, match="action"):
+            environment.step(bad)
+
+
+def test_it_draws_robot_and_target():
+    pytest.importorskip("matplotlib")
+    environment = ReachingEnvironment(small_finger(), render_mode="rgb_array")
+    environment.reset(seed=0)
+    picture = environment.render()
+    assert picture.dtype == np.uint8 and picture.shape[2] == 3 and min(picture.shape[:2]) > 200
+    assert picture.std() > 10.0
+    environment.target = environment.target + [0.0, 0.0, 0.03]
+    assert (environment.render() != picture).any(), "the target is in it"
+    assert ReachingEnvironment(environment.robot).render() is None
+
+
+def test_a_missing_gymnasium_is_named_with_its_command(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, gym_environment.__name__)
+    with pytest.raises(MissingExtraError, match="pip install gymnasium"):
+        importlib.import_module(gym_environment.__name__)
