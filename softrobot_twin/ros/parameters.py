@@ -224,6 +224,16 @@ TWIN = COMMON + RUNTIME + (
     Entry("view_spawn", False, "Open a viewer.", read_only=True),
     Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0,
           read_only=True),
+    Entry("visualization_rate", 10.0, "Most messages on ~/visualization per second, while somebody "
+          "receives them; 0 for none.", "Hz", 0.0, 1000.0, read_only=True),
+    Entry("tf", "auto", "Publish /tf while somebody receives it: on tells when tf2_msgs is missing, "
+          "auto does not.", choices=("auto", "on", "off"), read_only=True),
+    Entry("tf_prefix", "", "Put before the names of the frames of bodies and effectors, such as "
+          "left/.", read_only=True),
+    Entry("tf_base_frame", "", "Frame in which frame_id is fixed, such as world; empty for none.",
+          read_only=True),
+    Entry("tf_base_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], "Where frame_id is in tf_base_frame: "
+          "position, and quaternion x, y, z, w.", "m", read_only=True),
     Entry("record_file", "", "File to record the view into, .rrd; empty for none. It grows "
           "without bound: see record_every.", read_only=True),
     Entry("record_every", 5, "The first of every so many shown ticks is recorded.",
@@ -233,7 +243,8 @@ TWIN = COMMON + RUNTIME + (
           read_only=True),
 )
 
-_TWIN_NAME = Entry("twin", "/twin", "Name of the twin that this node works with.", read_only=True)
+_TWIN_NAME = Entry("twin", "twin", "Name of the twin that this node works with, below this node's "
+                   "namespace, or with a first slash.", read_only=True)
 
 DEVICE = COMMON + (
     _TWIN_NAME,

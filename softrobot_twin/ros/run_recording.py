@@ -72,7 +72,7 @@ class RunRecording:
         )  # fmt: skip
         try:
             self.recorder = RunRecorder(
-                self.path, node.loop, self.clock, description, self._ros_time, serialize_message
+                self.path, node.loop, self.clock, description, self._ros_time, _serialized
             )
         except RunFileError as error:
             raise ParameterError(PARAMETER, str(self.path), "", error.reason) from None
@@ -124,6 +124,11 @@ class RecordedPublisher:
 
     def __getattr__(self, name: str):
         return getattr(self._publisher, name)
+
+
+def _serialized(message: object) -> bytes:
+    """A message as bytes; arrays of markers are published as such."""
+    return message if isinstance(message, bytes) else serialize_message(message)
 
 
 def _described(kind: type, name: str, direction: str) -> Topic:

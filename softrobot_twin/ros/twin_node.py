@@ -45,11 +45,14 @@ from softrobot_twin.ros.messages import (
 )
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
+from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
 from softrobot_twin.ros.topics import open_publisher, open_subscription
+from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
+from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
@@ -275,6 +278,15 @@ class TwinNode(TickingNode):
         ]
         self._solids = SolidOutputs(self, simulation)
         self._compliances = ComplianceOutputs(self, self.loop)
+        values = self._values
+        self._visualization = VisualizationOutput(
+            self, simulation, self.loop_frame, float(values["visualization_rate"])
+        )
+        self._transforms = TransformOutput(
+            self, simulation, self.loop_frame, str(values["tf"]), str(values["tf_prefix"]),
+            str(values["tf_base_frame"]), values["tf_base_pose"],
+        )  # fmt: skip
+        self._status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
 
     def _open_inputs(self) -> None:
@@ -432,6 +444,7 @@ class TwinNode(TickingNode):
         if self._feed is not None:
             self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
         self._window.add(outcome)
+        self._stamp = stamp
         if self.recording is not None:
             self.recording.pass_on()
 
@@ -466,6 +479,7 @@ class TwinNode(TickingNode):
             publisher.publish(touch_message(outcome.result.touches, index, header))
         self._solids.publish(outcome, header)
         self._compliances.publish(outcome, header)
+        self._transforms.publish(outcome, header)
 
     @property
     def loop_frame(self) -> str:
@@ -473,8 +487,12 @@ class TwinNode(TickingNode):
         return str(self._values["frame_id"])
 
     def after_work(self, now: float) -> None:
-        """Publishes diagnostics once a second, and logs problems of the last tick."""
-        self._warn_of(self._window.newest, now)
+        """Publishes markers and the status when they are due and diagnostics once a second, and
+        logs problems of the last tick."""
+        newest = self._window.newest
+        self._visualization.offer(newest, self._stamp, now)
+        self._status.offer(newest, now)
+        self._warn_of(newest, now)
         if now < self._diagnostics_due:
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD

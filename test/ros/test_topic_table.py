@@ -49,7 +49,7 @@ def declared(topics, node, twin):
 
 
 @pytest.mark.parametrize(("kind", "topics", "least"), [
-    ("twin", TWIN_TOPICS, 11), (DeviceNode, DEVICE_TOPICS, 4), (TargetNode, TARGET_TOPICS, 2),
+    ("twin", TWIN_TOPICS, 13), (DeviceNode, DEVICE_TOPICS, 4), (TargetNode, TARGET_TOPICS, 2),
 ])  # fmt: skip
 def test_a_node_opens_what_its_table_declares_and_nothing_else(
     world, make_twin, small_scene_file, kind, topics, least

@@ -1,0 +1,68 @@
+"""The twin's ``~/status``: what the loop does now, latched, published when it changes."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
+from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
+from softrobot_twin.simulation import Status
+
+LEAST_PERIOD = 0.05
+"""Least time between two messages [s]: a status that changes at every tick is not sent at every
+tick. The last one is always sent."""
+_GOOD = (Status.OK, Status.LINEARIZED, Status.RATE_LIMITED)
+
+
+class StatusOutput:
+    """Publishes the activity of a loop, the status of its step and its active limits.
+
+    Args:
+        node: The twin.
+        loop: Its loop.
+    """
+
+    def __init__(self, node: Node, loop: TwinLoop):
+        self._loop, self._sent, self._due = loop, None, float("-inf")
+        self._publisher = open_publisher(node, TWIN_TOPICS["~/status"])
+        self._name = node.get_fully_qualified_name().lstrip("/")
+
+    def offer(self, outcome: TickOutcome, now: float) -> None:
+        """Publishes a tick if it differs from the last one published.
+
+        Args:
+            outcome: The tick.
+            now: Its time on the clock of the ticks [s].
+        """
+        result = outcome.result
+        found = (outcome.activity, outcome.cause, result.status, result.report.active_limits,
+                 outcome.violated, self._loop.why_given_up)  # fmt: skip
+        # With simulated time the clock may be set back.
+        if found == self._sent or (now < self._due and self._due - now <= LEAST_PERIOD):
+            return
+        self._sent, self._due = found, now + LEAST_PERIOD
+        self._publisher.publish(self._message(outcome))
+
+    def _message(self, outcome: TickOutcome) -> DiagnosticStatus:
+        loop, result = self._loop, outcome.result
+        level = DiagnosticStatus.OK if result.status in _GOOD else DiagnosticStatus.WARN
+        if result.status.is_failure or outcome.violated or loop.why_given_up:
+            level = DiagnosticStatus.ERROR
+        message = f"{outcome.activity.value}: {result.status.value}"
+        cause = loop.why_given_up or outcome.cause
+        values = {
+            "activity": outcome.activity.value,
+            "cause": cause,
+            "status": result.status.value,
+            "active_limits": " ".join(result.report.active_limits),
+            "kept_back": " ".join(outcome.violated),
+            "mode": loop.mode.value,
+            "uses_device": str(loop.use_device).lower(),
+        }
+        return DiagnosticStatus(
+            level=level, name=f"{self._name}: status",
+            message=f"{message} ({cause})" if cause else message,
+            hardware_id=loop.simulation.scene.name,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )  # fmt: skip

@@ -1,0 +1,151 @@
+"""Transforms of rigid bodies, effectors and the base, for ``/tf``.
+
+The package tf2_msgs is part of a ROS installation, and not of the wheels of rclpy: where it is
+missing, nothing is published.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from softrobot_twin.control.twin_loop import TickOutcome
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.topics import TWIN_TOPICS
+from softrobot_twin.simulation import Simulation
+
+_UNTURNED = (0.0, 0.0, 0.0, 1.0)
+OF_EFFECTOR = "_effector"
+"""Added to the name of an effector that has the name of a rigid body."""
+
+
+def child_frames(
+    frame_id: str, prefix: str, bodies: Sequence[str], effectors: Sequence[str]
+) -> tuple[str, ...]:
+    """Names of the frames of rigid bodies, then of effectors.
+
+    Args:
+        frame_id: The frame in which they are.
+        prefix: Put before each name, such as ``left/``.
+        bodies: Names of the rigid bodies.
+        effectors: Names of the effectors.
+
+    Raises:
+        ParameterError: A frame would be its own parent, or two frames have the same name.
+    """
+    own = [name + OF_EFFECTOR if name in bodies else name for name in effectors]
+    frames = tuple(f"{prefix}{name}" for name in (*bodies, *own))
+    if frame_id in frames:
+        raise ParameterError("frame_id", frame_id, "", "is the name of a body's or an effector's "
+                             "frame too: give a tf_prefix, or tf: off")  # fmt: skip
+    if len(set(frames)) != len(frames):
+        double = next(frame for frame in frames if frames.count(frame) > 1)
+        raise ParameterError("tf_prefix", prefix, "", f"two frames would be called {double}")
+    return frames
+
+
+def make_transforms(
+    header: Header, frames: Sequence[str], positions: np.ndarray, quaternions: np.ndarray
+) -> list[TransformStamped]:
+    """Transforms from one frame to others; one that is not finite is left out.
+
+    Args:
+        header: The frame and the time.
+        frames: Names of the other frames.
+        positions: Their origins [m], shape (frame_count, 3).
+        quaternions: Their rotations (x, y, z, w), shape (frame_count, 4); NaN for none.
+    """
+    transforms = []
+    for frame, position, turn in zip(
+        frames, positions.tolist(), quaternions.tolist(), strict=True
+    ):
+        if not np.isfinite(position).all():
+            continue
+        x, y, z = position
+        qx, qy, qz, qw = turn if np.isfinite(turn).all() else _UNTURNED
+        transform = Transform(translation=Vector3(x=x, y=y, z=z),
+                              rotation=Quaternion(x=qx, y=qy, z=qz, w=qw))  # fmt: skip
+        transforms.append(
+            TransformStamped(header=header, child_frame_id=frame, transform=transform)
+        )
+    return transforms
+
+
+class TransformOutput:
+    """Publishes transforms on ``/tf``, only while somebody receives them.
+
+    Args:
+        node: The twin.
+        simulation: Its model.
+        frame_id: Frame of all positions.
+        wanted: ``auto``, ``on`` or ``off``; with ``on`` the node tells when tf2_msgs is missing.
+        prefix: Put before each name of a frame but `frame_id`.
+        base_frame: Parent of `frame_id`; empty for none.
+        base_pose: Where `frame_id` is in it [m] and its rotation (x, y, z, w), seven numbers.
+
+    Raises:
+        ParameterError: The names of the frames clash, or the pose is none.
+    """
+
+    def __init__(
+        self, node: Node, simulation: Simulation, frame_id: str, wanted: str, prefix: str,
+        base_frame: str, base_pose: Sequence[float],
+    ):  # fmt: skip
+        self._simulation, self._publisher = simulation, None
+        if wanted == "off":
+            return
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            if wanted == "on":
+                node.get_logger().warning("tf: tf2_msgs is not installed: /tf is not published")
+            return
+        self._frames = child_frames(
+            frame_id, prefix, simulation.rigid_names, simulation.effector_names
+        )
+        self._base_frame, self._base = base_frame, _checked_pose(base_pose)
+        if base_frame and base_frame in (frame_id, *self._frames):
+            raise ParameterError("tf_base_frame", base_frame, "", "is the frame itself, or one "
+                                 "below it")  # fmt: skip
+        if not self._frames and not base_frame:
+            return
+        self._kind, topic = TFMessage, TWIN_TOPICS["/tf"]
+        self._publisher = node.create_publisher(TFMessage, topic.name, topic.quality)
+
+    def publish(self, outcome: TickOutcome, header: Header) -> None:
+        """Publishes a tick to those who listen."""
+        if self._publisher is None or not self._publisher.get_subscription_count():
+            return
+        positions, turns = self._simulation.rigid_poses()
+        ends = outcome.result.effector_positions
+        end_turns = outcome.result.effector_orientations
+        if end_turns is None:
+            end_turns = np.full((len(ends), 4), np.nan)
+        transforms = make_transforms(
+            header, self._frames, np.vstack([positions, ends]), np.vstack([turns, end_turns])
+        )
+        if self._base_frame:
+            above = Header(stamp=header.stamp, frame_id=self._base_frame)
+            transforms += make_transforms(
+                above, [header.frame_id], self._base[None, :3], self._base[None, 3:]
+            )
+        self._publisher.publish(self._kind(transforms=transforms))
+
+
+def _checked_pose(pose: Sequence[float]) -> np.ndarray:
+    """A pose of seven numbers with a unit quaternion.
+
+    Raises:
+        ParameterError: It has another length, is not finite, or its quaternion is zero.
+    """
+    numbers = np.array(pose, float)
+    size = np.linalg.norm(numbers[3:])
+    if len(numbers) != 7 or not np.isfinite(numbers).all() or not abs(size - 1.0) < 0.01:
+        raise ParameterError("tf_base_pose", tuple(pose), "m", "must be a position and a "
+                             "quaternion (x, y, z, w) of unit length: seven numbers")  # fmt: skip
+    numbers[3:] /= size
+    return numbers

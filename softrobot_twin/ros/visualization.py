@@ -1,0 +1,241 @@
+"""Markers for RViz and Foxglove: deformed surfaces, cables, cavities, rigid bodies, obstacles,
+effectors and targets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Vector3
+from rclpy.node import Node
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
+
+from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.twin_loop import TickOutcome
+from softrobot_twin.ros.marker_bytes import Content, MarkerBytes
+from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.view import colours as palette
+from softrobot_twin.view.simulation_frames import BodySurfaces, pressure_range, tension_range
+
+CABLE_WIDTH = 0.006
+"""Width of a cable, as a share of the robot's size."""
+EFFECTOR_WIDTH = 0.03
+"""Diameter of the sphere at an effector, as a share of the robot's size."""
+TARGET_WIDTH = 0.04
+OBSTACLES_EVERY = 1.0
+"""Time from one message with obstacles, which do not move, to the next [s]."""
+LEAST_LIFETIME = 3.0
+"""Markers vanish after this time without a message [s], or after three messages, if that is
+longer."""
+
+
+class _Drawn(NamedTuple):
+    """A marker and what changes of it."""
+
+    marker: Marker
+    content: Content
+
+
+class RobotMarkers:
+    """Makes messages of markers of a simulation.
+
+    The namespaces are the kinds: ``surfaces``, ``cables``, ``cavities``, ``rigid_bodies``,
+    ``obstacles``, ``effectors`` and ``targets``. The id is the place of the body in the scene; all
+    cables are one marker, as are all effectors and all targets.
+
+    Args:
+        simulation: The simulation.
+        frame_id: Frame of all positions.
+        lifetime: Time after which a marker vanishes that is not sent again [s].
+    """
+
+    def __init__(self, simulation: Simulation, frame_id: str, lifetime: float):
+        self._simulation, self._frame = simulation, frame_id
+        self._lifetime = Duration(sec=int(lifetime), nanosec=int(lifetime % 1.0 * NANOSECONDS))
+        self._size = simulation.model.nodes.size
+        self._bodies = BodySurfaces(simulation)
+        self._cables = simulation.actuators.of_section("cables")
+        self._tensions, self._pressures = tension_range(simulation), pressure_range(simulation)
+        self._rigid = [skin.points[skin.triangles.ravel()] for skin in simulation.rigid_skins()]
+        self._obstacles = [skin.points[skin.triangles.ravel()]
+                           for skin in simulation.obstacle_skins()]  # fmt: skip
+        # The form of a message depends only on whether obstacles and targets are in it.
+        self._forms: dict[tuple[bool, bool], MarkerBytes] = {}
+
+    def message(
+        self, outcome: TickOutcome, stamp: tuple[int, int], with_obstacles: bool
+    ) -> bytes:
+        """A serialized `visualization_msgs/MarkerArray` of the present state.
+
+        Args:
+            outcome: The newest tick.
+            stamp: Its seconds and nanoseconds.
+            with_obstacles: Whether obstacles are in it, which do not move.
+        """
+        drawn = [
+            *self._surfaces(), *self._cable_lines(outcome), *self._cavities(),
+            *self._rigid_bodies(), *self._effectors(outcome),
+        ]  # fmt: skip
+        if with_obstacles:
+            drawn += self._fixed()
+        targets = self._targets(outcome)
+        key = with_obstacles, bool(targets)
+        drawn += targets
+        if key not in self._forms:
+            self._forms[key] = MarkerBytes(
+                [one.marker for one in drawn],
+                [one.content.colours is not None for one in drawn],
+            )  # fmt: skip
+        return self._forms[key].message(stamp, [one.content for one in drawn])
+
+    def _marker(
+        self, namespace: str, number: int, kind: int, colour: Sequence[int], width: float = 1.0
+    ) -> Marker:
+        """A marker without points; the width is that of its lines or spheres [m]."""
+        r, g, b, a = _shares(colour)
+        marker = Marker(
+            header=Header(frame_id=self._frame), ns=namespace, id=number, type=kind,
+            action=Marker.ADD, scale=Vector3(x=width, y=width, z=width),
+            color=ColorRGBA(r=r, g=g, b=b, a=a), lifetime=self._lifetime,
+        )  # fmt: skip
+        marker.pose.orientation.w = 1.0
+        return marker
+
+    def _surfaces(self) -> list[_Drawn]:
+        has_cavities = bool(self._simulation.cavities.skins)
+        colour = palette.CLEAR_SURFACE_COLOUR if has_cavities else palette.SURFACE_COLOUR
+        pairs = zip(self._bodies.surfaces, self._bodies.points(), strict=True)
+        return [
+            _Drawn(self._marker("surfaces", number, Marker.TRIANGLE_LIST, colour),
+                   Content(points[surface.triangles.ravel()]))
+            for number, (surface, points) in enumerate(pairs)
+        ]  # fmt: skip
+
+    def _cable_lines(self, outcome: TickOutcome) -> list[_Drawn]:
+        names = self._simulation.actuator_names[self._cables]
+        if not names:
+            return []
+        paths = self._simulation.actuator_paths()
+        paths = [paths[name] for name in names]
+        lines = np.concatenate([np.repeat(path, 2, axis=0)[1:-1] for path in paths])
+        colours = palette.tension_colours(outcome.result.efforts[self._cables], self._tensions)
+        counts = [2 * (len(path) - 1) for path in paths]
+        marker = self._marker("cables", 0, Marker.LINE_LIST, (255, 255, 255, 255),
+                              CABLE_WIDTH * self._size)  # fmt: skip
+        return [_Drawn(marker, Content(lines, np.repeat(colours, counts, axis=0) / 255.0))]
+
+    def _cavities(self) -> list[_Drawn]:
+        simulation = self._simulation
+        skins = simulation.cavities.skins
+        if not skins:
+            return []
+        pressures = simulation.cavities.pressures(simulation.state)
+        colours = palette.pressure_colours(pressures, self._pressures)
+        return [
+            _Drawn(self._marker("cavities", number, Marker.TRIANGLE_LIST, colour),
+                   Content(points[skin.triangles.ravel()], colour=_shares(colour)))
+            for number, (skin, points, colour) in enumerate(
+                zip(skins, simulation.cavity_positions(), colours, strict=True)
+            )
+        ]  # fmt: skip
+
+    def _rigid_bodies(self) -> list[_Drawn]:
+        if not self._rigid:
+            return []
+        poses = zip(self._rigid, *self._simulation.rigid_poses(), strict=True)
+        return [
+            _Drawn(self._marker("rigid_bodies", number, Marker.TRIANGLE_LIST,
+                                palette.RIGID_COLOUR),
+                   Content(corners, position=position, quaternion=quaternion))
+            for number, (corners, position, quaternion) in enumerate(poses)
+        ]  # fmt: skip
+
+    def _fixed(self) -> list[_Drawn]:
+        return [
+            _Drawn(self._marker("obstacles", number, Marker.TRIANGLE_LIST,
+                                palette.OBSTACLE_COLOUR),
+                   Content(corners))
+            for number, corners in enumerate(self._obstacles)
+        ]  # fmt: skip
+
+    def _effectors(self, outcome: TickOutcome) -> list[_Drawn]:
+        places = outcome.result.effector_positions
+        if not len(places):
+            return []
+        marker = self._marker("effectors", 0, Marker.SPHERE_LIST, palette.EFFECTOR_COLOUR,
+                              EFFECTOR_WIDTH * self._size)  # fmt: skip
+        return [_Drawn(marker, Content(places))]
+
+    def _targets(self, outcome: TickOutcome) -> list[_Drawn]:
+        """Targets where there are some; one that ended vanishes after its lifetime."""
+        targets = outcome.reading.targets
+        targets = targets[np.isfinite(targets).all(axis=1)]
+        if not len(targets):
+            return []
+        marker = self._marker("targets", 0, Marker.SPHERE_LIST, palette.TARGET_COLOUR,
+                              TARGET_WIDTH * self._size)  # fmt: skip
+        return [_Drawn(marker, Content(targets))]
+
+
+def _shares(colour: Sequence[int]) -> tuple[float, float, float, float]:
+    """A colour of 8 bits, with or without alpha, as numbers from 0 to 1."""
+    shares = [float(part) / 255.0 for part in colour]
+    return tuple(shares) if len(shares) == 4 else (*shares, 1.0)
+
+
+class VisualizationOutput:
+    """Publishes markers at a limited rate. Nothing is made, nor memory allocated for it, until
+    somebody receives them.
+
+    It is called after a tick, in the time that is left until the next.
+
+    Args:
+        node: The twin.
+        simulation: Its model.
+        frame_id: Frame of all positions.
+        rate: Most messages per second [Hz]; 0 publishes none.
+    """
+
+    def __init__(self, node: Node, simulation: Simulation, frame_id: str, rate: float):
+        self._simulation, self._frame = simulation, frame_id
+        self._publisher = open_publisher(node, TWIN_TOPICS["~/visualization"])
+        self._period = 1.0 / rate if rate else math.inf
+        self._due = math.inf if rate == 0.0 else -math.inf
+        self._obstacles_due = -math.inf
+        self._count = 0
+        self._markers: RobotMarkers | None = None
+
+    def offer(self, outcome: TickOutcome, stamp: int, now: float) -> None:
+        """Publishes a tick, if a message is due and somebody receives it.
+
+        Args:
+            outcome: The tick.
+            stamp: Its time [ns].
+            now: Its time on the clock of the ticks [s].
+        """
+        # With simulated time the clock may be set back.
+        if now < self._due and self._due - now <= self._period:
+            return
+        count = self._publisher.get_subscription_count()
+        # Who comes late waits for obstacles no longer than for the rest.
+        if count > self._count:
+            self._obstacles_due = -math.inf
+        self._count = count
+        if not count or math.isinf(self._period):
+            return
+        self._due = now + self._period
+        if self._markers is None:
+            lifetime = max(LEAST_LIFETIME, 3.0 * self._period)
+            self._markers = RobotMarkers(self._simulation, self._frame, lifetime)
+        has_obstacles = now >= self._obstacles_due or self._obstacles_due - now > OBSTACLES_EVERY
+        if has_obstacles:
+            self._obstacles_due = now + OBSTACLES_EVERY
+        self._publisher.publish(
+            self._markers.message(outcome, divmod(stamp, NANOSECONDS), has_obstacles)
+        )
