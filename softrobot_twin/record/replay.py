@@ -315,11 +315,9 @@ def change_entry(mapping: Any, change: str) -> None:
     section = mapping
     for step in steps[:-1]:
         section = _below(section, step, change)
-    if isinstance(section, dict) and isinstance(steps[-1], str):
-        section[steps[-1]] = value
-    else:
+    if not (isinstance(section, dict) and isinstance(steps[-1], str)):
         _below(section, steps[-1], change)
-        section[steps[-1]] = value
+    section[steps[-1]] = value
 
 
 def _below(section: Any, step: str | int, change: str) -> Any:

@@ -1,0 +1,375 @@
+"""A recorded run again: the same bits, or the first one that differs; damaged and other files."""
+
+import json
+import shutil
+import threading
+import time
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+
+from softrobot_twin.__main__ import main
+from softrobot_twin.record.replay import ChangeError, Replay, change_entry
+from softrobot_twin.record.run_clock import PlayedClock
+from softrobot_twin.record.run_description import describe, scene_text
+from softrobot_twin.record.run_file import CALL, FORMAT, SCHEMA, TICK, RunFile, RunFileError
+from softrobot_twin.record.run_recorder import BoundedQueue
+from softrobot_twin.scene.loading import read_yaml, written_out
+
+from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
+
+SOFTER = "body.material.young_modulus=1.53e5"
+
+
+def replayed(path, *arguments, **options):
+    run = RunFile(path)
+    return run, Replay(run, *arguments, **options).all_ticks()
+
+
+def test_a_replay_gives_all_bits_of_the_run_again(recorded):
+    run, found = replayed(recorded.path)
+    assert run.is_complete and not run.lost
+    assert found.ticks == TICKS and found.is_equal and found.calls > 2 * TICKS
+    activities = [outcome.activity.value for outcome in recorded.outcomes]
+    assert {"disabled", "resynchronising", "holding", "following"} <= set(activities)
+
+
+def test_answers_of_refused_messages_are_compared_too(recorded):
+    entries = list(RunFile(recorded.path).entries())
+    answers = {entry.content["answer"] for entry in entries
+               if entry.kind == CALL and isinstance(entry.content["answer"], str)}  # fmt: skip
+    assert {"not_finite", "wrong_size", "stale", "wrong_frame", "wrong_names",
+            "duplicate_id"} <= answers  # fmt: skip
+
+
+def test_a_softer_body_differs_and_the_largest_differences_are_told(recorded, capsys):
+    run, found = replayed(recorded.path, changes=(SOFTER,))
+    assert found.ticks == TICKS and not found.is_equal
+    efforts = found.by_quantity["efforts"]
+    assert efforts.ticks == TICKS and efforts.largest.size > 0.0
+    assert efforts.largest.place.split()[0] in run.description.names["actuators"]
+    # What reached the loop is the same.
+    assert "source" not in found.by_quantity and "measured_markers" not in found.by_quantity
+    assert main(["replay", str(recorded.path), "--set", SOFTER]) == 0
+    told = capsys.readouterr().out
+    assert "first difference: tick 0" in told and "efforts" in told and "[N]" in told
+
+
+def test_another_scene_file_is_compared_with_the_recorded_one(recorded, tmp_path):
+    mapping = yaml.safe_load(recorded.scene.read_text())
+    mapping["body"]["mesh"]["file"] = str(recorded.scene.parent / "mesh.vtk")
+    same, other = tmp_path / "same.yaml", tmp_path / "other.yaml"
+    same.write_text(yaml.safe_dump(mapping))
+    mapping["body"]["material"]["young_modulus"] = 153e3
+    other.write_text(yaml.safe_dump(mapping))
+    assert replayed(recorded.path, same)[1].is_equal
+    assert not replayed(recorded.path, other)[1].is_equal
+
+
+def test_a_scene_with_other_actuators_is_refused_by_their_names(recorded, tmp_path):
+    mapping = yaml.safe_load(recorded.scene.read_text())
+    mapping["body"]["mesh"]["file"] = str(recorded.scene.parent / "mesh.vtk")
+    mapping["cables"][0]["name"] = "nord"
+    other = tmp_path / "other.yaml"
+    other.write_text(yaml.safe_dump(mapping))
+    with pytest.raises(RunFileError, match="actuators north.*has nord"):
+        Replay(RunFile(recorded.path), other)
+
+
+def rewritten(recorded, path, change):
+    """The run with other entries: `change` gets each content and may change it."""
+    from mcap.writer import Writer
+
+    with recorded.path.open("rb") as source, path.open("wb") as target:
+        writer = Writer(target)
+        writer.start()
+        schema = writer.register_schema(SCHEMA, "jsonschema", b"{}")
+        channel = writer.register_channel("/twin/record", "json", schema)
+        for schema_of, _, message in make_reader(source).iter_messages():
+            if schema_of.name != SCHEMA:
+                continue
+            content = json.loads(message.data)
+            change(content)
+            writer.add_message(
+                channel, message.log_time, json.dumps(content).encode(), message.publish_time,
+                message.sequence,
+            )  # fmt: skip
+        writer.finish()
+    return path
+
+
+def test_one_bit_of_one_value_is_found_with_its_tick_and_its_name(recorded, tmp_path, capsys):
+    def change(content):
+        if content["kind"] == TICK and content["tick"] == 12:
+            positions = content["values"]["effector_positions"]
+            positions[0][2] = float(np.nextafter(positions[0][2], 1.0))
+
+    path = rewritten(recorded, tmp_path / "changed.mcap", change)
+    _, found = replayed(path)
+    assert list(found.by_quantity) == ["effector_positions"]
+    assert found.first.tick == 12 and found.first.place == "tip z [m]"
+    assert 0.0 < found.first.size < 1e-15
+    assert main(["replay", str(path)]) == 1
+    assert "tick 12" in capsys.readouterr().out
+
+
+def test_a_call_at_another_place_changes_what_follows(recorded, tmp_path):
+    def change(content):
+        if content["kind"] == CALL and content["to"] == "targets.accept_point":
+            if content["arguments"][1] == list(TIP):
+                content["arguments"][1][0] += 1e-3
+
+    _, found = replayed(rewritten(recorded, tmp_path / "changed.mcap", change))
+    targets = found.by_quantity["targets"]
+    assert targets.first.tick == found.first.tick == 4
+    assert targets.first.size == pytest.approx(1e-3)
+
+
+def test_recorded_readings_of_the_clock_decide_the_number_of_linearizations(
+    scene_file, tmp_path
+):
+    path = tmp_path / "hurried.mcap"
+    live = Live(scene_file, path, settings={"deadline": 1e-9})
+    drive(live, 16)
+    live.recorder.close()
+    _, found = replayed(path)
+    assert found.is_equal
+    assert any(outcome.result.report.is_overloaded for outcome in live.outcomes)
+
+    def change(content):
+        if content["kind"] == TICK:
+            content["clock"] = [0.0] * len(content["clock"])
+
+    recorded = type("Recorded", (), {"path": path})
+    _, found = replayed(rewritten(recorded, tmp_path / "timeless.mcap", change))
+    assert {"compute_time", "factor_age"} <= found.by_quantity.keys()
+
+
+def test_a_clock_that_is_read_more_often_goes_on_by_the_mean_time():
+    clock = PlayedClock()
+    assert 0.0 <= clock() <= clock()
+    clock.play([1.0, 2.0, 5.0])
+    assert [clock() for _ in range(5)] == [1.0, 2.0, 5.0, 7.0, 9.0]
+    clock.play([20.0])
+    assert [clock() for _ in range(2)] == [20.0, 22.0]
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_a_file_that_was_cut_off_is_replayed_up_to_there(scene_file, recorded, tmp_path, capsys):
+    path = tmp_path / "running.mcap"
+    live = Live(scene_file, path)
+    drive(live, 12)
+    # As SIGKILL leaves it: what the thread gave to the system, and nothing after it.
+    live.recorder._writer.flush = lambda: None
+    deadline = time.monotonic() + 20.0
+    while live.recorder.waiting:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    type(live.recorder._writer).flush(live.recorder._writer)
+    killed = tmp_path / "killed.mcap"
+    shutil.copy(path, killed)
+    live.recorder.close()
+    run, found = replayed(killed)
+    assert found.is_equal and 11 <= found.ticks <= 12 and not run.is_complete
+    assert main(["replay", str(killed)]) == 0
+    assert "cut off after tick" in capsys.readouterr().err
+
+
+def test_a_file_cut_at_any_byte_gives_whole_ticks_or_a_clear_refusal(recorded, tmp_path):
+    content, cut = recorded.path.read_bytes(), tmp_path / "cut.mcap"
+    counts = []
+    for share in np.linspace(0.0, 1.0, 40):
+        cut.write_bytes(content[: int(share * len(content))])
+        try:
+            run = RunFile(cut)
+        except RunFileError as error:
+            assert "holds no run of a twin" in str(error)
+            continue
+        counts.append(sum(entry.kind == TICK for entry in run.entries()))
+        assert run.is_complete == (counts[-1] == TICKS and not run.damage)
+    assert counts == sorted(counts) and counts[-1] == TICKS
+
+
+def test_a_byte_that_changed_is_found_by_the_checksum_of_its_chunk(recorded, tmp_path):
+    content = bytearray(recorded.path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(content)
+    try:
+        run = RunFile(damaged)
+    except RunFileError:
+        return
+    assert sum(entry.kind == TICK for entry in run.entries()) < TICKS and run.damage
+
+
+def moved(recorded, folder):
+    """The run and its scene's mesh in another folder; they are no more where they were."""
+    folder.mkdir()
+    run = folder / "run.mcap"
+
+    def change(content):
+        if content["kind"] == "run":
+            content["scene_path"] = "/gone/diamond.yaml"
+            content["files"][0]["path"] = "/gone/mesh.vtk"
+
+    return rewritten(recorded, run, change)
+
+
+def test_a_missing_mesh_is_refused_by_name_and_found_beside_the_run(recorded, tmp_path, capsys):
+    run = moved(recorded, tmp_path / "elsewhere")
+    assert main(["replay", str(run)]) == 2
+    told = capsys.readouterr().err
+    assert "mesh.vtk: no such file" in told and "/gone/mesh.vtk" in told
+    shutil.copy(recorded.scene.parent / "mesh.vtk", run.parent)
+    assert replayed(run)[1].is_equal
+
+
+def test_a_changed_mesh_is_refused_by_name(recorded, tmp_path):
+    run = moved(recorded, tmp_path / "elsewhere")
+    mesh = (recorded.scene.parent / "mesh.vtk").read_bytes()
+    (run.parent / "mesh.vtk").write_bytes(mesh + b"\n")
+    with pytest.raises(RunFileError, match="mesh.vtk has changed since the run"):
+        Replay(RunFile(run))
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"time_s,tip_x_m\n0,1\n"])
+def test_a_file_without_a_run_is_refused(tmp_path, content, capsys):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    assert main(["replay", str(path)]) == 2
+    assert "holds no run of a twin" in capsys.readouterr().err
+
+
+def test_a_file_of_another_format_is_refused(recorded, tmp_path):
+    def change(content):
+        if content["kind"] == "run":
+            content["format"] = FORMAT + 1
+
+    with pytest.raises(RunFileError, match=f"format {FORMAT + 1}, this version reads"):
+        RunFile(rewritten(recorded, tmp_path / "newer.mcap", change))
+
+
+def test_other_tools_find_scene_parameters_and_topics_in_the_file(recorded):
+    with recorded.path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        topics = {channel.topic: channel.message_encoding for channel in summary.channels.values()}
+        assert topics == {"/twin/record": "json", TOPIC.name: "cdr"}
+        texts = [message.data for _, _, message in reader.iter_messages([TOPIC.name])]
+        assert texts == [f"tick {number}".encode() for number in range(TICKS)]
+        (scene,) = reader.iter_attachments()
+        assert read_yaml(scene.data.decode()) == read_yaml(recorded.scene.read_text())
+        kept = {record.name: record.metadata for record in reader.iter_metadata()}
+        assert kept["parameters"]["frame_id"] == '"base_link"' and "numpy" in kept["machine"]
+
+
+def test_the_text_of_every_shipped_scene_is_read_back_as_it_is():
+    for path in sorted((ROOT / "config/scenes").glob("*.yaml")):
+        mapping = written_out(read_yaml(path.read_text()), path)
+        assert repr(read_yaml(scene_text(mapping))) == repr(mapping)
+
+
+# --- recording -----------------------------------------------------------------------------------
+
+
+def test_what_does_not_fit_the_queue_is_counted_and_ends_the_replay_there(
+    scene_file, tmp_path, capsys
+):
+    path, gate = tmp_path / "slow.mcap", threading.Event()
+    live = Live(scene_file, path, most_waiting=3)
+    write = live.recorder._write
+
+    def slow(noted):
+        gate.wait(30.0)
+        write(noted)
+
+    live.recorder._write = slow
+    drive(live, 12)
+    assert live.recorder.lost > 0
+    gate.set()
+    live.recorder.close()
+    assert not live.recorder.failure
+    run, found = replayed(path)
+    assert found.is_equal and found.ticks < 12 and run.lost > 0
+    assert main(["replay", str(path)]) == 1
+    assert "entries were dropped after tick" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_full_stops_the_recording_and_not_the_loop(scene_file, tmp_path):
+    path = tmp_path / "full.mcap"
+    live = Live(scene_file, path)
+
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    drive(live, 4)
+    live.recorder._writer.add_entry = full
+    drive(live, 2)
+    live.recorder.close()
+    assert len(live.outcomes) == 6
+    assert "No space left on device" in live.recorder.failure
+    RunFile(path)
+
+
+def test_a_recording_never_replaces_a_file(scene_file, recorded):
+    before = recorded.path.read_bytes()
+    with pytest.raises(RunFileError, match="exists already"):
+        Live(scene_file, recorded.path)
+    assert recorded.path.read_bytes() == before
+
+
+def test_a_full_queue_drops_and_a_closed_one_takes_no_more():
+    queue = BoundedQueue(2)
+    assert [queue.put(item) for item in "abc"] == [True, True, False]
+    queue.close()
+    assert not queue.put("d") and queue.dropped == 2
+    assert [queue.take(0.0) for _ in range(3)] == ["a", "b", None] and queue.is_over
+
+
+# --- changes of a scene --------------------------------------------------------------------------
+
+
+def test_a_change_puts_a_value_at_its_key():
+    mapping = {"body": {"material": {"young_modulus": 1.0}}, "cables": [{"tension": 1}]}
+    change_entry(mapping, "body.material.young_modulus=2.5e+5")
+    change_entry(mapping, "cables[0].tension=[0, 5.0]")
+    change_entry(mapping, "body.damping=0.1")
+    assert mapping == {
+        "body": {"material": {"young_modulus": 2.5e5}, "damping": 0.1},
+        "cables": [{"tension": [0, 5.0]}],
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("body.material", "must be KEY=VALUE"),
+        ("=3", "must be KEY=VALUE"),
+        ("body.materil.density=3", "no materil there, but material"),
+        ("cables[3].tension=1", "no 3 there, but 0 to 0"),
+        ("cables.north.tension=1", "no north there, but 0 to 0"),
+        ("cables[0].tension.x=1", "no tension there, but name"),
+        ("cables[0].name.x=1", "no x there, but no entries"),
+        ("body.material.density={", "not YAML"),
+    ],
+)
+def test_a_change_without_its_section_is_refused(change, words):
+    mapping = {"body": {"material": {"density": 1.0}}, "cables": [{"name": "north"}]}
+    with pytest.raises(ChangeError, match=words):
+        change_entry(mapping, change)
+
+
+def test_the_description_names_scene_files_parameters_and_machine(recorded):
+    description = RunFile(recorded.path).description
+    assert description.scene_path == str(recorded.scene) and description.began == START
+    (mesh,) = description.files
+    assert mesh.name == "mesh.vtk" and len(mesh.sha256) == 64
+    live = Replay(RunFile(recorded.path)).loop
+    parameters = description.parameters
+    again = asdict(describe(live, "/twin", START, parameters))
+    assert again == asdict(description)

@@ -1,0 +1,91 @@
+"""Numbers of a run as JSON, and the calls that a recording knows."""
+
+import inspect
+import json
+import math
+import random
+import struct
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
+from softrobot_twin.record.loop_calls import (
+    CALLS,
+    Call,
+    owner_of,
+    settings_from_json,
+    settings_to_json,
+)
+from softrobot_twin.record.replay import Replay
+from softrobot_twin.record.run_file import RunFile
+from softrobot_twin.record.run_values import numbers, plain, state_digest
+
+
+def through_json(value):
+    return json.loads(json.dumps(plain(value), allow_nan=False))
+
+
+def test_each_number_comes_back_from_json_with_all_its_bits():
+    seed = random.SystemRandom().randrange(2**32)
+    print(f"seed {seed}")
+    drawn = random.Random(seed)
+    bits = [drawn.getrandbits(64) for _ in range(2000)]
+    values = np.array(bits, dtype=np.uint64).view(float)
+    values = np.concatenate([values, [0.0, -0.0, math.inf, -math.inf, 5e-324, 0.1, 1e308]])
+    back = numbers(through_json(values))
+    finite = ~np.isnan(values)
+    assert (back[finite].view(np.uint64) == values[finite].view(np.uint64)).all()
+    assert np.isnan(back[~finite]).all()
+
+
+def test_a_nan_is_null_because_json_has_no_other_word_for_it():
+    assert json.dumps(plain(np.array([[1.0, math.nan], [-math.inf, -0.0]]))) == (
+        '[[1.0, null], ["-inf", -0.0]]'
+    )
+
+
+def test_changed_settings_come_back_as_they_were():
+    settings = LoopSettings(
+        rate=33.3, workspace_min=(-0.1, -0.2, 0.0), on_lost_device=WhenLost.OPEN_LOOP,
+        closed_loop=True,
+    )  # fmt: skip
+    assert settings_from_json(json.loads(json.dumps(settings_to_json(settings)))) == settings
+
+
+def test_every_input_and_service_of_a_loop_is_recorded(recorded):
+    loop = Replay(RunFile(recorded.path)).loop
+    parts = {name: part for name, part in vars(loop).items() if not name.startswith("_")}
+    accepting = {
+        f"{name}.{method}" for name, part in parts.items() for method in dir(part)
+        if method.startswith("accept")
+    }  # fmt: skip
+    assert accepting == {name for name in CALLS if "accept" in name}
+    for name in CALLS:
+        owner, method = owner_of(loop, name)
+        assert len(inspect.signature(getattr(owner, method)).parameters) == len(CALLS[name])
+
+
+@pytest.mark.parametrize("position", [(0.1, math.nan, -0.0), (math.inf,)])
+def test_the_arguments_of_a_call_come_back_with_their_types(position):
+    arrival = Arrival("base\0\udce9", 2**63, -(2**63), -0.0)
+    call = Call("targets.accept_point", (1, position, arrival), None)
+    made = json.loads(json.dumps(call.to_json(), allow_nan=False))
+    effector, point, header = (
+        decode(one) for decode, one in zip(CALLS[made["to"]], made["arguments"], strict=True)
+    )
+    assert effector == 1 and header == arrival
+    assert struct.pack("d", header.time) == struct.pack("d", -0.0)
+    assert np.array_equal(point, position, equal_nan=True)
+
+
+def test_the_digest_of_a_state_changes_with_one_bit_of_one_node(recorded):
+    state = recorded.outcomes[-1].result.state
+    before = state_digest(state)
+    positions = state.positions.copy()
+    positions[-1, 2] = np.nextafter(positions[-1, 2], 1.0)
+    assert state_digest(type(state)(positions, state.setpoints, state.efforts,
+                                    velocities=state.velocities, slips=state.slips,
+                                    history=state.history)) != before  # fmt: skip
+    assert state_digest(state) == before
