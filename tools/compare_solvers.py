@@ -42,7 +42,7 @@ from softrobot_twin.study.bench_measurement import (
     without_garbage_collection,
 )
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.offline_run import Spread, spread
+from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import console, table, warn
 

@@ -95,6 +95,7 @@ class StepReport:
         sampled_range: Largest share of the range in which superelements were sampled, or a basis was
             trained, above 1 outside of it; 0 without reduced bodies.
         strains: Materials that are strained beyond the range of their law.
+        driven_by: What drove the step: ``targets``, ``setpoints``, ``efforts`` or ``hold``.
     """
 
     stage_times: dict[str, float]
@@ -114,6 +115,7 @@ class StepReport:
     contact_force_residual: float = 0.0
     sampled_range: float = 0.0
     strains: tuple[StrainOutside, ...] = ()
+    driven_by: str = ""
 
     @property
     def is_overloaded(self) -> bool:

@@ -8,7 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.actuation import INVERSION, Actuation, ContactLoads
-from softrobot_twin.simulation.command import Command, CommandEfforts, FollowTargets, Hold
+from softrobot_twin.simulation.command import (
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+)
 from softrobot_twin.simulation.contact_forces import contact_forces
 from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.linearized import Linearized
@@ -36,7 +42,12 @@ from softrobot_twin.simulation.step_status import (
     orientation_errors,
 )
 from softrobot_twin.simulation.stiffness_targets import ReachedStiffness
+from softrobot_twin.simulation.table_columns import EFFORTS, HOLD, SETPOINTS, TARGETS
 from softrobot_twin.simulation.time_budget import StageClock
+
+_DRIVEN_BY = {
+    FollowTargets: TARGETS, CommandSetpoints: SETPOINTS, CommandEfforts: EFFORTS, Hold: HOLD,
+}  # fmt: skip
 
 
 class Outcome(NamedTuple):
@@ -141,6 +152,7 @@ class StepResults:
             is_late=outcome.pressed and newton.factor_age == 0,
             qp_solver=actuation.qp_solver,
             sampled_range=max(ranges.values(), default=0.0), strains=strains,
+            driven_by=_DRIVEN_BY[type(command)],
             **self._of_contacts(actuation.contact),
         )  # fmt: skip
         touching = None
@@ -203,7 +215,7 @@ class StepResults:
         errors = effector_errors(self._model.effectors, command, places)
         report = StepReport(
             clock.times, clock.total, math.nan, iterations, limits,
-            projected_tangent=self._newton.projected_tangent,
+            projected_tangent=self._newton.projected_tangent, driven_by=_DRIVEN_BY[type(command)],
         )  # fmt: skip
         displacements = self._model.actuators.displacements(state.setpoints, state.positions)
         return StepResult(

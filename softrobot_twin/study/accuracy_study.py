@@ -45,7 +45,7 @@ from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
-from softrobot_twin.study.offline_run import Spread, spread
+from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import progress, warn
 

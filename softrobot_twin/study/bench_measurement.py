@@ -38,7 +38,7 @@ from softrobot_twin.solvers.superlu import OPTIONS
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.simulation.input_tables import read_commands, read_targets
 from softrobot_twin.study.machine_facts import DenseSpeed, page_faults, resident_bytes
-from softrobot_twin.study.offline_run import Spread, spread
+from softrobot_twin.study.run_summary import Spread, spread
 
 
 def growth_exponent(sizes, times) -> float:

@@ -30,10 +30,16 @@ from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.study.direct_run import pair_names
+from softrobot_twin.simulation.run_columns import (
+    ACTIVE_LIMITS,
+    actuator_cells,
+    actuator_columns,
+    magnitude_column,
+    pair_names,
+)
+from softrobot_twin.simulation.table_columns import STATUS, column, position_columns
 from softrobot_twin.study.equilibrium import WAY, Rest, bring_to_rest
 from softrobot_twin.study.figure import figure_file, load_pyplot
-from softrobot_twin.study.offline_run import actuator_cells, actuator_columns
 from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
 from softrobot_twin.study.sample_workers import (
     DaskWorkers,
@@ -206,17 +212,16 @@ FINER = 4
 
 
 def workspace_header(simulation: Simulation) -> list[str]:
-    """Columns of the file: those of `simulate --commands`, stiffness [N/m], compliance [m/N]."""
-    names = simulation.effector_names
+    """Columns of the file: those of runs, and stiffness [N/m] and compliance [m/N] of effectors."""
+    names, pairs = simulation.effector_names, pair_names(simulation)
     return [
         "sample",
-        *("_".join(column) for column in actuator_columns(simulation.actuators)),
-        *(f"{name}_{axis}_m" for name in names for axis in "xyz"),
+        *(place for name in names for place in position_columns(name)),
         *(f"{name}_stiffness_{rank}_N_per_m" for name in names for rank in (1, 2, 3)),
         *(f"{name}_compliance_{part}_m_per_N" for name in names for part in _PARTS),
-        "contact_count",
-        *(f"sum_of_magnitudes_{first}_{second}_N" for first, second in pair_names(simulation)),
-        "residual_N", "status",
+        *(column(*one) for one in actuator_columns(simulation.actuators)),
+        *(["contact_count"] if pairs else []), *map(magnitude_column, pairs),
+        "residual_N", ACTIVE_LIMITS, STATUS,
     ]  # fmt: skip
 
 
@@ -250,15 +255,19 @@ class SampleComputer:
         result, simulation = rest.result, self.simulation
         found = self._compliance.after_step()
         symmetric = 0.5 * (found.compliance + found.compliance.transpose(0, 2, 1))
-        contacts, sums = result.contacts, np.zeros(len(pair_names(simulation)))
-        if contacts is not None:
-            sums = contacts.of_pairs().magnitude_sums
+        contacts, pairs = [], pair_names(simulation)
+        if pairs:
+            sums = np.zeros(len(pairs))
+            if result.contacts is not None:
+                sums = result.contacts.of_pairs().magnitude_sums
+            contacts = [result.report.contact_count, *sums]
         cells = [
-            *actuator_cells(result, simulation.actuators), *result.effector_positions.ravel(),
+            *result.effector_positions.ravel(),
             *(stiffness for index in range(len(found.compliance))
               for stiffness in found.principal_stiffness(index)[0]),
-            *symmetric[:, _UPPER[0], _UPPER[1]].ravel(), result.report.contact_count, *sums,
-            result.report.residual, rest.status,
+            *symmetric[:, _UPPER[0], _UPPER[1]].ravel(),
+            *actuator_cells(result, simulation.actuators), *contacts, result.report.residual,
+            " ".join(result.report.active_limits), rest.status,
         ]  # fmt: skip
         return [cell.item() if isinstance(cell, np.generic) else cell for cell in cells]
 
@@ -417,7 +426,7 @@ def clouds(
     status = np.array([row[-1] for row in kept])
     made = []
     for name in names:
-        columns = [header.index(f"{name}_{axis}_m") for axis in "xyz"]
+        columns = [header.index(place) for place in position_columns(name)]
         columns.append(header.index(f"{name}_stiffness_1_N_per_m"))
         values = np.array([[float(row[column]) for column in columns] for row in kept])
         at_rest = values[[int(row[0]) == 0 for row in kept], :3]
@@ -626,7 +635,7 @@ def _compute(
         for index, row, cause in closed(crew.run(job, left)):
             if row is None:
                 causes.append((index, cause))
-                row = [math.nan] * (len(unfinished.header) - 2) + [LOST]
+                row = [math.nan] * (len(unfinished.header) - 3) + ["", LOST]
             unfinished.add(index, row)
             shown.add(row[-1])
     return causes

@@ -29,10 +29,9 @@ from softrobot_twin.simulation.actuator_kinds import (
     register_actuator,
     withdraw_actuator,
 )
-from softrobot_twin.study.direct_run import direct_header
 from softrobot_twin.study.explain import effects
 from softrobot_twin.simulation.input_tables import TableFileError, read_commands, read_targets
-from softrobot_twin.study.offline_run import actuator_cells, run_header
+from softrobot_twin.simulation.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.scene_picture import take_snapshot
 
 STEP = 0.02
@@ -403,13 +402,11 @@ def test_a_state_with_it_is_complete(inflated):
 
 def test_files_name_its_quantities_and_units(inflated, tmp_path):
     simulation = inflated()
-    header = run_header(simulation.effector_names, simulation.actuators)
-    assert header[header.index("left.volume") :][:4] == [
-        "left.volume", "left.pressure", "left.expansion", "left.rest_volume"]  # fmt: skip
-    assert header[header.index("east.length") :][:4] == [
-        "east.length", "east.tension", "east.shortening", "east.rest_length"]  # fmt: skip
-    assert {"right_volume_m3", "right_pressure_Pa", "right_expansion_m3"} <= set(
-        direct_header(simulation))  # fmt: skip
+    header = RunColumns(simulation).names
+    assert header[header.index("left_volume_m3") :][:4] == (
+        "left_volume_m3", "left_pressure_Pa", "left_expansion_m3", "left_rest_volume_m3")
+    assert header[header.index("east_length_m") :][:4] == (
+        "east_length_m", "east_tension_N", "east_shortening_m", "east_rest_length_m")
     result = simulation.step(Hold(STEP))
     cells = actuator_cells(result, simulation.actuators)
     assert cells[16] == result.setpoints[4] and cells[17] == result.efforts[4]

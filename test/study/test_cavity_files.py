@@ -18,7 +18,8 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.explain import effects
 from softrobot_twin.simulation.input_tables import TableFileError, read_commands, read_targets
-from softrobot_twin.study.offline_run import actuator_cells, actuator_columns
+from softrobot_twin.simulation.table_columns import column
+from softrobot_twin.simulation.run_columns import actuator_cells, actuator_columns
 from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
 
 
@@ -62,22 +63,22 @@ def simulation_of(springy):
 def test_what_a_regulator_holds_is_written_once_and_its_volume_beside_it(simulation_of):
     simulation = simulation_of()
     result = simulation.step(CommandSetpoints([*simulation.rest_setpoints[:1], 400.0], 1.0))
-    columns = [f"{name}.{quantity} {unit}" for name, quantity, unit in
-               actuator_columns(simulation.actuators)]
-    assert columns == ["line.length m", "line.tension N", "line.shortening m",
-                       "line.rest_length m", "air.pressure Pa", "air.growth m3", "air.volume m3"]
+    columns = [column(*one) for one in actuator_columns(simulation.actuators)]
+    assert columns == ["line_length_m", "line_tension_N", "line_shortening_m",
+                       "line_rest_length_m", "air_pressure_Pa", "air_growth_m3", "air_volume_m3"]
     cells = dict(zip(columns, actuator_cells(result, simulation.actuators), strict=True))
-    assert cells["air.pressure Pa"] == pytest.approx(400.0) == result.efforts[1]
+    assert cells["air_pressure_Pa"] == pytest.approx(400.0) == result.efforts[1]
     (volume,) = simulation.cavities.volumes(simulation.state)
-    assert cells["air.volume m3"] == pytest.approx(volume, rel=1e-12)
-    assert cells["air.growth m3"] == pytest.approx(volume - 5.47e-6, rel=1e-3)
+    assert cells["air_volume_m3"] == pytest.approx(volume, rel=1e-12)
+    assert cells["air_growth_m3"] == pytest.approx(volume - 5.47e-6, rel=1e-3)
 
 
 def test_what_a_syringe_holds_is_written_with_its_pressure(simulation_of):
     simulation = simulation_of(control="volume")
     simulation.step(CommandSetpoints(simulation.rest_setpoints * [1.0, 1.1], 1.0))
-    columns = [f"{name}.{quantity}" for name, quantity, _ in actuator_columns(simulation.actuators)]
-    assert columns[4:] == ["air.volume", "air.pressure", "air.growth", "air.rest_volume"]
+    columns = [column(*one) for one in actuator_columns(simulation.actuators)]
+    assert columns[4:] == ["air_volume_m3", "air_pressure_Pa", "air_growth_m3",
+                           "air_rest_volume_m3"]
     result = simulation.step(Hold(1.0))
     volume, pressure, growth, rest = actuator_cells(result, simulation.actuators)[4:]
     assert volume == pytest.approx(1.1 * rest) and pressure == result.efforts[1] > 0.0

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.direct_run import DirectSummary, run_commands, step_times
+from softrobot_twin.study.direct_run import run_commands, step_times
+from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.simulation.input_tables import read_commands
 
 WEIGHT = 0.05 * 9.81
@@ -17,7 +18,7 @@ def stamped(stamp):
     """Rows of the stamping at 200 Hz, and their summary."""
     simulation = Simulation.from_scene_file(stamp)
     table = read_commands(stamp.parent / "stamping.csv", simulation)
-    summary = DirectSummary(simulation, table.longest_hold)
+    summary = RunSummary(simulation, table.longest_hold)
     rows = []
     for row in run_commands(simulation, table, 200.0):
         summary.add(row)
@@ -68,7 +69,7 @@ def test_a_cube_between_stamp_and_floor_neither_rises_nor_creeps(stamped):
 def test_heights_are_measured_against_gravity_from_the_initial_position(stamp):
     simulation = Simulation.from_scene_file(stamp)
     table = read_commands(stamp.parent / "stamping.csv", simulation)
-    summary = DirectSummary(simulation, (0.01, 0.02))
+    summary = RunSummary(simulation, (0.01, 0.02))
     for row in run_commands(simulation, table, 100.0):
         lifted = row.rigid_poses.copy()
         lifted[1, 2] += 0.05 * min(row.time, 0.35)
@@ -93,7 +94,7 @@ def test_a_run_writes_all_columns_and_prints_its_figures(tmp_path, stamp, call):
     assert done.code == 0, done.errors
     for words in ("cube, highest", "cube, creep while held", "0.2..0.5 s", "force on pad by cube",
                   "force on cube by floor", "sum of magnitudes",
-                  "compute time, median", "compute time, p99",
+                  "compute time", "p99", "contacts, maximum",
                   "status ok", "100 Hz"):
         assert words in done.output, words
     with (tmp_path / "run.csv").open(newline="") as file:
@@ -106,7 +107,8 @@ def test_a_run_writes_all_columns_and_prints_its_figures(tmp_path, stamp, call):
         "sum_of_magnitudes_pad_cube_N",
         "force_on_cube_by_floor_x_N", "force_on_cube_by_floor_y_N", "force_on_cube_by_floor_z_N",
         "sum_of_magnitudes_cube_floor_N",
-        "residual_N", "contact_residual_m", "compute_ms", "status"]
+        "contact_residual_m", "residual_N", "iterations", "compute_time_s", "active_limits",
+        "driven_by", "status"]
     assert len(rows) == 70 and float(rows[-1]["time_s"]) == pytest.approx(0.7)
     assert int(rows[8]["contact_count"]) == 4  # a cube stands on its corners
     assert float(rows[8]["force_on_cube_by_floor_z_N"]) == pytest.approx(WEIGHT, rel=1e-3)
@@ -118,7 +120,7 @@ def test_two_direct_runs_are_the_same_to_the_last_bit(tmp_path, stamp, call):
         assert call("simulate", stamp, "--commands", stamp.parent / "stamping.csv", "--rate", 50,
                     "--output", tmp_path / name).code == 0
         with (tmp_path / name).open(newline="") as file:
-            tables.append([{k: v for k, v in row.items() if k != "compute_ms"}
+            tables.append([{k: v for k, v in row.items() if k != "compute_time_s"}
                            for row in csv.DictReader(file)])
     assert tables[0] == tables[1]
 

@@ -147,8 +147,8 @@ def test_a_run_states_shortenings_and_lengths_at_rest(column, targets, output, c
     rest = dict(zip("abcd", Simulation.from_scene_file(column).rest_setpoints, strict=True))
     for row in rows_of(output):
         for name, length in rest.items():
-            assert float(row[f"{name}.rest_length"]) == length
-            assert float(row[f"{name}.shortening"]) == length - float(row[f"{name}.length"])
+            assert float(row[f"{name}_rest_length_m"]) == length
+            assert float(row[f"{name}_shortening_m"]) == length - float(row[f"{name}_length_m"])
 
 
 def test_a_direct_run_states_shortenings_and_lengths_at_rest(column, output, call):

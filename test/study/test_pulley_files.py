@@ -7,7 +7,7 @@ import yaml
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.input_tables import TableFileError, read_commands
-from softrobot_twin.study.offline_run import actuator_cells, actuator_columns
+from softrobot_twin.simulation.run_columns import actuator_cells, actuator_columns
 
 RADIUS = 0.01
 
@@ -58,7 +58,7 @@ def test_a_run_writes_angle_and_torque_of_each_pulley(wound):
     result = wound.step(CommandSetpoints(lengths, 10.0))
     columns, cells = actuator_columns(wound.actuators), actuator_cells(result, wound.actuators)
     assert len(columns) == len(cells)
-    found = dict(zip(columns, cells))
+    found = {(name, *quantity): cell for (name, quantity), cell in zip(columns, cells)}
     assert found["a", "angle", "rad"] == pytest.approx(0.2)
     assert found["a", "torque", "Nm"] == pytest.approx(RADIUS * result.efforts[0])
     assert found["winch", "angle", "rad"] == pytest.approx(-0.05)

@@ -29,23 +29,25 @@ def rows_of(path):
 
 
 def tip_of(row):
-    return np.array([float(row[f"tip.{axis}"]) for axis in "xyz"])
+    return np.array([float(row[f"tip_{axis}_m"]) for axis in "xyz"])
 
 
 def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column, targets, command):
     done = command("simulate", column, "--targets", targets(), "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     assert (tmp_path / "run.csv").read_text().splitlines()[0] == (
-        "step,t,tip.x,tip.y,tip.z,"
-        + "".join(f"{name}.length,{name}.tension,{name}.shortening,{name}.rest_length,"
+        "step,time_s,tip_x_m,tip_y_m,tip_z_m,tip_target_x_m,tip_target_y_m,tip_target_z_m,"
+        "tip_error_m,"
+        + "".join(f"{name}_length_m,{name}_tension_N,{name}_shortening_m,{name}_rest_length_m,"
                   for name in "abcd")
-        + "residual,compute_ms,status")
+        + "residual_N,linearization_error_m,iterations,compute_time_s,active_limits,driven_by,"
+        "status")
     rows = rows_of(tmp_path / "run.csv")
     assert [row["step"] for row in rows] == ["0", "1", "2"]
-    assert [row["t"] for row in rows] == ["0.0", "0.02", "0.04"]
+    assert [row["time_s"] for row in rows] == ["0.0", "0.02", "0.04"]
     assert {row["status"] for row in rows} <= {"ok", "linearized"}
     np.testing.assert_allclose(tip_of(rows[-1]), REACHED, atol=1e-4)
-    assert "residual, max" in done.output and "3 rows" in done.output
+    assert "residual, max" in done.output and "tip, tracking error" in done.output
     assert done.errors == "", "a piped run draws no progress bar"
 
 
@@ -55,7 +57,7 @@ def test_two_runs_are_the_same_to_the_last_bit(tmp_path, column, targets, call):
                        tmp_path / name).code == 0
     first, second = rows_of(tmp_path / "first.csv"), rows_of(tmp_path / "second.csv")
     for row in first + second:
-        del row["compute_ms"]
+        del row["compute_time_s"]
     assert first == second
 
 
@@ -70,7 +72,7 @@ def test_settling_runs_the_first_row_before_recording(tmp_path, column, targets,
     assert done.code == 0, done.errors
     settled, once = rows_of(tmp_path / "settled.csv"), rows_of(tmp_path / "once.csv")
     assert len(settled) == 3
-    assert settled[0]["tip.x"] != once[0]["tip.x"]
+    assert settled[0]["tip_x_m"] != once[0]["tip_x_m"]
     for row, longer in zip(settled, rows_of(tmp_path / "repeated.csv")[2:], strict=True):
         np.testing.assert_array_equal(tip_of(row), tip_of(longer))
 
@@ -85,17 +87,17 @@ def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, tar
                    tmp_path / "by_length.csv")
     assert done.code == 0, done.errors
     (reached,) = rows_of(tmp_path / "by_length.csv")
-    assert all(float(reached[f"{name}.tension"]) > 0.01 for name in names)
-    np.testing.assert_allclose([float(reached[f"{name}.length"]) for name in names], wound,
+    assert all(float(reached[f"{name}_tension_N"]) > 0.01 for name in names)
+    np.testing.assert_allclose([float(reached[f"{name}_length_m"]) for name in names], wound,
                                atol=1e-9)
     by_tension = targets(",".join(["time_s", *(f"{name}_tension_N" for name in names)]) + "\n"
-                         + ",".join(["0", *(reached[f"{name}.tension"] for name in names)]) + "\n")
+                         + ",".join(["0", *(reached[f"{name}_tension_N"] for name in names)]) + "\n")
     done = call("simulate", column, "--targets", by_tension, "--settle", 30, "--output",
                    tmp_path / "by_tension.csv")
     assert done.code == 0, done.errors
     (again,) = rows_of(tmp_path / "by_tension.csv")
     np.testing.assert_allclose(tip_of(again), tip_of(reached), atol=1e-6)
-    np.testing.assert_allclose([float(again[f"{name}.length"]) for name in names], wound,
+    np.testing.assert_allclose([float(again[f"{name}_length_m"]) for name in names], wound,
                                atol=1e-6)
     moved = np.linalg.norm(tip_of(reached) - simulation.effector_positions()[0])
     assert moved > 1e-3, "the cables must move the tip for this to say anything"

@@ -10,7 +10,9 @@ import yaml
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.input_tables import TableFileError, read_commands
-from softrobot_twin.study.direct_run import direct_run_file, run_commands
+from softrobot_twin.simulation.run_columns import RunColumns
+from softrobot_twin.study.direct_run import run_commands
+from softrobot_twin.study.offline_run import run_file
 
 LENGTHS = ",".join(f"{name}_shortening_m" for name in "abcd")
 
@@ -62,7 +64,7 @@ def test_a_displacement_counts_from_where_the_touch_begins(simulation, tmp_path)
 
 def test_the_output_has_force_and_displacement(simulation, tmp_path):
     path = table(tmp_path, "finger_force_y_N", (0.0, 0), (1.0, 0.02))
-    with direct_run_file(tmp_path / "out.csv", simulation) as write:
+    with run_file(tmp_path / "out.csv", RunColumns(simulation)) as write:
         for row in run_commands(simulation, read_commands(path, simulation), 10.0):
             write(row)
     with (tmp_path / "out.csv").open() as file:

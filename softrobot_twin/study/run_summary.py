@@ -1,0 +1,292 @@
+"""What is printed after a run: only what its scene and the way it was driven call for."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity
+from softrobot_twin.simulation.run_columns import RunRow, pair_names, rigid_poses
+
+_SHOWN = 6
+"""Most rows of things that are alike; more are put together."""
+
+_TOLD = {"m": (1e3, "mm"), "m3": (1e6, "cm³"), "Pa": (1e-3, "kPa"), "rad": (180.0 / math.pi, "°"),
+         "Nm": (1.0, "N m")}
+"""Factor and unit in which a unit of a column is told."""
+
+
+class Spread(NamedTuple):
+    """Median, 99th percentile and maximum of a set of numbers, in their unit."""
+
+    median: float
+    p99: float
+    maximum: float
+
+
+def spread(values: np.ndarray) -> Spread:
+    """Median, 99th percentile and maximum over the finite values; NaN when there is none."""
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    if not finite.size:
+        return Spread(np.nan, np.nan, np.nan)
+    return Spread(float(np.median(finite)), float(np.percentile(finite, 99.0)),
+                  float(finite.max()))
+
+
+class RunSummary:
+    """Collects a few numbers of each row for a summary.
+
+    Attributes:
+        statuses: Number of rows of each status.
+        sampled_range: Largest share of the range of reduced bodies.
+        failed: Number of rows without a solution.
+    """
+
+    def __init__(self, simulation: Simulation, hold: tuple[float, float] = (math.nan, math.nan),
+                 unit: str = "steps"):
+        """Records the state before the run.
+
+        Args:
+            simulation: Heights are measured from its present state.
+            hold: Start and end of the interval in which creep is measured [s]; NaN for none.
+            unit: What a row is called.
+        """
+        self._unit, self._hold = unit, hold
+        self._effectors = simulation.effector_names
+        self._kinds = simulation.actuators.kind_of
+        self._pairs = pair_names(simulation)
+        self._free = [index for index, part in enumerate(simulation.model.rigid) if part.is_free]
+        self._free_names = [simulation.model.rigid[index].name for index in self._free]
+        gravity = np.array(simulation.scene.gravity)
+        weight = np.linalg.norm(gravity)
+        self._up = -gravity / weight if weight > 0.0 else np.array([0.0, 0.0, 1.0])
+        self._before = rigid_poses(simulation)[self._free, :3]
+        self._rows: list[RunRow] = []
+        self._limits: Counter[str] = Counter()
+        self.statuses: Counter[str] = Counter()
+        self.sampled_range, self.failed = 0.0, 0
+
+    def add(self, row: RunRow) -> None:
+        """Adds one row."""
+        report = row.result.report
+        # The state and the command are large, and of no use here.
+        self._rows.append(row._replace(command=None, result=_Kept(
+            row.result.effector_positions, row.result.effector_errors,
+            row.result.orientation_errors, row.result.stiffness_errors,
+            row.result.displacements, row.result.efforts, report.contact_count, report.residual,
+            report.linearization_error, report.compute_time)))
+        self._limits.update(list(dict.fromkeys(report.active_limits)))
+        self.sampled_range = max(self.sampled_range, report.sampled_range)
+        self.statuses[row.result.status.value] += 1
+        self.failed += row.result.status.is_failure
+
+    def _series(self, field: str) -> np.ndarray:
+        """A field of all rows; empty where it is None."""
+        values = [getattr(row.result, field) for row in self._rows]
+        return np.empty((0, 0)) if not values or values[0] is None else np.array(values)
+
+    def heights(self) -> dict[str, tuple[float, float]]:
+        """Greatest rise of each free body [m], and its time [s]."""
+        places = np.array([row.rigid_poses[self._free, :3] for row in self._rows])
+        risen = (places - self._before) @ self._up
+        return {name: (float(rise.max()), self._rows[int(rise.argmax())].time)
+                for name, rise in zip(self._free_names, risen.T, strict=True)}
+
+    def creep(self) -> dict[str, float]:
+        """Greatest distance of each body from its position at the start of the hold [m]; empty
+        without a hold.
+
+        Bodies are the free bodies or, if there are none, the effectors.
+        """
+        begin, end = self._hold
+        times = np.array([row.time for row in self._rows])
+        held = np.flatnonzero((times > begin - 1e-9) & (times < end + 1e-9))
+        if not held.size:
+            return {}
+        names = self._free_names
+        places = np.array([row.rigid_poses[self._free, :3] for row in self._rows])
+        if not names:
+            names, places = self._effectors, self._series("effector_positions")
+        distances = np.linalg.norm(places[held] - places[held[0]], axis=2)
+        return dict(zip(names, map(float, distances.max(axis=0)), strict=True))
+
+    def lines(self) -> list[tuple[str, str]]:
+        """The summary as names and values with units."""
+        if not self._rows:
+            return [(self._unit, "0")]
+        begin, end = self._hold
+        lines = [(self._unit, f"{len(self._rows)}, {self._rows[-1].time:.6g} s at their end")]
+        lines += self._of_effectors()
+        lines += [(f"{name}, highest", f"{1e3 * height:+.2f} mm at {time:.2f} s")
+                  for name, (height, time) in self.heights().items()]
+        lines += [(f"{name}, creep while held", f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
+                  for name, rise in self.creep().items()]
+        lines += self._of_actuators()
+        lines += self._of_contacts()
+        lines += self._of_limits()
+        lines += self._of_steps()
+        return lines
+
+    def _of_effectors(self) -> list[tuple[str, str]]:
+        """Errors of the effectors that have targets; else where they are at the end."""
+        lines, times = [], [row.time for row in self._rows]
+        for field, word, factor, form in (
+            ("effector_errors", "tracking error", 1e3, "{:.4f} mm"),
+            ("orientation_errors", "orientation error", 180.0 / math.pi, "{:.4f}°"),
+            ("stiffness_errors", "stiffness error", 100.0, "{:.3f} %"),
+        ):
+            series = factor * self._series(field)
+            told = [(name, errors) for name, errors in zip(self._effectors, series.T)
+                    if np.isfinite(errors).any()]
+            if len(told) > _SHOWN:
+                every = np.array([errors for _, errors in told])
+                worst = told[int(np.nanmax(every, axis=1).argmax())][0]
+                lines.append((f"{len(told)} effectors, {word}",
+                              f"mean {form.format(np.nanmean(every))}, max "
+                              f"{form.format(np.nanmax(every))} of {worst}"))
+                continue
+            lines += [(f"{name}, {word}", f"mean {form.format(np.nanmean(errors))}, max "
+                       f"{form.format(np.nanmax(errors))} at {times[int(np.nanargmax(errors))]:g} s")
+                      for name, errors in told]
+        if lines or len(self._effectors) > _SHOWN:
+            return lines
+        places = 1e3 * self._series("effector_positions")[-1] if self._effectors else ()
+        return [(f"{name}, at the end", f"[{', '.join(f'{x:.5g}' for x in place)}] mm")
+                for name, place in zip(self._effectors, places)]
+
+    def _of_actuators(self) -> list[tuple[str, str]]:
+        """Ranges of displacement and effort of each actuator; those that are alike in one row."""
+        displacements, efforts = self._series("displacements"), self._series("efforts")
+        alike: dict[tuple[str, str], list[str]] = {}
+        kinds: dict[str, list[int]] = {}
+        for index, kind in enumerate(self._kinds.values()):
+            kinds.setdefault(kind.noun, []).append(index)
+        names, of = tuple(self._kinds), tuple(self._kinds.values())
+        for noun, places in kinds.items():
+            if len(places) > _SHOWN:
+                both = displacements[:, places], efforts[:, places]
+                told = _ranges(of[places[0]], *both, [names[place] for place in places])
+                alike[noun, told] = [f"{len(places)} {of[places[0]].section}"]
+                continue
+            for place in places:
+                told = _ranges(of[place], displacements[:, [place]], efforts[:, [place]])
+                alike.setdefault((noun, told), []).append(names[place])
+        return [(", ".join(own), told) for (_, told), own in alike.items()]
+
+    def _of_contacts(self) -> list[tuple[str, str]]:
+        """Contacts of each pair that touched, the hardest first; nothing without contact."""
+        if not self._pairs:
+            return []
+        counts = [row.result.contact_count for row in self._rows]
+        resultants = np.linalg.norm([row.pair_resultants for row in self._rows], axis=2)
+        sums = np.array([row.pair_magnitude_sums for row in self._rows])
+        lines = [("contacts, maximum", str(max(counts)))]
+        order = [index for index in np.argsort(-sums.max(axis=0), kind="stable")
+                 if sums[:, index].any()]
+        for index in sorted(order[:_SHOWN]):
+            first, second = self._pairs[index]
+            touched = sums[:, index] > 0.0
+            whole, summed = resultants[touched, index], sums[touched, index]
+            lines.append((f"force on {first} by {second}",
+                          f"resultant median {np.median(whole):.3f} N, max "
+                          f"{whole.max():.3f} N; sum of magnitudes median "
+                          f"{np.median(summed):.3f} N, max {summed.max():.3f} N; "
+                          f"touching in {100 * touched.mean():.0f} % of {self._unit}"))
+        if len(order) > _SHOWN:
+            lines.append((f"{len(order) - _SHOWN} more pairs that touched", "press less"))
+        return lines
+
+    def _of_limits(self) -> list[tuple[str, str]]:
+        """Limits that were met, the most frequent first; nothing where none was."""
+        met = self._limits.most_common()
+        if not met:
+            return []
+        told = [f"{name} {_share(count, len(self._rows))}" for name, count in met[:_SHOWN]]
+        more = f", and {len(met) - _SHOWN} more" if len(met) > _SHOWN else ""
+        return [("limits met most", f"{', '.join(told)} of {self._unit}{more}")]
+
+    def _of_steps(self) -> list[tuple[str, str]]:
+        """Residual, error estimates, time and statuses."""
+        compute = spread(1e3 * self._series("compute_time"))
+        lines = [("residual, max", f"{_largest(self._series('residual')):.2g} N")]
+        linearization = _largest(self._series("linearization_error"))
+        if math.isfinite(linearization):
+            lines.append(("linearization error, max", f"{1e3 * linearization:.2g} mm"))
+        if self.sampled_range > 0.0:
+            lines.append(("range of the training, max", f"{self.sampled_range:.2g} of it"))
+        errors = np.array([row.reduction_errors for row in self._rows])
+        if errors.size:
+            lines.append(("reduction error, max", f"{1e3 * _largest(errors):.3g} mm, estimated"))
+        lines.append(("compute time", f"median {compute.median:.2f} ms, p99 {compute.p99:.2f} ms, "
+                      f"max {compute.maximum:.2f} ms"))
+        return lines + [(f"status {name}", f"{count} {self._unit}")
+                        for name, count in sorted(self.statuses.items())]
+
+
+class _Kept(NamedTuple):
+    """What a summary needs of a result and its report; see `StepResult` and `StepReport`."""
+
+    effector_positions: np.ndarray
+    effector_errors: np.ndarray
+    orientation_errors: np.ndarray | None
+    stiffness_errors: np.ndarray | None
+    displacements: np.ndarray
+    efforts: np.ndarray
+    contact_count: int
+    residual: float
+    linearization_error: float
+    compute_time: float
+
+
+def _largest(values: np.ndarray) -> float:
+    """The largest finite value; NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if finite.size else math.nan
+
+
+def _share(count: int, whole: int) -> str:
+    percent = 100.0 * count / whole
+    return f"{percent:.0f} %" if percent >= 1.0 else f"{percent:.1g} %"
+
+
+def _ranges(
+    kind: ActuatorKind, displacements: np.ndarray, efforts: np.ndarray, names: Sequence[str] = ()
+) -> str:
+    """Ranges of the displacement and the effort of actuators of a kind, as text.
+
+    Args:
+        kind: Their kind.
+        displacements: Shape (row_count, count).
+        efforts: Shape (row_count, count).
+        names: Their names, to tell which has the largest value; empty for one actuator.
+    """
+    told = []
+    for quantity, values in ((kind.displacement, displacements), (kind.effort, efforts)):
+        if not np.isfinite(values).any():
+            continue
+        most = ""
+        if names:
+            most = f" of {names[int(np.nanmax(np.abs(values), axis=0).argmax())]}"
+        told.append(f"{told_range(quantity, values)}{most}")
+    return ", ".join(told)
+
+
+def told_range(quantity: Quantity, values: np.ndarray) -> str:
+    """A quantity, its least and its greatest value with the unit that is told.
+
+    Args:
+        quantity: The quantity.
+        values: In its unit; at least one is finite.
+    """
+    factor, unit = _TOLD.get(quantity.unit, (1.0, quantity.unit))
+    low, high = factor * np.nanmin(values), factor * np.nanmax(values)
+    # A rounding error is no displacement.
+    rounding = 1e-9 * max(abs(low), abs(high), 1.0)
+    low, high = (0.0 if abs(end) < rounding else end for end in (low, high))
+    return f"{quantity.word} [{low:.3g}, {high:.3g}] {unit}"
