@@ -38,6 +38,8 @@ from softrobot_twin.study.direct_run import (
     simulate_commands,
 )
 from softrobot_twin.study.explain import explain
+from softrobot_twin.study.first_scene import init
+from softrobot_twin.study.meshing import UNITS, mesh_part, rate_step
 from softrobot_twin.study.offline_run import simulate
 from softrobot_twin.study.reduced_models import STUDY
 from softrobot_twin.study.reduction_states import TargetBox
@@ -510,6 +512,91 @@ def _demo(chosen: argparse.Namespace) -> int:
     return demo(chosen.robot, chosen.output, chosen.seconds, chosen.view)
 
 
+def length(text: str) -> float:
+    """Parses a length with its unit, such as 6mm, 0.006m or, in metres, 6e-3 [m]."""
+    return _with_unit(text, UNITS, "a length such as 6mm, 0.6cm, 0.006m or 6e-3 (metres)")
+
+
+def step_time(text: str) -> float:
+    """Parses a time with its unit, such as 2ms or, in seconds, 0.002 [s]."""
+    return _with_unit(text, {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+                      "a time such as 2ms, 0.002s or 2e-3 (seconds)")
+
+
+def _with_unit(text: str, units: dict[str, float], expected: str) -> float:
+    """A number with a unit in SI; without a unit it is SI."""
+    word = text.strip()
+    name = next((one for one in sorted(units, key=len, reverse=True) if word.endswith(one)), "")
+    try:
+        number = float(word.removesuffix(name)) * units.get(name, 1.0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is not {expected}") from None
+    if not 0.0 < number < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} must be above zero and finite")
+    return number
+
+
+def add_mesh(commands) -> None:
+    """Declares ``mesh``."""
+    parser = add_command(
+        commands, "mesh", _mesh, "fill a part from a CAD program with tetrahedra",
+        "Mesh a part with gmsh. Closed surfaces inside it become the named surfaces cavity_1, "
+        "cavity_2, ..., that cavities of a scene name as their part; the solids of a STEP file become "
+        "named regions. The mesh is in metres. Quality, the time of a step on this machine and an "
+        "estimate of the mesh's error are printed. With --rate or --step-time the size is searched: "
+        "some meshes are made and measured.",
+        examples=("finger.stl --size 6mm --output finger.msh",
+                  "finger.step --rate 50 --output finger.msh",
+                  "finger.stl --unit cm --step-time 5ms --element linear"),
+    )
+    parser.add_argument("part", metavar="PART", type=Path, help="CAD file: .stl, .step or .stp")
+    wanted = parser.add_mutually_exclusive_group(required=True)
+    wanted.add_argument("--size", type=length, metavar="LENGTH",
+                        help="edge of the tetrahedra, such as 6mm")
+    wanted.add_argument("--rate", type=rate, metavar="HZ",
+                        help="search the least size whose steps keep this rate")
+    wanted.add_argument("--step-time", type=step_time, metavar="TIME",
+                        help="search the least size whose steps take at most this time, such as 5ms")
+    parser.add_argument("--output", type=Path, metavar="FILE",
+                        help="mesh file, .msh (default: the part's name, in the current folder)")
+    parser.add_argument("--unit", choices=sorted(UNITS),
+                        help="unit of an STL file, which states none (default: mm)")
+    parser.add_argument("--element", choices=("linear", "quadratic"), default="quadratic",
+                        help="elements whose step is measured (default: quadratic)")
+
+
+def _mesh(chosen: argparse.Namespace) -> int:
+    step = chosen.step_time if chosen.rate is None else rate_step(chosen.rate)
+    return mesh_part(chosen.part, chosen.output or Path(f"{chosen.part.stem}.msh"),
+                     size=chosen.size, step=step, unit=chosen.unit, element=chosen.element)
+
+
+def add_init(commands) -> None:
+    """Declares ``init``."""
+    parser = add_command(
+        commands, "init", _init, "write a first scene for a mesh",
+        "Write a commented scene for a mesh or CAD file that loads and runs as it is: fixed region, "
+        "scale, material, effector and limits of pressure are guessed and told; examples of cables "
+        "and markers at places of this part are in comments. Nothing is asked.",
+        examples=("finger.msh", "finger.stl --size 6mm --output scenes/finger.yaml"),
+    )
+    parser.add_argument("mesh", metavar="MESH", type=Path,
+                        help="mesh file (.msh, .vtk, .vtu, .inp), or CAD file (.stl, .step, .stp)")
+    parser.add_argument("--output", type=Path, metavar="SCENE",
+                        help="scene to write (default: beside the mesh, with its name)")
+    parser.add_argument("--size", type=length, metavar="LENGTH",
+                        help="edge of the tetrahedra of a CAD file, such as 6mm (default: a coarse "
+                        "mesh)")
+    parser.add_argument("--unit", choices=sorted(UNITS),
+                        help="unit of the file (default: guessed; STEP files state theirs)")
+    parser.add_argument("--force", action="store_true", help="replace a scene that exists")
+
+
+def _init(chosen: argparse.Namespace) -> int:
+    scale = None if chosen.unit is None else UNITS[chosen.unit]
+    return init(chosen.mesh, chosen.output, size=chosen.size, scale=scale, replace=chosen.force)
+
+
 def add_reduce_vertebrae(commands) -> None:
     """Declares ``reduce-vertebrae``."""
     parser = add_command(
@@ -706,8 +793,8 @@ def _reduce(chosen: argparse.Namespace) -> int:
 
 
 COMMANDS = (
-    add_simulate, add_explain, add_workspace, add_bench, add_accuracy, add_choose, add_reduce,
-    add_reduce_vertebrae, add_replay, add_demo, add_completion,
+    add_mesh, add_init, add_simulate, add_explain, add_workspace, add_bench, add_accuracy, add_choose,
+    add_reduce, add_reduce_vertebrae, add_replay, add_demo, add_completion,
 )  # fmt: skip
 """What declares each command, in the order of the list of commands."""
 

@@ -124,6 +124,42 @@ def mesh_cad(path: Path, size: float, scale: float = 1.0) -> CadMesh:
     return _made(path, _run_gmsh(path, job), None, [])
 
 
+class PartSize(NamedTuple):
+    """How large a part is.
+
+    Attributes:
+        extents: Edges of its bounding box [m], shape (3,).
+        volume: Volume of its solids [m³].
+    """
+
+    extents: np.ndarray
+    volume: float
+
+    def size_for(self, tet_count: float) -> float:
+        """Edge of the tetrahedra that about so many of them have [m]."""
+        size = (gmsh_mesher.TETS_PER_VOLUME * self.volume / tet_count) ** (1.0 / 3.0)
+        return min(size, 0.5 * float(self.extents.max()))
+
+
+def part_size(path: Path, scale: float = 1.0) -> PartSize:
+    """Reads how large the part of a CAD file is, without meshing it.
+
+    Args:
+        path: File to read: .stl, .step or .stp.
+        scale: Metres in one unit of an STL file.
+
+    Raises:
+        MeshError: As `mesh_cad`.
+    """
+    path = Path(path)
+    _check_file(path)
+    if path.suffix.lower() == ".stl":
+        shells = read_shells(path, scale)
+        return PartSize(np.ptp(shells.points, axis=0), shells.volume)
+    made = _run_gmsh(path, {"file": str(path.resolve()), "size": None})
+    return PartSize(1e-3 * made["extents"], 1e-9 * float(made["volume"]))
+
+
 def _check_file(path: Path) -> None:
     if path.suffix.lower() not in CAD_SUFFIXES:
         raise MeshError(path, f"CAD files end in {', '.join(CAD_SUFFIXES)}, not in '{path.suffix}'")

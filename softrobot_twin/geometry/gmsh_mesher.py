@@ -39,6 +39,10 @@ def main(folder: Path) -> int:
     gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
     gmsh.logger.start()
     try:
+        if job["size"] is None:
+            _, extents, volume = _imported(gmsh, job["file"])
+            np.savez(folder / "mesh.npz", extents=extents, volume=volume)
+            return 0
         _set_options(gmsh, job["size"])
         if "shells" in job:
             names = _solids_of_shells(gmsh, np.load(folder / "shells.npz"), job["solids"])
@@ -68,7 +72,6 @@ def _set_options(gmsh, size: float) -> None:
         "Mesh.MeshSizeFromPoints": 0, "Mesh.MeshSizeFromCurvature": 0,
         "Mesh.MeshSizeExtendFromBoundary": 0, "Mesh.Algorithm": 6, "Mesh.Algorithm3D": 1,
         "Mesh.Optimize": 1, "Mesh.OptimizeNetgen": 1, "Mesh.ElementOrder": 1,
-        "Geometry.OCCImportLabels": 1,
     }  # fmt: skip
     for name, value in options.items():
         gmsh.option.setNumber(name, value)
@@ -115,22 +118,10 @@ def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> list[str]:
 
 def _solids_of_file(gmsh, job: dict) -> list[str]:
     """The solids of a STEP file, joined where they touch; returns their names."""
-    gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+    solids, extents, volume = _imported(gmsh, job["file"])
+    refuse_size(job["size"], extents, volume, job["most_tets"])
     occ = gmsh.model.occ
-    try:
-        found = occ.importShapes(job["file"], highestDimOnly=True)
-    except Exception as error:
-        raise Refused(f"cannot be read as STEP ({error})") from None
-    occ.synchronize()
-    solids = [one for one in found if one[0] == 3]
-    if not solids:
-        raise Refused("has no solids; export the part as a solid, not as surfaces or curves"
-                      if found else "has no shapes")  # fmt: skip
     names = [gmsh.model.getEntityName(*one).rpartition("/")[2] for one in solids]
-    volume = sum(occ.getMass(*one) for one in solids)
-    boxes = np.array([occ.getBoundingBox(*one) for one in solids])
-    refuse_size(job["size"], boxes[:, 3:].max(axis=0) - boxes[:, :3].min(axis=0), volume,
-                job["most_tets"])  # fmt: skip
     if len(solids) > 1:
         _, pieces = occ.fragment(solids, [])
         occ.synchronize()
@@ -142,6 +133,25 @@ def _solids_of_file(gmsh, job: dict) -> list[str]:
                                   f"({names[owner[one]] or owner[one]}, {names[index] or index})")
         names = [names[owner.get(one, 0)] for one in gmsh.model.getEntities(3)]
     return names
+
+
+def _imported(gmsh, file: str) -> tuple[list[tuple[int, int]], np.ndarray, float]:
+    """The solids of a STEP file, the edges of their bounding box [mm] and their volume [mm³]."""
+    gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+    gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
+    occ = gmsh.model.occ
+    try:
+        found = occ.importShapes(file, highestDimOnly=True)
+    except Exception as error:
+        raise Refused(f"cannot be read as STEP ({error})") from None
+    occ.synchronize()
+    solids = [one for one in found if one[0] == 3]
+    if not solids:
+        raise Refused("has no solids; export the part as a solid, not as surfaces or curves"
+                      if found else "has no shapes")  # fmt: skip
+    boxes = np.array([occ.getBoundingBox(*one) for one in solids])
+    volume = sum(occ.getMass(*one) for one in solids)
+    return solids, boxes[:, 3:].max(axis=0) - boxes[:, :3].min(axis=0), volume
 
 
 def refuse_size(size: float, extents: np.ndarray, volume: float, most_tets: int) -> None:

@@ -1,0 +1,445 @@
+"""``python -m softrobot_twin init``: a commented scene for a mesh, with guesses that are told.
+
+Nothing is asked: fixed region, effector, scale and material are guessed, and each guess stands in a
+comment beside its value, to be changed. The scene is built before it is written.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from textwrap import wrap
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import MeshError, SoftRobotTwinError
+from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES, kept_mesh, part_size
+from softrobot_twin.geometry.closed_surface import closed_surface
+from softrobot_twin.geometry.mesh_reading import MeshReading, read_solid_mesh
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.entry import check_name
+from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.output_file import OutputError, output_file
+from softrobot_twin.study.terminal import console, table, terminal_status, warn
+
+PRESET = "dragon_skin_30"
+"""Material of a first scene."""
+PRESSURE = 20.0e3
+"""Greatest gauge pressure of a cavity in a first scene [Pa]."""
+LARGEST_IN_METRES = 2.0
+"""A mesh file with a larger extent is taken as one in millimetres."""
+# A CAD file without a wanted size is meshed with about this number of tetrahedra.
+_TETS = 2000.0
+# Nodes this near to an end of the body, relative to its length, lie in the face there.
+_IN_FACE = 1.0e-5
+# Without a flat face this share of the length is fixed.
+_SLAB = 0.05
+# Where the points of the examples of cables lie along the body.
+_STATIONS = (0.15, 0.35, 0.55, 0.75, 0.95)
+# How far from the middle of the body, as a share of half its thickness.
+_OFFSET = 0.7
+
+
+class SceneExistsError(SoftRobotTwinError):
+    """The scene file is there already."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        super().__init__(f"{path}: exists already; name another file by --output, or replace it by "
+                         "--force")  # fmt: skip
+
+
+class MeshSource(NamedTuple):
+    """What a scene says of its mesh.
+
+    Attributes:
+        file: The mesh file or the CAD file.
+        scale: Metres in one unit of the file.
+        size: Wanted edge of the tetrahedra of a CAD file [m]; None for a mesh file.
+        reason: Why this scale.
+    """
+
+    file: Path
+    scale: float
+    size: float | None
+    reason: str
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a comment says of scale and size."""
+        of_size = () if self.size is None else ("size: edge of the tetrahedra, in m",)
+        return (f"scale: {self.reason}", *of_size)
+
+
+class Guess(NamedTuple):
+    """What is guessed from the shape of a body.
+
+    Attributes:
+        axis: Its longest axis, 0 to 2.
+        fixed: Minimum and maximum of a box around the nodes that are fixed [m], shape (2, 3).
+        fixed_nodes: Their number.
+        end: Where it is fixed, in words.
+        tip: The farthest point of the body [m], shape (3,).
+        cavities: Names of its closed surfaces.
+        left_out: Names of surfaces that are not closed.
+        cables: Points of two cables inside it, pull point first [m], each of shape (n, 3).
+        hold_radius: Radius for their points [m].
+    """
+
+    axis: int
+    fixed: np.ndarray
+    fixed_nodes: int
+    end: str
+    tip: np.ndarray
+    cavities: tuple[str, ...]
+    left_out: tuple[str, ...]
+    cables: tuple[np.ndarray, np.ndarray]
+    hold_radius: float
+
+
+def guess(reading: MeshReading) -> Guess:
+    """Guesses where a body is fixed, what moves, and what could drive it.
+
+    Args:
+        reading: Its mesh [m].
+
+    Returns:
+        The guesses.
+    """
+    mesh = reading.mesh
+    points, tets = mesh.node_positions, mesh.as_tets if hasattr(mesh, "as_tets") else mesh.cells
+    triangles = boundary_triangles(tets)
+    low, high = points.min(axis=0), points.max(axis=0)
+    extents = high - low
+    # Of equal extents the last one: parts often stand upright.
+    axis = 2 - int(np.argmax(np.round(extents[::-1] / extents.max(), 6)))
+    length = float(extents[axis])
+    areas = [_flat_area(points, triangles, axis, end[axis], length) for end in (low, high)]
+    at_high = areas[1] > 1.01 * areas[0]
+    fixed, fixed_nodes, word = _fixed_box(points, axis, at_high, areas[int(at_high)] > 0.0)
+    end = f"{word} at the {'highest' if at_high else 'lowest'} {'xyz'[axis]}"
+    cavities, left_out = [], []
+    for name, own in reading.parts.surfaces.items():
+        try:
+            closed_surface(own, len(points))
+            check_name(name)
+        except (MeshError, ValueError):
+            left_out.append(name)
+        else:
+            cavities.append(name)
+    cables = tuple(_cable(mesh, points, tets, axis, at_high, side) for side in (-1.0, 1.0))
+    across = np.delete(extents, axis).min()
+    return Guess(axis, fixed, fixed_nodes, end, _tip(mesh, points, axis, at_high),
+                 tuple(cavities), tuple(left_out), cables, 0.15 * float(across))  # fmt: skip
+
+
+def _flat_area(points, triangles, axis: int, end: float, length: float) -> float:
+    """Area of the surface in a plane at an end of a body [m²]."""
+    corners = points[triangles]
+    inside = (np.abs(corners[:, :, axis] - end) <= _IN_FACE * length).all(axis=1)
+    sides = corners[inside, 1:] - corners[inside, :1]
+    return 0.5 * float(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum())
+
+
+def _fixed_box(
+    points: np.ndarray, axis: int, at_high: bool, is_flat: bool
+) -> tuple[np.ndarray, int, str]:
+    """A box around the nodes at an end, their number, and what they are."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    length = float(high[axis] - low[axis])
+    depths = high[axis] - points[:, axis] if at_high else points[:, axis] - low[axis]
+    reach, word = _SLAB * length, f"a slice of {100.0 * _SLAB:.0f} % of the length"
+    if is_flat:
+        inner = depths[depths > _IN_FACE * length]
+        reach, word = min(0.01 * length, 0.25 * float(inner.min())), "the flat face"
+    # Three nodes that are not on one line hold a body.
+    while np.linalg.matrix_rank(_spread(points[depths <= reach]), tol=1e-6 * length) < 2:
+        reach, word = 1.5 * max(reach, 0.01 * length), "the nodes"
+    margin = 0.05 * float((high - low).max())
+    box = np.stack([low - margin, high + margin])
+    if at_high:
+        box[0, axis] = high[axis] - reach
+    else:
+        box[1, axis] = low[axis] + reach
+    return box, int(np.count_nonzero(depths <= reach)), word
+
+
+def _spread(points: np.ndarray) -> np.ndarray:
+    return points - points.mean(axis=0) if len(points) else np.zeros((1, 3))
+
+
+def _tip(mesh, points: np.ndarray, axis: int, at_high: bool) -> np.ndarray:
+    """Middle of the end that is not fixed, or the node nearest to it where the middle is hollow."""
+    low, high = points[:, axis].min(), points[:, axis].max()
+    depths = points[:, axis] - low if at_high else high - points[:, axis]
+    at_end = points[depths <= 1e-3 * (high - low)]
+    middle = 0.5 * (at_end.min(axis=0) + at_end.max(axis=0))
+    if locate_points(mesh, middle[None]).distances[0] > 1e-6 * (high - low):
+        middle = at_end[np.linalg.norm(at_end - middle, axis=1).argmin()]
+    return np.round(middle, 6) + 0.0
+
+
+def _cable(mesh, points, tets, axis: int, at_high: bool, side: float) -> np.ndarray:
+    """Points of a cable along the body, on one side of its middle across its thinner direction."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    extents = high - low
+    across = min((one for one in range(3) if one != axis), key=lambda one: extents[one])
+    wanted = np.tile(0.5 * (low + high), (len(_STATIONS), 1))
+    shares = 1.0 - np.array(_STATIONS) if at_high else np.array(_STATIONS)
+    wanted[:, axis] = low[axis] + shares * extents[axis]
+    wanted[:, across] += 0.5 * side * _OFFSET * extents[across]
+    centres = points[tets].mean(axis=1)
+    outside = np.flatnonzero(locate_points(mesh, wanted).distances > 0.0)
+    for index in outside:  # a chamber, or a curved body
+        wanted[index] = centres[np.linalg.norm(centres - wanted[index], axis=1).argmin()]
+    pull = wanted[0].copy()
+    pull[axis] = high[axis] if at_high else low[axis]
+    return np.vstack([pull, wanted])
+
+
+# --- the text of the scene ------------------------------------------------------------------------
+
+
+def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
+    """The YAML text of a first scene, every value with its unit and every guess in a comment.
+
+    Args:
+        name: Name of the robot.
+        source: Its mesh.
+        file: Path of the mesh file as the scene names it.
+        found: The guesses.
+    """
+    preset = MATERIAL_PRESETS[PRESET]
+    mesh = [f"file: {_quoted(file)}"]
+    if source.size is not None:
+        mesh.append(f"size: {_number(source.size)}")
+    if source.scale != 1.0:
+        mesh.append(f"scale: {_number(source.scale)}")
+    low, high = found.fixed
+    lines = [
+        f"# First scene of {Path(file).name}, written by `python -m softrobot_twin init`. All values",
+        "# are SI. What is marked as guessed fits the shape of the mesh only: check it.",
+        f"name: {name}",
+        "gravity: [0.0, 0.0, -9.81]             # m/s²",
+        "# integration: dynamic                 # motion with inertia; by default equilibria",
+        "# solver: {newton_iterations: 4}        # more exact in fast or great motion, and slower",
+        "",
+        "body:",
+        f"  mesh: {{{', '.join(mesh)}}}",
+        *_remarks(*source.remarks),
+        "  element: quadratic                   # linear is some 10 times as fast, but much too stiff",
+        "  material:",
+        f"    preset: {PRESET}             # guessed: law {preset.law}, {preset.density:g} kg/m³",
+        *_remarks("others: " + ", ".join(name for name in MATERIAL_PRESETS if name != PRESET),
+                  "or law, young_modulus [Pa], poisson_ratio, density [kg/m³]"),
+        f"  fixed:                               # guessed: {found.end}, {found.fixed_nodes} nodes",
+        f"    - box: {{minimum: {_vector(low)}, maximum: {_vector(high)}}}  # m",
+        "",
+        "effectors:                             # what follows targets",
+        f"  - {{name: tip, points: [{_vector(found.tip)}]}}  # m, guessed: the far end",
+        "",
+    ]
+    lines += _cavity_lines(found)
+    lines += _example_lines(found)
+    return "\n".join(lines) + "\n"
+
+
+def _remarks(*remarks: str) -> list[str]:
+    """Comments on lines of their own, at the column of the others."""
+    space = " " * 39
+    return [space + "# " + line for remark in remarks for line in wrap(remark, 58)]
+
+
+def _cavity_lines(found: Guess) -> list[str]:
+    if not found.cavities:
+        return []
+    lines = ["cavities:                              # closed surfaces that the mesh names"]
+    for name in found.cavities:
+        lines += [
+            f"  - name: {name}",
+            f"    walls: [{{part: {name}}}]",
+            f"    pressure: [0.0, {_number(PRESSURE)}]          # Pa, gauge; guessed",
+            f"    rate: {_number(PRESSURE)}                     # Pa/s; guessed",
+        ]
+    return [*lines, ""]
+
+
+def _example_lines(found: Guess) -> list[str]:
+    """Cables and markers as comments, at places inside this body."""
+    lines = ["# Examples at places of this part; remove the # in front of what it has.", "",
+             "# cables:                             # from the pull point to the last point"]  # fmt: skip
+    for name, points in zip(("first", "second"), found.cables, strict=True):
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        path = [_vector(point) for point in points[1:]]
+        lines += [
+            f"#   - name: {name}",
+            f"#     pull_point: {_vector(points[0])}  # m, fixed in the world",
+            f"#     points: [{', '.join(path[:2])},",
+            *(f"#              {', '.join(path[start : start + 2])}{']' if start + 2 >= len(path) else ','}"
+              for start in range(2, len(path), 2)),
+            f"#     hold_radius: {_number(found.hold_radius)}      # m, the material that takes the force",
+            f"#     shortening: [0.0, {_number(0.2 * length)}]  # m",
+            "#     rate: 0.05                      # m/s",
+            "#     tension: [0.0, 20.0]            # N",
+        ]
+    lines += [
+        "#",
+        "# markers:                            # points that a motion-capture system sees; an effector",
+        "#   - {id: 0, point: " + _vector(found.tip) + "}  # takes measured_by: [0]",
+    ]
+    return lines
+
+
+def _number(value: float) -> str:
+    """A number of four digits, with a point, so that YAML reads it as one."""
+    text = f"{float(value):.4g}"
+    return text if "." in text and "e" not in text else repr(float(text))
+
+
+def _vector(values) -> str:
+    """Three lengths, in steps of a micrometre."""
+    return "[" + ", ".join(_length(float(value)) for value in values) + "]"
+
+
+def _length(value: float) -> str:
+    text = f"{value + 0.0:.6f}".rstrip("0")
+    text = "0.0" if text in ("-0.", "0.") else text
+    return text + "0" if text.endswith(".") else text
+
+
+def _quoted(file: str) -> str:
+    return file if re.fullmatch(r"[\w./-]+", file) else '"' + file.replace('"', '\\"') + '"'
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def source_of(
+    path: Path, size: float | None, scale: float | None
+) -> tuple[MeshSource, MeshReading]:  # fmt: skip
+    """How a scene reads a mesh or CAD file, and its mesh.
+
+    Args:
+        path: The file.
+        size: Wanted edge of the tetrahedra of a CAD file [m]; None for a coarse mesh.
+        scale: Metres in one unit of the file; None to guess it.
+
+    Raises:
+        MeshError: The file cannot be used.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in CAD_SUFFIXES:
+        reading = read_solid_mesh(path, scale=scale or 1.0)
+        largest = float(np.ptp(reading.mesh.node_positions, axis=0).max())
+        reason = "metres in a unit of the file"
+        if scale is None:
+            in_millimetres = largest > LARGEST_IN_METRES
+            scale = 1e-3 if in_millimetres else 1.0
+            unit = "millimetres" if in_millimetres else "metres"
+            reason = f"guessed: {unit}, for its largest extent is {largest:.4g}"
+            reading = read_solid_mesh(path, scale=scale)
+        return MeshSource(path, scale, None, reason), reading
+    if suffix == ".stl":
+        reason = "STL files have no unit: " + ("guessed: millimetres" if scale is None else "as given")
+        scale = 1e-3 if scale is None else scale
+    else:
+        if scale is not None:
+            raise MeshError(path, "states its unit: leave --unit out")
+        scale, reason = 1.0, "the file states its unit"
+    if size is None:
+        size = float(f"{part_size(path, scale).size_for(_TETS):.2g}")
+        reason += ", size guessed"
+    kept = kept_mesh(path, size, scale)
+    return MeshSource(path, scale, size, reason), read_solid_mesh(kept.path)
+
+
+def robot_name(stem: str) -> str:
+    """A name for a robot from the name of its file."""
+    word = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_")
+    return word if re.match(r"[A-Za-z]", word) else f"robot_{word}".rstrip("_")
+
+
+def first_scene(
+    path: Path, source: MeshSource, reading: MeshReading, folder: Path
+) -> tuple[str, Scene, Guess]:  # fmt: skip
+    """The text of a scene for a mesh, and the scene.
+
+    Args:
+        path: File that the scene will be, for errors and relative paths.
+        source: Its mesh.
+        reading: The mesh [m].
+        folder: Folder that the mesh file is named relative to.
+
+    Raises:
+        SoftRobotTwinError: No scene can be made of the mesh.
+    """
+    found = guess(reading)
+    file = Path(os.path.relpath(source.file.resolve(), folder.resolve())).as_posix()
+    text = scene_text(robot_name(source.file.stem), source, file, found)
+    return text, scene_from_mapping(read_yaml(text), path), found
+
+
+def init(
+    path: Path, output: Path | None = None, *, size: float | None = None,
+    scale: float | None = None, replace: bool = False,
+) -> int:  # fmt: skip
+    """Writes a first scene for a mesh or CAD file and tells what was guessed.
+
+    Args:
+        path: The file.
+        output: The scene; by default beside the mesh, with its name.
+        size: Wanted edge of the tetrahedra of a CAD file [m].
+        scale: Metres in one unit of the file; None to guess it.
+        replace: Whether an existing scene is replaced.
+
+    Returns:
+        Exit code.
+
+    Raises:
+        SoftRobotTwinError: The file cannot be used, or the scene exists.
+    """
+    output = path.with_suffix(".yaml") if output is None else output
+    if output.suffix.lower() not in (".yaml", ".yml"):
+        raise OutputError(output, "a scene is a .yaml file")
+    if output.exists() and not replace:
+        raise SceneExistsError(output)
+    if size is not None and path.suffix.lower() not in CAD_SUFFIXES:
+        raise MeshError(path, f"has tetrahedra already: --size is for {', '.join(CAD_SUFFIXES)}")
+    with terminal_status(f"reading {path.name}"):
+        source, reading = source_of(path, size, scale)
+    with terminal_status("building the scene"):
+        text, scene, found = first_scene(output.resolve(), source, reading, output.resolve().parent)
+        simulation = Simulation(scene)
+    with output_file(output) as partial:
+        partial.write_text(text, encoding="utf-8")
+    for note in simulation.notes:
+        warn(note)
+    _print_guesses(output, source, reading, found)
+    return 0
+
+
+def _print_guesses(output: Path, source: MeshSource, reading: MeshReading, found: Guess) -> None:
+    made = table(f"{output}: what was guessed", "entry", "guess")
+    extents = 1e3 * np.ptp(reading.mesh.node_positions, axis=0)
+    made.add_row("mesh", " × ".join(f"{extent:.4g}" for extent in extents)
+                 + f" mm, {reading.mesh.node_count} nodes")
+    made.add_row("scale", f"{source.scale:g} m per unit of the file ({source.reason})")
+    if source.size is not None:
+        made.add_row("size", f"{1e3 * source.size:.4g} mm")
+    made.add_row("fixed", f"{found.end}, {found.fixed_nodes} nodes")
+    made.add_row("effector", "tip at " + ", ".join(f"{1e3 * value:.4g}" for value in found.tip) + " mm")
+    made.add_row("material", f"{PRESET}")
+    made.add_row("cavities", ", ".join(found.cavities) or "none: the mesh names no closed surface")
+    if found.left_out:
+        made.add_row("left out", f"{', '.join(found.left_out)}: not closed, or no name for a topic")
+    made.add_row("gravity", "along -z")
+    console().print(made)
+    console().print(f"\nLook at it: python -m softrobot_twin explain {output}\n"
+                    f"Let it sag:  python -m softrobot_twin simulate {output} --steps 5 "
+                    "--output first.csv --picture first.png")  # fmt: skip

@@ -1,0 +1,271 @@
+"""``python -m softrobot_twin mesh``: fills the part of a CAD file with tetrahedra.
+
+The size of the tetrahedra is given, or searched for a wanted time of a step: a part is meshed,
+simulated and measured on this machine, up to `TRIALS` times. The time of a step grows as a power of
+the size, whose exponent two measurements tell.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.cad_meshing import CadMesh, mesh_cad, part_size, write_msh
+from softrobot_twin.geometry.mesh_reading import SLIVER_RATIO, read_solid_mesh
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.wall_thickness import thinnest_part
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.command import FollowTargets, Hold
+from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
+from softrobot_twin.study.accuracy_study import with_element, with_law
+from softrobot_twin.study.choice import MARGIN
+from softrobot_twin.study.first_scene import MeshSource, first_scene
+from softrobot_twin.study.output_file import OutputError, output_file
+from softrobot_twin.study.terminal import console, table, terminal_status, warn
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+"""Metres in the units that lengths are given in."""
+TRIALS = 5
+"""Most meshes that are tried for a wanted time of a step."""
+FEW_ELEMENTS = {"linear": 3.0, "quadratic": 1.0}
+"""Elements across the thinnest part, below which its bending is not resolved."""
+# A mesh is fine enough if its step takes this share of the wanted time.
+_NEAR = 0.6
+# The time of a step grows with the number of nodes to the power 4/3, before it is measured; what two
+# disturbed measurements tell is kept within bounds.
+_EXPONENT, _EXPONENTS = -4.0, (-5.0, -2.0)
+# Tetrahedra of the first mesh of a search, about.
+_FIRST_TETS = 1000.0
+# Steps that are not measured; rounds of measured steps, and steps of a round. The round with the
+# least median is that which other programs disturbed least.
+_WARM_STEPS, _ROUNDS, _STEPS = 3, 4, 7
+# Share of the body by which a measured step moves the effector.
+_MOVE = 0.005
+
+
+class MeshingError(SoftRobotTwinError):
+    """A part cannot be meshed as it is asked for."""
+
+
+class Trial(NamedTuple):
+    """A mesh of the part and the time of a step with it.
+
+    Attributes:
+        size: Wanted edge of its tetrahedra [m].
+        made: The mesh.
+        scene: A first scene of it.
+        step: Median time of a step on this machine [s].
+    """
+
+    size: float
+    made: CadMesh
+    scene: Scene
+    step: float
+
+
+def measured_step(scene: Scene) -> float:
+    """Median time of a step on this machine when nothing else runs [s].
+
+    Its effectors follow targets where it has actuators; otherwise it settles under gravity.
+
+    Args:
+        scene: The scene.
+    """
+    simulation = Simulation(scene, with_warnings=False)
+    simulation.warm_up()
+    command = Hold(0.02)
+    if simulation.actuators.count:
+        near = simulation.effector_positions() + _MOVE * simulation.model.nodes.size
+        command = FollowTargets(near, 0.02)
+    for _ in range(_WARM_STEPS):
+        simulation.step(command)
+    times = np.empty((_ROUNDS, _STEPS))
+    for index in np.ndindex(times.shape):
+        begun = time.perf_counter()
+        simulation.step(command)
+        times[index] = time.perf_counter() - begun
+    return float(np.median(times, axis=1).min())
+
+
+def size_for(
+    wanted: float, first: float, largest: float, measure: Callable[[float], float]
+) -> float:
+    """The least size whose step takes at most a wanted time.
+
+    Args:
+        wanted: Time of a step [s].
+        first: Size that is tried first [m].
+        largest: Largest size that is tried [m].
+        measure: Time of a step with a size [s].
+
+    Returns:
+        A size that was measured [m].
+
+    Raises:
+        MeshingError: Even the largest size is too slow.
+    """
+    found: dict[float, float] = {}
+    size, exponent = min(first, largest), _EXPONENT
+    for _ in range(TRIALS):
+        found[size] = measure(size)
+        fast = {one: taken for one, taken in found.items() if taken <= wanted}
+        if fast and max(fast.values()) >= _NEAR * wanted:
+            break
+        if len(found) > 1:
+            (one, taken), (other, others) = sorted(found.items())[0], sorted(found.items())[-1]
+            slope = math.log(others / taken) / math.log(other / one)
+            exponent = min(max(slope, _EXPONENTS[0]), _EXPONENTS[1])
+        # A little faster than wanted, because the next measurement differs too.
+        size = min(largest, size * (0.8 * wanted / found[size]) ** (1.0 / exponent))
+        if any(abs(size / one - 1.0) < 0.02 for one in found):
+            break
+    if not fast:
+        coarsest = max(found)
+        raise MeshingError(f"no size was found whose step takes at most {_time(wanted)}: one of "
+                           f"{1e3 * coarsest:.3g} mm takes {_time(found[coarsest])} on this machine; "
+                           "linear elements (--element linear) are faster, and less accurate")
+    return min(fast)
+
+
+def mesh_part(
+    path: Path, output: Path, *, size: float | None = None, step: float | None = None,
+    unit: str | None = None, element: str = "quadratic",
+) -> int:  # fmt: skip
+    """Meshes a part, writes the mesh in metres and tells its quality.
+
+    Args:
+        path: CAD file.
+        output: Mesh file, .msh.
+        size: Wanted edge of the tetrahedra [m].
+        step: Wanted time of a step, in place of a size [s].
+        unit: Unit of an STL file, of `UNITS`; None for millimetres.
+        element: Kind of elements whose step is measured.
+
+    Returns:
+        Exit code.
+
+    Raises:
+        SoftRobotTwinError: The part cannot be meshed, or the file not be written.
+    """
+    if output.suffix.lower() != ".msh":
+        raise OutputError(output, "a mesh is a .msh file (Gmsh)")
+    scale = 1.0
+    if path.suffix.lower() == ".stl":
+        scale = UNITS[unit or "mm"]
+        if unit is None:
+            warn(f"{path.name}: STL files have no unit; millimetres are assumed (--unit)")
+    elif unit is not None:
+        raise MeshingError(f"--unit {unit}: {path.name} states its unit")
+    with tempfile.TemporaryDirectory(prefix="softrobot_twin_mesh_") as folder:
+        def tried(size: float) -> Trial:
+            with terminal_status(f"meshing with {1e3 * size:.3g} mm"):
+                made = mesh_cad(path, size, scale)
+            return _tried(made, size, Path(folder) / f"{path.stem}.msh", element)
+
+        trial = tried(size) if step is None else _searched(path, step, tried, scale)
+        _print(path, trial, element)
+        _print_mesh_error(trial.scene)
+    with output_file(output) as partial:
+        write_msh(partial, trial.made)
+    console().print(f"\n{output} is in metres. A scene for it: python -m softrobot_twin init {output}")
+    return 0
+
+
+def rate_step(rate: float) -> float:
+    """Time of a step that keeps a rate, a share of its period [s].
+
+    Args:
+        rate: [Hz].
+    """
+    return MARGIN / rate
+
+
+def _tried(made: CadMesh, size: float, file: Path, element: str) -> Trial:
+    """Measures a step of a first scene with a mesh."""
+    write_msh(file, made)
+    source = MeshSource(file, 1.0, None, "")
+    _, scene, _ = first_scene(file.with_suffix(".yaml"), source, read_solid_mesh(file), file.parent)
+    scene = with_element(scene, element)
+    with terminal_status(f"measuring steps with {made.mesh.node_count} nodes"):
+        return Trial(size, made, scene, measured_step(scene))
+
+
+def _searched(
+    path: Path, wanted: float, tried: Callable[[float], Trial], scale: float
+) -> Trial:  # fmt: skip
+    """The finest mesh whose step takes a wanted time."""
+    part, trials = part_size(path, scale), {}
+    console().print(f"searching the size for a step of {_time(wanted)}: at most {TRIALS} meshes are "
+                    "made and measured")  # fmt: skip
+
+    def measure(size: float) -> float:
+        trials[size] = tried(size)
+        mesh, step = trials[size].made.mesh, trials[size].step
+        console().print(f"{1e3 * size:8.3g} mm {mesh.node_count:8d} nodes   step {_time(step)}")
+        return step
+
+    size = size_for(wanted, part.size_for(_FIRST_TETS), 0.5 * float(part.extents.max()), measure)
+    return trials[size]
+
+
+def _time(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms"
+
+
+def _print(path: Path, trial: Trial, element: str) -> None:
+    """Prints the quality of a mesh."""
+    mesh, made = trial.made.mesh, trial.made
+    ratios = radius_ratios(mesh)
+    thin = thinnest_part(mesh.node_positions, mesh.cells)
+    extents = 1e3 * np.ptp(mesh.node_positions, axis=0)
+    shown = table(f"{path.name} with tetrahedra of {1e3 * trial.size:.4g} mm", "what", "value")
+    shown.add_row("extents", " × ".join(f"{extent:.4g}" for extent in extents) + " mm")
+    shown.add_row("volume", f"{1e9 * mesh.volume:.6g} mm³")
+    shown.add_row("nodes, tetrahedra", f"{mesh.node_count}, {mesh.cell_count}")
+    shown.add_row("radius ratio", f"worst {ratios.min():.2f}, mean {ratios.mean():.2f} (1: regular, "
+                  f"0: flat)")  # fmt: skip
+    shown.add_row("thinnest part", f"{1e3 * thin.thickness:.3g} mm, {thin.elements:.1f} elements "
+                  f"across, at {_place(thin.place)}")  # fmt: skip
+    for name in made.cavities:
+        shown.add_row(name, f"{1e9 * made.cavity_volume(name):.6g} mm³, a named surface of "
+                      f"{len(made.cavities[name])} triangles")  # fmt: skip
+    if not made.cavities:
+        shown.add_row("cavities", "none: no closed surface lies inside the part")
+    for name, tets in made.regions.items():
+        shown.add_row(f"region {name}", f"{len(tets)} tetrahedra")
+    shown.add_row("expected step", f"{_time(trial.step)} with {element} elements on this machine, "
+                  f"{MARGIN / trial.step:.0f} Hz")  # fmt: skip
+    console().print(shown)
+    for note in made.notes:
+        warn(note)
+    slivers = int(np.count_nonzero(ratios < SLIVER_RATIO))
+    if slivers:
+        warn(f"{slivers} tetrahedra have a radius ratio below {SLIVER_RATIO:g}")
+    if thin.elements < FEW_ELEMENTS.get(element, 1.0):
+        warn(f"{thin.elements:.1f} {element} elements lie across {1e3 * thin.thickness:.3g} mm at "
+             f"{_place(thin.place)}: its bending is too stiff; a smaller size is more accurate")
+
+
+def _place(place: np.ndarray) -> str:
+    return "(" + ", ".join(f"{1e3 * value + 0.0:.3g}" for value in place) + ") mm"
+
+
+def _print_mesh_error(scene: Scene) -> None:
+    """Prints the estimated error of the mesh, with the corotational law of the same moduli."""
+    corotational = with_law(scene, "corotational")
+    if scene.body.element != "quadratic":
+        corotational = with_element(corotational, scene.body.element)
+    try:
+        with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
+            words = MeshErrorEstimator(corotational).at_rest().in_words()
+    except MeshErrorUnknown as unknown:
+        words = str(unknown)
+    console().print(f"With a tip at the far end: {words}")
