@@ -10,7 +10,6 @@ gymnasium is an extra: ``pip install gymnasium``.
 from __future__ import annotations
 
 import math
-from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +20,9 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scripting.named_commands import finite_numbers, unknown
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.study.figure import MissingExtraError, load_pyplot
-from softrobot_twin.study.scene_picture import figure_of, take_snapshot
+from softrobot_twin.study.figure import MissingExtraError
+from softrobot_twin.study.rasterization import LAYERS, Triangles, camera_at, rasterize
+from softrobot_twin.study.scene_picture import Solid, take_snapshot, tube
 
 try:
     import gymnasium
@@ -34,8 +34,9 @@ ENVIRONMENT_ID = "softrobot_twin/Reaching-v0"
 _FAR = 4.0
 # Steps in which a robot comes to rest at random setpoints, and how many of these are tried.
 _MOST_STEPS, _MOST_DRAWS = 100, 20
-# Pixels per inch of a picture.
-_DPI = 80
+# Rows and columns of a picture, where its eye is, and the colours of cables and cavities.
+_PICTURE, _CAMERA = (480, 640), camera_at(15.0, -70.0)
+_CABLE_COLOUR, _CAVITY_COLOUR = np.array([0.60, 0.15, 0.40]), np.array([0.80, 0.30, 0.25])
 
 
 class Drive(NamedTuple):
@@ -101,7 +102,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             reached_within: Distance at which a target counts as reached [m]; 0 for never.
             travel: Share of the range of each drive, around its setpoint at rest, that targets
                 are drawn from.
-            render_mode: ``rgb_array`` for pictures by `render`, which need matplotlib; or None.
+            render_mode: ``rgb_array`` for pictures by `render`, or None.
 
         Raises:
             CommandError: The scene has no such effector or no actuator, an actuator has no limits
@@ -132,7 +133,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         )
         self._size = float(self._simulation.model.nodes.size)
         self._start = self.target = np.full(3, np.nan)
-        self._step_count = 0
+        self._step_count, self._window = 0, np.zeros(4)
         places = np.full(6, _FAR, np.float32)
         shares = np.ones(len(self.drives), np.float32)
         self.action_space = gymnasium.spaces.Box(-shares, shares, dtype=np.float32)
@@ -174,6 +175,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         self.robot.reset()
         self.robot.settle(time_step=self.time_step, most_steps=_MOST_STEPS)
         self._start, self._step_count = self.place, 0
+        self._window = self._window_around()
         return self._observation(), self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -201,26 +203,34 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         truncated = self._step_count >= self.most_steps
         return self._observation(), -info["distance"], info["is_success"], truncated, info
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """A picture of the robot and its target, where `render_mode` asks for it.
 
+        All pictures of an episode show the same part of space.
+
         Returns:
-            Red, green and blue, 0 to 255, shape (height, width, 3); None without a mode.
+            Red, green and blue, 0 to 255, shape (480, 640, 3); None without a mode.
 
         Raises:
-            MissingExtraError: matplotlib is not installed.
+            CommandError: `reset` was never called.
         """
         if self.render_mode is None:
             return None
+        if not np.isfinite(self.target).all():
+            raise CommandError("render", "an episode begins with reset()")
         targets = np.full((len(self.robot.effector_names), 3), np.nan)
         targets[self.robot.effector_names.index(self.effector)] = self.target
-        snapshot = take_snapshot(self._simulation, None, self.robot.name, targets)
-        figure = figure_of([snapshot], self.robot.name)
-        load_pyplot().close(figure)
-        raw = BytesIO()
-        figure.savefig(raw, format="rgba", dpi=_DPI)
-        width, height = (int(inches * _DPI + 1e-6) for inches in figure.get_size_inches())
-        return np.frombuffer(raw.getvalue(), np.uint8).reshape(height, width, 4)[:, :, :3].copy()
+        image = rasterize(_layers(self._simulation, targets), self._window, _PICTURE)
+        return np.rint(255.0 * (1.0 - image[..., 3:] * (1.0 - image[..., :3]))).astype(np.uint8)
+
+    def _window_around(self) -> np.ndarray:
+        """Left, right, bottom and top of the pictures of this episode [m]."""
+        places = np.vstack([self.robot.positions, self.place, self.target])
+        middle = _CAMERA.project(0.5 * (places.min(axis=0) + places.max(axis=0)))[:2]
+        extent = float(np.linalg.norm(np.ptp(places, axis=0)))
+        half = 0.7 * extent * np.array([_PICTURE[1] / _PICTURE[0], 1.0])
+        (left, bottom), (right, top) = middle - half, middle + half
+        return np.array([left, right, bottom, top])
 
     def _random_target(self) -> np.ndarray:
         """Where the effector comes to rest at random setpoints [m], shape (3,)."""
@@ -255,7 +265,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             [shares, (place - self._start) / self._size, (self.target - place) / self._size]
         ).astype(np.float32)
         space = self.observation_space
-        return np.clip(seen, space.low, space.high)  # type: ignore[attr-defined, no-any-return]
+        return np.clip(seen, space.low, space.high)  # type: ignore[attr-defined]
 
     def _info(self) -> dict[str, Any]:
         distance = self.distance
@@ -287,6 +297,30 @@ def _drives_of(simulation: Simulation) -> tuple[Drive, ...]:
     if not drives:
         raise CommandError(simulation.scene.name, "has no actuator that could learn")
     return tuple(drives)
+
+
+def _layers(simulation: Simulation, targets: np.ndarray) -> dict[str, Triangles]:
+    """What is drawn of a state: bodies, obstacles, cables, cavities, effectors and targets [m]."""
+    shown = take_snapshot(simulation, None, "", targets)
+    solids = list(shown.solids)
+    solids += [Solid(tube(cable.points, 0.006 * shown.size, shown.size), _CABLE_COLOUR, "thin")
+               for cable in shown.cables]
+    solids += [Solid(walls.triangles, _CAVITY_COLOUR, "rigid") for walls in shown.cavities]
+    light = _CAMERA.eye - 0.4 * _CAMERA.right + 0.5 * _CAMERA.up
+    light /= np.linalg.norm(light)
+    layers = {}
+    for layer in set(LAYERS.values()):
+        own = [solid for solid in solids if LAYERS[solid.look] == layer]
+        corners = np.concatenate([np.empty((0, 3, 3)), *(solid.triangles for solid in own)])
+        counts = [len(solid.triangles) for solid in own]
+        colours = np.repeat(np.array([solid.colour for solid in own]).reshape(-1, 3), counts, 0)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        lengths = np.maximum(np.linalg.norm(normals, axis=1), 1.0e-300)
+        bright = 0.65 + 0.4 * np.clip(normals @ light / lengths, 0.0, None)
+        looks = np.repeat([solid.look for solid in own], counts)
+        layers[layer] = Triangles(_CAMERA.project(corners), np.clip(bright[:, None] * colours, 0.0, 1.0),
+                                  np.isin(looks, ("mesh", "clear")))  # fmt: skip
+    return layers
 
 
 def _within(name: str, value: float, least: float, most: float) -> float:

@@ -190,14 +190,20 @@ def test_what_it_cannot_use_is_refused_by_name(environment):
 
 
 def test_it_draws_robot_and_target():
-    pytest.importorskip("matplotlib")
     environment = ReachingEnvironment(small_finger(), render_mode="rgb_array")
-    environment.reset(seed=0)
+    with pytest.raises(CommandError, match="render: an episode begins"):
+        environment.render()
+    environment.reset(options={"target": [0.08, 0.0, 0.03]})
     picture = environment.render()
-    assert picture.dtype == np.uint8 and picture.shape[2] == 3 and min(picture.shape[:2]) > 200
-    assert picture.std() > 10.0
-    environment.target = environment.target + [0.0, 0.0, 0.03]
-    assert (environment.render() != picture).any(), "the target is in it"
+    assert picture.dtype == np.uint8 and picture.shape == (480, 640, 3)
+    is_background = (picture == 255).all(axis=2)
+    assert 0.3 < is_background.mean() < 0.95
+    assert is_background[[0, -1]].all() and is_background[:, [0, -1]].all(), "nothing is cut off"
+    environment.target = np.array([0.08, 0.0, -0.03])
+    lower = environment.render()
+    red = [np.argwhere(image[..., 0] > image[..., 1:].max(axis=2) + 90.0).mean(axis=0)[0]
+           for image in (picture, lower)]
+    assert red[1] > red[0] + 50.0, "the target is drawn further down"
     assert ReachingEnvironment(environment.robot).render() is None
 
 
