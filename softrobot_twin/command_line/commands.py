@@ -195,16 +195,23 @@ def add_explain(commands) -> None:
     """Declares ``explain``."""
     parser = add_command(
         commands, "explain", _explain, "show the effects of a scene and the terms they become",
-        "Print the effects that a scene names, the terms that they become, the stages of a "
-        "step, the size of the mesh, and an estimate of its error.",
+        "Print what a scene contains: actuators and effectors, size, mass and sag, elements across "
+        "the thinnest part, cables at rest, all entries and the terms that they become, the stages "
+        "of a step, and an estimate of the error of its mesh.",
         examples=(
             "config/scenes/diamond.yaml",
+            "config/scenes/diamond.yaml --picture diamond.png",
             "config/scenes/diamond.yaml --stiffness --at north_shortening_m=0.01",
         ),
     )
     add_scene(parser)
     parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
                         help="leave out this estimate, which takes longer than everything else")
+    parser.add_argument("--picture", metavar="FILE.png", type=Path,
+                        help="draw the robot at rest with the names of all its things (needs "
+                        "matplotlib)")
+    parser.add_argument("--picture-view", nargs=2, type=float, metavar=("ELEVATION", "AZIMUTH"),
+                        help="direction of view [degrees] (default 24 -58)")
     parser.add_argument("--stiffness", action="store_true",
                         help="print instead how the effectors yield to forces while the actuators "
                         "hold, and how each actuator moves them")
@@ -257,9 +264,14 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
 
 def _explain(chosen: argparse.Namespace) -> int:
     if chosen.stiffness:
+        if chosen.picture is not None:
+            raise OptionError("--picture", "cannot be combined with --stiffness")
         return print_stiffness(chosen.scene, chosen.at or ())
     refuse(chosen, "--stiffness", "at")
-    return explain(chosen.scene, chosen.mesh_error)
+    if chosen.picture is None:
+        refuse(chosen, "--picture", "picture_view")
+    return explain(chosen.scene, chosen.mesh_error, chosen.picture,
+                   chosen.picture_view and tuple(chosen.picture_view))
 
 
 def add_bench(commands) -> None:

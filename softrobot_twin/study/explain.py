@@ -1,5 +1,5 @@
-"""``python -m softrobot_twin explain``: a scene's effects, and the terms that are built for
-them.
+"""``python -m softrobot_twin explain``: what a scene contains, its effects, and the terms that are
+built for them.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part_of
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
@@ -24,9 +25,11 @@ from softrobot_twin.simulation.body_materials import MaterialPart
 from softrobot_twin.simulation.full_model_error import FullModelError
 from softrobot_twin.simulation.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
+from softrobot_twin.simulation.scene_layout import build_shape
 from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
-from softrobot_twin.study.terminal import console, table, terminal_status, warn
+from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
+from softrobot_twin.study.terminal import console, listing, table, terminal_status, warn
 
 
 def count(things, name: str) -> str:
@@ -448,7 +451,8 @@ def grouped(listed: list[Effect]) -> list[Effect]:
 
     Returns:
         The effects in the order in which each content is first listed; the entry of several names
-        the first and the last, and how many they are.
+        the first and the last, and how many they are. Many that differ in numbers only are one
+        row too, with the least and the greatest of each number.
     """
     alike: dict[tuple, list[Effect]] = {}
     for effect in listed:
@@ -468,12 +472,67 @@ def grouped(listed: list[Effect]) -> list[Effect]:
             if len(parts) > 1:
                 content = _PART.sub("part", content).replace(
                     "part", f"parts {_listed(parts)}", 1)  # fmt: skip
-        rows.append(Effect(entry, content, result))
-    return rows
+        names = [effect.entry.partition(": ")[2] for effect in effects_alike]
+        rows.append((section, names, Effect(entry, content, result)))
+    return _with_ranges(rows)
+
+
+# Rows of a section that differ in numbers only become one row if there are more than so many.
+_MOST_ROWS = 4
+# A number that is no part of a name, such as the 2 of hub_2.
+_MESHES = ("bodies.mesh",)
+_POSE = re.compile(r", (?:rotation|translation) \[[^]]*\] (?:rad|m)")
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
+
+
+def _with_ranges(rows: list[tuple[str, list[str], Effect]]) -> list[Effect]:
+    """Effects in which many rows that differ in their numbers only are one, with ranges.
+
+    Equal meshes at several places are one row from two on.
+
+    Args:
+        rows: Section, names and effect of each row.
+    """
+    alike: dict[tuple, list[int]] = {}
+    for index, (section, _, effect) in enumerate(rows):
+        pattern = _POSE if section in _MESHES else _NUMBER
+        alike.setdefault((section, pattern.sub("#", effect.content), effect.result),
+                         []).append(index)
+    found: dict[int, Effect] = {}
+    for (section, template, result), indices in alike.items():
+        own = [rows[index] for index in indices]
+        if len(own) <= (1 if section in _MESHES else _MOST_ROWS):
+            found |= {index: rows[index][2] for index in indices}
+            continue
+        names = [name for _, listed, _ in own for name in listed]
+        which = f": {_listed(names)}" if names[0] else ""
+        if section in _MESHES:
+            content = f"{template.replace('#', '')}, at {len(names)} places"
+        else:
+            columns = zip(*(_NUMBER.findall(row.content) for _, _, row in own), strict=True)
+            ranges = map(_range, columns)
+            content = re.sub("#", lambda _, ranges=ranges: next(ranges), template)
+        found[indices[0]] = Effect(f"{section}{which} ({len(names)})", content, result)
+    return [found[index] for index in sorted(found)]
+
+
+def _range(numbers: tuple[str, ...]) -> str:
+    """A number that all have, or the least and the greatest."""
+    if len(set(numbers)) == 1:
+        return numbers[0]
+    return " to ".join((min(numbers, key=float), max(numbers, key=float)))
 
 
 _PART = re.compile(r"\bpart (\w+)")
 _PLACE = re.compile(r"^(bodies|beams)\[\d+\]")
+
+
+def _named(names: list[str]) -> str:
+    """Names, or the first and the last of those that differ in their numbers only."""
+    alike: dict[str, list[str]] = {}
+    for name in names:
+        alike.setdefault(re.sub(r"\d+", "#", name), []).append(name)
+    return ", ".join(_listed(own) for own in alike.values())
 
 
 def _listed(names: list[str]) -> str:
@@ -661,22 +720,17 @@ def terms(simulation: Simulation) -> list[TermLine]:
 
 
 def sizes(simulation: Simulation) -> list[tuple[str, str]]:
-    """Sizes of the system."""
+    """What a user asks first: what moves, how large and heavy it is, and the sizes of the system."""
+    model = simulation.model
     lines = [
-        ("bodies", _listed([body.name for body in simulation.model.bodies]) or "none"),
-        *_weights(simulation),
+        ("actuators", _named(list(simulation.actuator_names)) or "none"),
+        ("effectors", _named(list(simulation.effector_names)) or "none"),
+        ("bodies", _named([body.name for body in model.bodies]) or "none"),
     ]
-    if simulation.node_count:
-        lines += [("nodes", str(simulation.node_count)), ("tets", str(simulation.tet_count))]
-    if simulation.hexahedron_count:
-        lines.append(("hexahedra", str(simulation.hexahedron_count)))
-    lines += [
-        ("degrees of freedom", str(simulation.dof_count)),
-        ("surface triangles", str(len(simulation.surface_triangles))),
-    ]
-    if simulation.model.beams:
-        lines += [("beams", _listed([beam.name for beam in simulation.model.beams])),
-                  ("beam elements", str(simulation.beam_element_count))]
+    if model.beams:
+        lines.append(("beams", _named([beam.name for beam in model.beams])))
+    if model.rigid:
+        lines.append(("rigid bodies", _named([part.name for part in model.rigid])))
     surface = simulation.surface_positions()
     if len(surface):
         low, high = surface.min(axis=0), surface.max(axis=0)
@@ -684,10 +738,91 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
         low, high = (np.where(np.abs(end) < rounding, 0.0, end) for end in (low, high))
         lines.append(("bounding box",
                       f"{vector(1e3 * low)} to {vector(1e3 * high)} mm"))
-    if simulation.model.rigid:
-        lines.append(("rigid bodies", ", ".join(part.name for part in simulation.model.rigid)))
-    return [*lines, ("actuators", ", ".join(simulation.actuator_names) or "none"),
-            ("effectors", ", ".join(simulation.effector_names) or "none")]
+    lines += _weights(simulation)
+    lines += _thinnest_parts(simulation)
+    lines.append(("unknowns", str(simulation.dof_count)))
+    if simulation.node_count:
+        cells = {"tets": simulation.tet_count, "hexahedra": simulation.hexahedron_count}
+        lines.append(("mesh", ", ".join([f"{simulation.node_count} nodes", *(
+            f"{many} {name}" for name, many in cells.items() if many)])))
+    if model.beams:
+        lines.append(("beam elements", str(simulation.beam_element_count)))
+    return lines
+
+
+LEAST_ACROSS = 2.0
+"""Linear elements across the thinnest part of a body below which a warning is printed."""
+
+
+def _thinnest_parts(simulation: Simulation) -> list[tuple[str, str]]:
+    """Elements across the thinnest part of each body."""
+    return _by_value("thinnest part of", [
+        (body.name, _across(part, body.entry.element))
+        for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True)])
+
+
+def _across(part: ThinnestPart, element: str) -> str:
+    """A thinnest part in words; its place is left out, as it differs between equal bodies."""
+    if part.elements != part.elements:
+        return f"{1e3 * part.thickness:.3g} mm"
+    return (f"{1e3 * part.thickness:.3g} mm, {part.elements:.2g} {element} "
+            f"element{'' if round(part.elements, 1) == 1.0 else 's'} across")
+
+
+def thinnest_parts(simulation: Simulation) -> list[ThinnestPart]:
+    """Thinnest part of each deformable body at rest; bodies with one mesh are measured once."""
+    found: dict[tuple, ThinnestPart] = {}
+    parts = []
+    for body in simulation.model.bodies:
+        key = (str(body.entry.mesh.file), body.entry.mesh.scale, body.mesh.cell_count)
+        if key[0] == "None" or key not in found:
+            found[key] = thinnest_part_of(body.mesh)
+        parts.append(found[key])
+    return parts
+
+
+def thin_warnings(simulation: Simulation) -> list[str]:
+    """A warning for linear elements that are too few across the thinnest part of a body."""
+    thin: dict[str, list[str]] = {}
+    for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True):
+        if body.entry.element == "linear" and part.elements < LEAST_ACROSS - 0.05:
+            thin.setdefault(_across(part, "linear"), []).append(body.name)
+    return [f"{_named(names)}: thinnest part {words}; with fewer than {LEAST_ACROSS:.0f} it bends "
+            "far too stiffly: use a finer mesh or quadratic elements"
+            for words, names in thin.items()]
+
+
+def rest_paths(simulation: Simulation) -> list[tuple[str, str]]:
+    """Length at rest and path of each cable: its pull point, points between, its last point.
+
+    Of many cables, those that are alike in their names and equally long share a row.
+    """
+    kind_of, paths = simulation.actuators.kind_of, simulation.actuator_paths()
+    rest = dict(zip(simulation.actuator_names, simulation.rest_setpoints, strict=True))
+    cables = {name: path for name, path in paths.items() if kind_of[name].effort.unit == "N"}
+    alike: dict[object, list[str]] = {}
+    for name, path in cables.items():
+        many = len(cables) > 2 * _MOST_ROWS
+        stem = (re.sub(r"\d+", "#", name), len(path))
+        alike.setdefault(stem if many else name, []).append(name)
+    rows = []
+    for names in alike.values():
+        path = cables[names[0]]
+        lengths = [f"{1e3 * rest[name]:.4g}" for name in names]
+        between = len(path) - 2
+        via = f" through {count(range(between), 'point')}" if between else ""
+        first = "" if len(names) == 1 else f", {names[0]}"
+        which = names[0] if len(names) == 1 else f"{_named(names)} ({len(names)})"
+        rows.append((which, f"{_range(tuple(lengths))} mm{first} from {_short(path[0])}{via} to "
+                     f"{_short(path[-1])} mm"))
+    return rows
+
+
+def _short(place: np.ndarray) -> str:
+    """A place [m] in mm, with four digits."""
+    size = 1e-6 * float(np.abs(place).max(initial=0.0))
+    shown = [f"{1e3 * (value if abs(value) > size else 0.0):.4g}" for value in place]
+    return f"[{', '.join(shown)}]"
 
 
 def _weights(simulation: Simulation) -> list[tuple[str, str]]:
@@ -698,6 +833,12 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     lines += _by_value("length, mass of", [
         (beam.name, f"{number(1e3 * beam.lengths.sum())} mm, {number(beam.mass)} kg")
         for beam in simulation.model.beams])  # fmt: skip
+    free = {part.name: _own_mass(part.entry, simulation) for part in simulation.model.rigid
+            if part.is_free}
+    lines += _by_value("mass of", [(name, f"{number(mass)} kg") for name, mass in free.items()])
+    if len(simulation.model.bodies) + len(simulation.model.beams) + len(free) > 1:
+        whole = sum(part.mass for part in (*simulation.model.bodies, *simulation.model.beams))
+        lines.insert(0, ("mass of all", f"{number(whole + sum(free.values()))} kg"))
     reduced = any(body.vertebrae is not None for body in simulation.model.bodies)
     if not lines or not any(simulation.scene.gravity) or reduced:
         return lines
@@ -711,12 +852,19 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     return [*lines, ("sag by gravity alone, without actuators", sag_text)]
 
 
+def _own_mass(entry, simulation: Simulation) -> float:
+    """Mass of a free rigid body [kg], without that of nodes and beams that move with it."""
+    if entry.mass is not None:
+        return entry.mass
+    return entry.density * build_shape(entry.shape, simulation.scene, []).mass_properties()[0]
+
+
 def _by_value(what: str, values: list[tuple[str, str]]) -> list[tuple[str, str]]:
     """Rows of a quantity, one for all names that have the same value."""
     alike: dict[str, list[str]] = {}
     for name, value in values:
         alike.setdefault(value, []).append(name)
-    return [(f"{what} {'each of ' if len(names) > 1 else ''}{_listed(names)}", value)
+    return [(f"{what} {'each of ' if len(names) > 1 else ''}{_named(names)}", value)
             for value, names in alike.items()]  # fmt: skip
 
 
@@ -741,39 +889,55 @@ def _term(names: list[str], word: str) -> str:
     return f"term {found[0]}" if found else "no term"
 
 
-def explain(scene: Path, mesh_error: bool = True) -> int:
-    """Prints a scene's effects, terms, stages, size, the error of its mesh and notes.
+def grouped_terms(lines: list[TermLine]) -> list[tuple[str, str]]:
+    """Name, and kind, class and size of each term; alike ones are one row."""
+    alike: dict[TermLine, int] = {}
+    for line in lines:
+        alike[line] = alike.get(line, 0) + 1
+    return [(line.name if many == 1 else f"{line.name} ({many})",
+             f"{line.kind}, {line.size}, by {line.built_from.rpartition('.')[2]}")
+            for line, many in alike.items()]
+
+
+def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
+            view: tuple[float, float] | None = None) -> int:
+    """Prints what a scene contains, its effects, terms, stages, the error of its mesh and notes.
 
     Args:
         scene: Scene file.
         mesh_error: Whether the error of its mesh is estimated.
+        picture: Picture to write of the scene at rest, with the names of all things; None for none.
+        view: Elevation and azimuth of the eye in the picture [degrees]; None for the default.
 
     Returns:
         Exit code, always 0.
 
     Raises:
-        SoftRobotTwinError: The scene or its mesh cannot be used.
+        SoftRobotTwinError: The scene or its mesh cannot be used, or the picture cannot be written.
     """
+    if picture is not None:
+        check_picture(picture)
     simulation = Simulation.from_scene_file(scene)
-    listed = table("Effects of the scene", "entry", "content", "result")
-    for effect in grouped(effects(simulation)):
-        listed.add_row(*effect)
-    made = table("Terms of a step", "term", "kind", "built from", "size")
-    for line in terms(simulation):
-        made.add_row(*line)
-    stages = table("Stages of a step", "order", "stage")
-    for order, stage in enumerate(simulation.stages, start=1):
-        stages.add_row(str(order), stage)
-    size = table("Size", "what", "value")
-    for row in sizes(simulation):
-        size.add_row(*row)
     output = console()
     output.print(f"{simulation.scene.name}: {scene}\n")
-    for shown in (listed, made, stages, size):
-        output.print(shown)
-        output.print()
+    asked = [(effect.entry, f"{effect.content} → {effect.result}")
+             for effect in grouped(effects(simulation))]
+    for title, rows in (
+        ("The robot", sizes(simulation)),
+        ("Cables at rest", rest_paths(simulation)),
+        ("Entries of the scene → what they become", asked),
+        ("Terms of a step", grouped_terms(terms(simulation))),
+        ("Stages of a step", [(", ".join(simulation.stages), "")]),
+    ):
+        if rows:
+            output.print(listing(title, rows))
+            output.print()
+    if picture is not None:
+        shot = take_snapshot(simulation, None, simulation.scene.name)
+        draw_snapshots([shot], picture, f"{simulation.scene.name} at rest", view, labelled=True)
+        output.print(f"picture: {picture}\n")
     if mesh_error:
         print_mesh_error(simulation.scene, with_table=True)
-    for note in simulation.notes:
+    for note in (*simulation.notes, *thin_warnings(simulation)):
         warn(note)
     return 0

@@ -36,6 +36,23 @@ def table(title: str, *columns: str, piped: bool | None = None) -> Table:
     return made
 
 
+# Widest first column of a listing on a terminal.
+_KEYS = 24
+
+
+def listing(title: str, rows, piped: bool | None = None) -> Table:
+    """Rows of a name and a text without a frame; on a terminal long texts go on below themselves."""
+    plain = not sys.stdout.isatty() if piped is None else piped
+    made = Table(title=title, title_justify="left", title_style="" if plain else "bold",
+                 box=None, show_header=False, padding=(0, 0, 0, 2), min_width=len(title) + 2)
+    made.add_column(max_width=None if plain or all(not text for _, text in rows) else _KEYS,
+                    style="" if plain else "cyan", overflow="fold")
+    made.add_column(overflow="fold")
+    for name, text in rows:
+        made.add_row(Text(name), Text(text))
+    return made
+
+
 def progress() -> Progress:
     """A progress bar on standard error; silent when that is no terminal."""
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),

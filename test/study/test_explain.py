@@ -1,5 +1,6 @@
 """``explain``: the text about a scene."""
 
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,13 @@ from softrobot_twin.study.explain import (
     describe_effector,
     effects,
     grouped,
+    grouped_terms,
+    rest_paths,
     sizes,
     terms,
+    thin_warnings,
 )
+from softrobot_twin.study.terminal import listing
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -129,6 +134,21 @@ def test_explain_tells_what_an_orientation_asks_for(entry, words):
     assert ("directions" in told) == ("directions" not in entry)
 
 
+def test_many_entries_that_differ_in_numbers_are_one_row_with_ranges():
+    springs = [(f"springs: s_{number}", f"arm_2 to world, {100 + number} N/m, 5 N s/m", "t")
+               for number in range(12)]
+    assert rows(*springs) == [
+        ("springs: s_0 to s_11 (12)", "arm_2 to world, 100 to 111 N/m, 5 N s/m", "t")]
+    assert rows(*springs[:4]) == springs[:4]
+
+
+def test_equal_meshes_at_several_places_are_one_row():
+    meshes = [(f"bodies[{number}].mesh", f"finger.vtk, rotation [0, 0, {number}] rad, "
+               f"translation [{number}, 0, 0] m, linear elements", "158 nodes") for number in (1, 2)]
+    assert rows(*meshes) == [("bodies.mesh (2)", "finger.vtk, linear elements, at 2 places",
+                              "158 nodes")]
+
+
 def rows(*listed: tuple[str, str, str]) -> list[tuple[str, str, str]]:
     return [tuple(row) for row in grouped([Effect(*entry) for entry in listed])]
 
@@ -188,3 +208,79 @@ def test_legs_that_are_repeated_about_an_axis_fill_one_row_of_each_kind():
     told = dict(sizes(simulation))
     assert told["beams"] == "leg_0 to leg_4" and "nodes" not in told
     assert told["length, mass of each of leg_0 to leg_4"].startswith("200 mm, ")
+
+
+@pytest.fixture(scope="module")
+def grasper():
+    return Simulation.from_scene_file(SCENES / "grasper.yaml")
+
+
+def test_mass_of_all_is_that_of_bodies_and_free_rigid_bodies_once(grasper):
+    told = dict(sizes(grasper))
+    fingers = 3.0 * grasper.model.bodies[0].mass
+    assert float(told["mass of all"].removesuffix(" kg")) == pytest.approx(fingers + 0.03, rel=1e-5)
+    assert told["mass of cube"] == "0.03 kg"
+
+
+def test_nodes_and_beams_that_a_rigid_body_bears_are_not_counted_twice():
+    flexo = Simulation.from_scene_file(SCENES / "flexo.yaml")
+    told, model = dict(sizes(flexo)), flexo.model
+    own = sum(part.mass for part in (*model.bodies, *model.beams)) + 18 * 0.003
+    assert float(told["mass of all"].removesuffix(" kg")) == pytest.approx(own, rel=1e-5)
+    assert told["mass of each of hub_1 to hub_17, palm"] == "0.003 kg"
+    paths = dict(rest_paths(flexo))
+    assert len(paths) == 4
+    assert paths["lower_0, lower_1, lower_2 (3)"].startswith("275 mm, lower_0 from [68, 0, 0] ")
+
+
+def test_one_linear_element_across_the_thinnest_part_is_warned_of(grasper):
+    told = dict(sizes(grasper))
+    fingers = "finger_0, finger_1, finger_2"
+    assert told[f"thinnest part of each of {fingers}"] == "5 mm, 1 linear element across"
+    (warning,) = thin_warnings(grasper)
+    assert fingers in warning and "quadratic" in warning
+
+
+def test_four_elements_across_are_not_warned_of():
+    diamond = Simulation.from_scene_file(SCENES / "diamond.yaml")
+    assert dict(sizes(diamond))["thinnest part of body"] == "20 mm, 4 linear elements across"
+    assert thin_warnings(diamond) == []
+    assert rest_paths(diamond)[0] == ("north", "88.28 mm from [0, 10, 30] to [0, 97, 45] mm")
+
+
+def test_terms_that_are_alike_are_one_row(grasper):
+    told = dict(grouped_terms(terms(grasper)))
+    assert told["corotational elements (3)"] == "force, 280 stencils of 4 nodes, by Elements"
+    assert told["cables"] == "constraint, 3 rows, by Cables"
+
+
+@pytest.mark.parametrize("name", ["grasper", "flexo"])
+def test_every_line_fits_a_terminal_of_80_columns(name, grasper):
+    from rich.console import Console
+    simulation = grasper if name == "grasper" else Simulation.from_scene_file(
+        SCENES / f"{name}.yaml")
+    asked = [(effect.entry, f"{effect.content} → {effect.result}")
+             for effect in grouped(effects(simulation))]
+    for listed in (sizes(simulation), asked, grouped_terms(terms(simulation))):
+        console = Console(width=80, record=True, file=StringIO())
+        console.print(listing("title", listed, piped=False))
+        text = console.export_text()
+        assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
+        for key, value in listed:
+            assert key.split()[0].strip(",:") in text and value.split()[-1] in text
+
+
+def test_a_picture_of_the_scene_at_rest_is_drawn_with_names(column, tmp_path, call):
+    image = pytest.importorskip("matplotlib.image")
+    done = call("explain", column, "--no-mesh-error", "--picture", tmp_path / "column.png",
+                "--picture-view", 10, -40)
+    assert done.code == 0, done.errors
+    assert f"picture: {tmp_path / 'column.png'}" in done.output
+    assert image.imread(tmp_path / "column.png").shape[0] > 400
+
+
+def test_options_of_the_picture_are_refused_without_it(column, tmp_path, call):
+    done = call("explain", column, "--picture-view", 10, -40)
+    assert done.code == 2 and "--picture-view: requires --picture" in done.errors
+    done = call("explain", column, "--stiffness", "--picture", tmp_path / "no.png")
+    assert done.code == 2 and "--picture: cannot be combined with --stiffness" in done.errors
