@@ -222,18 +222,19 @@ class ElasticEntry(Entry):
     """The constants of a law, which a body's material and those of its parts share."""
 
     law: Annotated[str | None, registered("law", law_names)] = None
-    """Name of a registered law: one of `mechanics/laws`, or one from outside the package."""
+    """Name of a law: one of these, or one that was registered from outside the package."""
     young_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
     """E at rest, for laws without constants of their own."""
     poisson_ratio: Annotated[float | None, unit("", gt=-1.0, le=0.5)] = None
-    """0.5, incompressible, is that of hyperelastic laws; see `mechanics.material.INCOMPRESSIBLE`."""
+    """ν at rest. 0.5, nearly incompressible, is for hyperelastic laws: it stands for a bulk modulus of
+    10⁴ shear moduli."""
     bulk_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
     """κ at rest, in place of Poisson's ratio."""
     constants: Annotated[Any, BeforeValidator(_numbers_by_name)] = None
     """Constants of laws that have their own, in place of Young's modulus."""
     preset: str | None = None
-    """Name of a material in `material_presets`: it gives law, constants, Poisson's ratio, density
-    and strain range; Poisson's ratio, density and strain range may be given beside it."""
+    """Name of a material that is sold, such as ``dragon_skin_30``: it gives law, constants, Poisson's
+    ratio, density and strain range, of which the last three may be given beside it."""
     strain_range: Annotated[tuple[float, float] | None, unit("")] = None
     """Least and greatest principal strain that the law is trusted in; others are reported."""
 

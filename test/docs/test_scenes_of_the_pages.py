@@ -53,7 +53,7 @@ def test_the_surroundings_and_actuators_of_the_pages_fit_the_robot(shown):
     assert scene.cavities[0].walls[0].part == "chamber" and scene.cables[1].pulley is not None
 
 
-@pytest.mark.parametrize("page", ["index", "scene_reference", "own_robot"])
+@pytest.mark.parametrize("page", ["scene_reference", "own_robot"])
 def test_the_first_scene_of_a_page_is_whole(page):
     scene = scene_from_mapping(parts_of(page)[0])
     assert scene.deformables and scene.effectors
@@ -139,13 +139,17 @@ def test_the_rubber_of_the_pages_is_valid_and_its_table_is_that_of_the_presets(s
     assert all(f"`{name}`" in text for name in UNFITTED)
 
 
-def test_the_first_lines_of_python_move_the_finger_of_the_same_page(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("page, place", [("index", [0.095, -0.02]), ("own_robot", [0.095, 0.03])])
+def test_the_first_lines_of_python_lead_the_finger(page, place, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for kind, name in (("yaml", "finger.yaml"), ("python", "first.py")):
-        block = re.search(rf"```{kind}\n(.*?)```", text_of("index"), re.S)[1]
-        (tmp_path / name).write_text(block)
+    for folder in ("config", "meshes"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    if page == "own_robot":
+        (tmp_path / "finger.yaml").write_text(
+            re.search(r"```yaml\n(.*?)```", text_of(page), re.S)[1])  # fmt: skip
     names = {}
-    exec(compile((tmp_path / "first.py").read_text(), "first.py", "exec"), names)
-    assert names["result"].tip[:2] == pytest.approx([0.095, 0.03], abs=1e-4)
+    exec(re.search(r"```python\n(.*?)```", text_of(page), re.S)[1], names)
+    axes = [0, 1] if page == "own_robot" else [0, 2]
+    assert names["result"].tip[axes] == pytest.approx(place, abs=1e-4)
     assert "tip at" in capsys.readouterr().out
     assert (tmp_path / "finger.png").stat().st_size > 10_000
