@@ -91,12 +91,10 @@ class RunWriter:
         except ImportError:
             raise RunFileError(path, INSTALL) from None
         try:
+            if path.exists():
+                raise RunFileError(path, "exists already; move it away, or name another file")
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: IO[bytes] = path.open("xb")
-        except FileExistsError:
-            raise RunFileError(
-                path, "exists already; move it away, or name another file"
-            ) from None
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise RunFileError(path, f"cannot be written: {reason}") from None
