@@ -40,6 +40,7 @@ METHOD = {
         "grasping", "graph_watch", "hostile_messages", "node_process", "pressures", "target_pose",
         "thread_priority", "trunk", "twin_diagnostics",
     ),
+    "docs": ("files_page", "reference_pages", "scenes_of_the_pages", "site", "statuses_page"),
 }  # fmt: skip
 
 
