@@ -190,6 +190,7 @@ def read_shells(path: Path, scale: float = 1.0) -> Shells:
         MeshError: The file cannot be read, or a surface is open, touches itself along an edge, or
             intersects itself or another one.
     """
+    _check_stl(path)
     points, triangles = read_surface(path, scale=scale)
     if len(triangles) > MOST_FACETS:
         raise MeshError(path, f"has {len(triangles)} triangles, more than {MOST_FACETS}; export it "
@@ -202,8 +203,8 @@ def read_shells(path: Path, scale: float = 1.0) -> Shells:
     _refuse_open(path, points, triangles)
     crossing = first_crossing(points, triangles)
     if crossing is not None:
-        raise MeshError(path, f"its surface intersects itself at {_at(crossing)}; unite overlapping "
-                        "bodies in the CAD program")  # fmt: skip
+        raise MeshError(path, f"its surface intersects itself at {_at(crossing)}; unite overlapping or "
+                        "touching bodies in the CAD program")  # fmt: skip
     shell_of = _shells(triangles)
     for shell in range(shell_of.max() + 1):
         own = shell_of == shell
@@ -215,7 +216,22 @@ def read_shells(path: Path, scale: float = 1.0) -> Shells:
     volume = sum(volumes[own[0]] - sum(volumes[shell] for shell in own[1:]) for own in solids)
     # That cavities point the other way is no fault.
     notes = [note for note in repaired.notes if "all" not in note]
+    if len(solids) > 1:
+        notes.append(f"it has {len(solids)} separate bodies, which nothing joins")
     return Shells(points, triangles, shell_of, solids, volume, notes)
+
+
+def _check_stl(path: Path) -> None:
+    """Refuses a binary file that has not as many bytes as its triangles need."""
+    with open(path, "rb") as file:
+        head = file.read(1024)
+    if head.lstrip().startswith(b"solid") and (b"facet" in head or b"endsolid" in head):
+        return
+    facets = int.from_bytes(head[80:84], "little")
+    expected, found = 84 + 50 * facets, path.stat().st_size
+    if len(head) < 84 or found < expected:
+        needed = f"{facets} triangles need {expected} bytes, " if len(head) >= 84 else ""
+        raise MeshError(path, f"is no STL file, or only a part of one: {needed}it has {found} bytes")
 
 
 def _at(place: np.ndarray) -> str:
@@ -270,8 +286,10 @@ def _nested(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> 
 
 # Triangles per leaf of the tree that finds pairs of near triangles.
 _LEAF = 4
-# A crossing nearer to the edge of a triangle than this share of it is a touch.
-_TOUCH = 1.0e-7
+# Shares of an edge and of a triangle that count as its end: files store six or seven digits.
+_TOUCH = 1.0e-6
+# Least slope of an edge against a triangle that it runs through; flatter ones lie in it.
+_LEAST_SLOPE = 1.0e-5
 
 
 def first_crossing(points: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
@@ -302,7 +320,7 @@ def _crossings(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
     normal = np.cross(one, other)
     slope = np.einsum("ni,ni->n", along, normal)
     scale = np.linalg.norm(along, axis=1) * np.linalg.norm(normal, axis=1)
-    ahead = np.abs(slope) > 1e-9 * scale
+    ahead = np.abs(slope) > _LEAST_SLOPE * scale
     slope = np.where(ahead, slope, 1.0)
     share = np.einsum("ni,ni->n", corners[:, 0] - start, normal) / slope
     place = start + share[:, None] * along
@@ -310,8 +328,9 @@ def _crossings(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
     from_corner = place - corners[:, 0]
     u = np.einsum("ni,ni->n", np.cross(from_corner, other), normal) / area
     v = np.einsum("ni,ni->n", np.cross(one, from_corner), normal) / area
+    # An end on a triangle touches it; an edge that meets its edge from the side runs through.
     within = (share > _TOUCH) & (share < 1.0 - _TOUCH)
-    within &= (u > _TOUCH) & (v > _TOUCH) & (u + v < 1.0 - _TOUCH)
+    within &= (u > -_TOUCH) & (v > -_TOUCH) & (u + v < 1.0 + _TOUCH)
     return place[ahead & within]
 
 
@@ -373,7 +392,7 @@ def _mesh_shells(path: Path, shells: Shells, size: float) -> CadMesh:
     arrays = {"points": 1e3 * shells.points, "triangles": shells.triangles,
               "shells": shells.shell_of}  # fmt: skip
     made = _run_gmsh(path, {"size": 1e3 * size, "shells": True, "solids": shells.solids}, arrays)
-    found = _made(path, made, shells.volume, [f"{note}." for note in shells.notes])
+    found = _made(path, made, shells.volume, shells.notes)
     expected = sum(len(own) - 1 for own in shells.solids)
     if len(found.cavities) != expected:
         raise MeshError(path, f"has {expected} closed inner surfaces, but its mesh has "
@@ -422,8 +441,8 @@ def _made(path: Path, made: dict, volume: float | None, notes: list[str]) -> Cad
     except MeshError as error:
         raise MeshError(path, f"its mesh cannot be used: {error.reason}; try another size") from None
     if volume is not None and abs(mesh.volume / volume - 1.0) > 0.01:
-        notes = [*notes, f"The mesh has {100.0 * (mesh.volume / volume - 1.0):+.1f} % of the part's "
-                 "volume more: a smaller size follows its curved faces better."]  # fmt: skip
+        notes = [*notes, f"the volume of the mesh differs by {100.0 * (mesh.volume / volume - 1.0):+.1f}"
+                 " % from the part's: a smaller size follows its curved faces better"]  # fmt: skip
     names = made["names"].tolist()
     regions = {}
     if len(names) > 1:

@@ -27,6 +27,7 @@ from softrobot_twin.simulation.command import FollowTargets, Hold
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.study.accuracy_study import with_element, with_law
 from softrobot_twin.study.choice import MARGIN
+from softrobot_twin.study.explain import LEAST_ACROSS
 from softrobot_twin.study.first_scene import MeshSource, first_scene
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
@@ -35,8 +36,6 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Metres in the units that lengths are given in."""
 TRIALS = 5
 """Most meshes that are tried for a wanted time of a step."""
-FEW_ELEMENTS = {"linear": 3.0, "quadratic": 1.0}
-"""Elements across the thinnest part, below which its bending is not resolved."""
 # A mesh is fine enough if its step takes this share of the wanted time.
 _NEAR = 0.6
 # The time of a step grows with the number of nodes to the power 4/3, before it is measured; what two
@@ -249,9 +248,9 @@ def _print(path: Path, trial: Trial, element: str) -> None:
     slivers = int(np.count_nonzero(ratios < SLIVER_RATIO))
     if slivers:
         warn(f"{slivers} tetrahedra have a radius ratio below {SLIVER_RATIO:g}")
-    if thin.elements < FEW_ELEMENTS.get(element, 1.0):
-        warn(f"{thin.elements:.1f} {element} elements lie across {1e3 * thin.thickness:.3g} mm at "
-             f"{_place(thin.place)}: its bending is too stiff; a smaller size is more accurate")
+    if element == "linear" and thin.elements < LEAST_ACROSS:
+        warn(f"only {thin.elements:.1f} linear elements lie across {1e3 * thin.thickness:.3g} mm at "
+             f"{_place(thin.place)}: it bends far too stiffly; give a smaller size")
 
 
 def _place(place: np.ndarray) -> str:

@@ -1,0 +1,177 @@
+"""``init``: a first scene that loads and runs as it is, whose guesses are told, and which asks nothing."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from softrobot_twin.__main__ import main
+from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.geometry.cad_meshing import CadMesh, mesh_cad, write_msh
+from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.scene import load_scene
+from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.command import CommandSetpoints, Hold
+from softrobot_twin.study.first_scene import robot_name
+from test.cad_parts import box, finger, need_gmsh, write_stl
+
+MM = 1e-3
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The mesh of a finger with a chamber, and the scene that init wrote for it."""
+    need_gmsh()
+    folder = tmp_path_factory.mktemp("first")
+    write_msh(folder / "finger.msh", mesh_cad(write_stl(folder / "finger.stl", finger()), 8 * MM, MM))
+    assert main(["init", str(folder / "finger.msh")]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(folder):
+    return load_scene(folder / "finger.yaml")
+
+
+def write_bar(path, size=(0.02, 0.02, 0.1), scale=1.0, turned=False):
+    """A bar in a file, in other units by its scale."""
+    mesh = read_box(size, (2, 2, 5)).mesh
+    positions = mesh.node_positions * (-1.0 if turned else 1.0) / scale
+    cells = mesh.cells[:, [0, 2, 1, 3]] if turned else mesh.cells
+    write_msh(path, CadMesh(TetMesh(positions, cells), {}, {}, (), ""))
+    return path
+
+
+def test_the_scene_holds_what_the_mesh_has(scene):
+    assert scene.name == "finger"
+    assert [cavity.name for cavity in scene.cavities] == ["cavity_1"]
+    np.testing.assert_allclose(scene.effectors[0].points, [[60 * MM, 0.0, 0.0]], atol=1e-5)
+
+
+def test_the_flat_end_face_is_fixed_and_nothing_else(scene):
+    body = Simulation(scene, with_warnings=False).model.bodies[0]
+    held = body.mesh.node_positions[body.fixed]
+    assert np.allclose(held[:, 0], 0.0, atol=1e-7)
+    assert np.count_nonzero(np.isclose(body.mesh.node_positions[:, 0], 0.0, atol=1e-7)) == len(held)
+
+
+def test_the_scene_steps_without_change_and_inflates(scene):
+    simulation = Simulation(scene)
+    assert not simulation.notes
+    for _ in range(5):
+        simulation.step(Hold(0.02))
+    before = simulation.effector_positions()[0].copy()
+    for _ in range(4):
+        result = simulation.step(CommandSetpoints(np.array([15.0e3]), 1.0))
+    assert result.efforts[0] == pytest.approx(15.0e3, rel=1e-6)
+    # The chamber lies above the middle: gas stretches the finger and bends it downwards.
+    moved = simulation.effector_positions()[0] - before
+    assert moved[2] < -0.03e-3 and abs(moved[1]) < 0.5 * abs(moved[2])
+
+
+def test_the_examples_in_comments_are_a_scene_too(folder, scene):
+    text = (folder / "finger.yaml").read_text()
+    head, examples = text.split("# Examples at places", 1)
+    examples = "\n".join(re.sub("^# ?", "", line) for line in examples.splitlines()[1:])
+    whole = scene_from_mapping(read_yaml(head + examples), folder / "finger.yaml")
+    assert len(whole.cables) == 2 and len(whole.markers) == 1
+    simulation = Simulation(whole)
+    # The points lie in the material: none was moved onto the body.
+    assert not simulation.notes
+    simulation.step(Hold(0.02))
+
+
+def test_every_number_has_its_unit_in_a_comment(folder):
+    lines = (folder / "finger.yaml").read_text().splitlines()
+    for key in ("gravity", "box", "points", "pressure", "rate", "shortening", "tension"):
+        own = [line for line in lines if re.search(rf"\b{key}: \S", line) and "mesh:" not in line]
+        assert own and any(re.search(r"# (m|m/s²|Pa|Pa/s|m/s|N)\b", line) for line in own), key
+    assert max(map(len, lines)) <= 100
+
+
+def test_a_scene_that_exists_is_replaced_only_on_request(folder, capsys):
+    before = (folder / "finger.yaml").read_text()
+    (folder / "finger.yaml").write_text("mine: true\n")
+    assert main(["init", str(folder / "finger.msh")]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert (folder / "finger.yaml").read_text() == "mine: true\n"
+    assert main(["init", str(folder / "finger.msh"), "--force"]) == 0
+    assert (folder / "finger.yaml").read_text() == before
+
+
+@pytest.mark.parametrize("in_file, scale", [("metres", 1.0), ("millimetres", 0.001)])
+def test_the_unit_of_a_mesh_file_is_guessed_and_told(tmp_path, capsys, in_file, scale):
+    assert main(["init", str(write_bar(tmp_path / "bar.msh", scale=scale))]) == 0
+    assert f"guessed: {in_file}" in capsys.readouterr().out
+    scene = load_scene(tmp_path / "bar.yaml")
+    assert scene.body.mesh.scale == scale
+    np.testing.assert_allclose(scene.effectors[0].points, [[0.01, 0.01, 0.1]], atol=1e-9)
+
+
+def test_a_given_unit_is_taken(tmp_path):
+    path = write_bar(tmp_path / "bar.msh")
+    assert main(["init", str(path), "--unit", "cm"]) == 0
+    assert load_scene(tmp_path / "bar.yaml").body.mesh.scale == 0.01
+
+
+def test_a_scene_may_lie_in_another_folder_than_its_mesh(tmp_path):
+    path = write_bar(tmp_path / "bar.msh")
+    assert main(["init", str(path), "--output", str(tmp_path / "scenes" / "bar.yaml")]) == 0
+    scene = load_scene(tmp_path / "scenes" / "bar.yaml")
+    assert str(scene.body.mesh.file) == "../bar.msh"
+    Simulation(scene).step(Hold(0.02))
+
+
+def test_without_a_flat_face_a_slice_is_fixed_and_told(tmp_path, capsys):
+    """A double cone along x: its ends are points."""
+    ring = [[0.05, 0.01, 0.0], [0.05, -0.005, 0.0087], [0.05, -0.005, -0.0087]]
+    positions = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], *ring])
+    cells = np.array([[0, 2, 3, 4], [1, 2, 4, 3]])
+    corners = positions[cells]
+    signs = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    cells[signs < 0] = cells[signs < 0][:, [0, 2, 1, 3]]
+    write_msh(tmp_path / "cone.msh", CadMesh(TetMesh(positions, cells), {}, {}, (), ""))
+    assert main(["init", str(tmp_path / "cone.msh")]) == 0
+    assert "the nodes at the lowest x, 4 nodes" in capsys.readouterr().out
+
+
+def test_a_cad_file_is_meshed_by_its_scene(tmp_path, monkeypatch):
+    need_gmsh()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = write_stl(tmp_path / "block.stl", box((20, 20, 60), (0, 0, 30)))
+    assert main(["init", str(path), "--size", "12mm"]) == 0
+    scene = load_scene(tmp_path / "block.yaml")
+    assert (scene.body.mesh.size, scene.body.mesh.scale) == (0.012, 0.001)
+    simulation = Simulation(scene)
+    (kept,) = (tmp_path / "cache").rglob("block_*.msh")
+    assert any(str(kept) in note for note in simulation.notes)
+    simulation.step(Hold(0.02))
+
+
+@pytest.mark.parametrize(
+    "arguments, word",
+    [
+        (["bar.msh", "--size", "6mm"], "has tetrahedra already"),
+        (["bar.msh", "--output", "bar.txt"], ".yaml"),
+        (["none.msh"], "no such file"),
+    ],
+)
+def test_what_cannot_be_done_is_one_error_and_writes_nothing(
+    tmp_path, monkeypatch, capsys, arguments, word
+):
+    write_bar(tmp_path / "bar.msh")
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert word in error and error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["bar.msh"]
+
+
+@pytest.mark.parametrize(
+    "stem, name", [("finger", "finger"), ("My part-2", "My_part_2"), ("3d", "robot_3d"), ("é", "robot")]
+)
+def test_the_name_of_a_robot_is_that_of_its_file_in_letters_of_topics(stem, name):
+    assert robot_name(stem) == name

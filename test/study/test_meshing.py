@@ -1,0 +1,125 @@
+"""``mesh``: a part in tetrahedra, its quality told, its size searched for the time of a step."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from softrobot_twin.__main__ import main
+from softrobot_twin.command_line.commands import length, step_time
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
+from softrobot_twin.study import meshing
+from softrobot_twin.study.meshing import MeshingError, size_for
+from test.cad_parts import box, finger, need_gmsh, write_stl
+
+
+@pytest.mark.parametrize(
+    "text, value",
+    [("6mm", 6e-3), ("0.006m", 6e-3), ("6e-3", 6e-3), ("0.6 cm", 6e-3), ("6000um", 6e-3),
+     ("1in", 0.0254)],
+)  # fmt: skip
+def test_a_length_has_its_unit(text, value):
+    assert length(text) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize("text, value", [("2ms", 2e-3), ("0.002s", 2e-3), ("2e-3", 2e-3)])
+def test_a_time_has_its_unit(text, value):
+    assert step_time(text) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["6furlong", "mm", "-6mm", "0", "inf", "nan"])
+def test_what_is_no_length_is_refused(text, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["mesh", "part.stl", f"--size={text}"])
+    assert ended.value.code == 2
+    assert "--size" in capsys.readouterr().err
+
+
+def power_law(exponent):
+    """Time of a step by size: 10 ms at 5 mm."""
+    tried = []
+
+    def measure(size):
+        tried.append(size)
+        return 0.01 * (size / 0.005) ** exponent
+
+    return measure, tried
+
+
+@pytest.mark.parametrize("exponent", [-2.0, -3.0, -4.0, -5.0])
+@pytest.mark.parametrize("wanted", [0.002, 0.01, 0.05])
+def test_the_size_for_a_step_time_is_found_in_few_trials(exponent, wanted):
+    measure, tried = power_law(exponent)
+    size = size_for(wanted, 0.008, 0.05, measure)
+    assert size in tried and len(tried) <= meshing.TRIALS
+    assert 0.5 * wanted < 0.01 * (size / 0.005) ** exponent <= wanted
+
+
+def test_a_step_time_that_no_size_keeps_is_refused_with_the_fastest():
+    measure, _ = power_law(-3.0)
+    with pytest.raises(MeshingError, match="one of 20 mm takes 0.156 ms on this machine"):
+        size_for(1e-5, 0.008, 0.02, measure)
+
+
+def test_a_part_is_meshed_and_its_quality_told(tmp_path, capsys):
+    need_gmsh()
+    part, output = write_stl(tmp_path / "finger.stl", finger()), tmp_path / "finger.msh"
+    command = ["mesh", str(part), "--size", "9mm", "--output", str(output), "--element", "linear"]
+    assert main(command) == 0
+    out, err = capsys.readouterr()
+    reading = read_solid_mesh(output)
+    assert f"{reading.mesh.node_count}, {reading.mesh.cell_count}" in out
+    assert "60 × 20 × 16 mm" in out and "1920 mm³, a named surface" in out
+    assert re.search(r"thinnest part\s+3 mm, ", out)  # above the chamber
+    assert re.search(r"expected step\s+[\d.]+ ms with linear elements", out)
+    assert "error of about" in out
+    assert "millimetres are assumed" in err and "linear elements lie across 3 mm" in err
+    assert reading.mesh.volume == pytest.approx(17280e-9, rel=1e-5)
+
+
+def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
+    """With steps whose time is that of a law, so that the test does not depend on the machine."""
+    need_gmsh()
+    monkeypatch.setattr(meshing, "measured_step", lambda scene: step_of(scene))
+    monkeypatch.setattr(meshing, "_print_mesh_error", lambda scene: None)
+
+    def step_of(scene):
+        return 2e-6 * read_solid_mesh(scene.mesh_path).mesh.cell_count
+
+    part, output = write_stl(tmp_path / "block.stl", box((60, 20, 20))), tmp_path / "block.msh"
+    wanted = ["--unit", "mm", "--step-time", "1ms"]
+    assert main(["mesh", str(part), *wanted, "--output", str(output)]) == 0
+    out, err = capsys.readouterr()
+    cells = read_solid_mesh(output).mesh.cell_count
+    assert 200 < cells <= 500
+    assert "at most 5 meshes" in out and "step" in out and not err
+
+
+@pytest.mark.parametrize(
+    "arguments, word",
+    [
+        (["open.stl", "--size", "5mm"], "is open"),
+        (["cube.stl", "--size", "1m"], "larger than the part"),
+        (["cube.stl", "--size", "1um"], "more than 1000000"),
+        (["none.stl", "--size", "5mm"], "no such file"),
+        (["cube.step", "--size", "5mm", "--unit", "mm"], "states its unit"),
+        (["cube.stl", "--size", "5mm", "--output", "cube.vtk"], ".msh"),
+    ],
+)
+def test_a_part_that_cannot_be_meshed_is_one_error_and_leaves_its_output(
+    tmp_path, monkeypatch, capsys, arguments, word
+):
+    monkeypatch.chdir(tmp_path)
+    cube = box((20, 20, 20))
+    write_stl(tmp_path / "cube.stl", cube)
+    write_stl(tmp_path / "open.stl", (cube[0], cube[1][1:]))
+    (tmp_path / "cube.step").write_text("a STEP file")
+    kept = tmp_path / f"{arguments[0].partition('.')[0]}.msh"
+    kept.write_text("an earlier mesh")
+    unit = [] if "--unit" in arguments or "step" in arguments[0] else ["--unit", "mm"]
+    assert main(["mesh", *arguments, *unit]) == 2
+    error = capsys.readouterr().err
+    assert word in error and error.count("\n") == 1
+    assert kept.read_text() == "an earlier mesh"
+    assert not list(tmp_path.glob(".*"))
