@@ -23,7 +23,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Touched
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
-from softrobot_twin.study.figure import figure_file
+from softrobot_twin.study.figure import figure_file, legend_below
 from softrobot_twin.study.terminal import console, table
 
 SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
@@ -216,14 +216,14 @@ def draw_sweep(made: Sweep, path: Path) -> None:
                  label="press on the device")
         top.set_ylabel("stiffness [N/m]")
         top.set_ylim(0.0)
-        top.legend(loc="upper right", ncols=2)
+        legend_below(top, 8.0)
         bottom.semilogy(made.times, 100.0 * np.abs(made.model / made.wanted - 1.0),
                         color="#1f5fa8", label="error of the stiffness [%]")
         bottom.semilogy(made.times, 1e3 * made.off, color="#2e8b57",
                         label="distance of the place [mm]")
         bottom.axhline(3.0, color="#999999", lw=0.8)
         bottom.set_xlabel("time [s]")
-        bottom.legend(loc="upper left", ncols=2)
+        legend_below(bottom, 8.0)
 
 
 def draw_reach(made: Reach, path: Path) -> None:

@@ -51,6 +51,28 @@ _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": Tru
           "font.size": 9, "legend.frameon": False}
 
 
+# Height below the axes that their numbers and label take, and the text of a legend [inch].
+_BELOW, _CHARACTER, _LINE = 0.42, 0.072, 0.42
+
+
+def legend_below(axes, width: float, **look) -> None:
+    """Adds a legend below the axes, where it hides nothing, in as many columns as fit.
+
+    Args:
+        axes: Its axes; those of `figure_file` leave room for it.
+        width: Width of the axes, about [inch].
+        look: Further arguments of matplotlib's legend.
+    """
+    from matplotlib.transforms import ScaledTranslation
+    handles, labels = axes.get_legend_handles_labels()
+    longest = max(map(len, labels), default=0)
+    columns = max(1, int(width / (_CHARACTER * longest + _LINE)))
+    below = axes.transAxes + ScaledTranslation(0.0, -_BELOW, axes.figure.dpi_scale_trans)
+    axes.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.0, 0.0),
+                bbox_transform=below, borderaxespad=0.0, ncols=min(columns, len(labels) or 1),
+                fontsize=8, handlelength=1.4, columnspacing=1.2, **look)
+
+
 # Colours of a PNG picture, of 256 with white: those of most pixels, and those of pixels that are then wrong by
 # more than the last number, such as a small mark of a colour of its own.
 _COMMON, _RARE, _WRONG = 200, 55, 20

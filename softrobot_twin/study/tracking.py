@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.study.figure import figure_file
+from softrobot_twin.study.figure import figure_file, legend_below
 from softrobot_twin.study.machine_facts import machine, versions
 from softrobot_twin.study.output_file import OutputError
 
@@ -245,15 +245,24 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
         OutputError: The picture cannot be written.
     """
     title = f"{robot}: a simulated device driven through the twin"
-    with figure_file(path, (12.0, 11.0), title) as figure:
-        grid = figure.add_gridspec(3, 2, height_ratios=(1.25, 0.8, 0.9))
-        _draw_path_from_above(figure.add_subplot(grid[0, 0]), runs)
-        _draw_path_from_the_side(figure.add_subplot(grid[0, 1]), runs)
-        _draw_errors(figure.add_subplot(grid[1, :]), runs)
-        _draw_actuators(figure.add_subplot(grid[2, 0]), runs, "setpoint",
-                        "Commanded change of setpoints", "change from the start", from_start=True)
-        _draw_actuators(figure.add_subplot(grid[2, 1]), runs, "effort",
-                        "Efforts of the twin", "effort")
+    with figure_file(path, (12.0, 11.5), title) as figure:
+        draw_panels(figure, runs)
+
+
+def draw_panels(figure, runs: dict[str, TrackingRecord]) -> None:
+    """Draws the panels of `draw_tracking` on a figure."""
+    grid = figure.add_gridspec(3, 2, height_ratios=(1.25, 0.8, 0.9))
+    _draw_path_from_above(figure.add_subplot(grid[0, 0]), runs)
+    _draw_path_from_the_side(figure.add_subplot(grid[0, 1]), runs)
+    _draw_errors(figure.add_subplot(grid[1, :]), runs)
+    _draw_actuators(figure.add_subplot(grid[2, 0]), runs, "setpoint",
+                    "Commanded change of setpoints", "change from the start", from_start=True)
+    _draw_actuators(figure.add_subplot(grid[2, 1]), runs, "effort",
+                    "Efforts of the twin", "effort")
+
+
+# Width of a panel of a half and of the whole width [inch].
+_HALF, _WHOLE = 5.2, 11.0
 
 
 def _draw_path_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
@@ -261,7 +270,7 @@ def _draw_path_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
     axes.set(title="Path of the effector, from above")
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.12)
-    axes.legend(loc="best", fontsize=8)
+    legend_below(axes, _HALF)
 
 
 def _draw_path_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
@@ -308,7 +317,7 @@ def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
              else "Tracking error: the device's effector against the target")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
-    _legend_above(axes, 2)
+    legend_below(axes, _WHOLE)
 
 
 _SHOWN_UNITS = {"m": (1e3, "mm"), "N": (1.0, "N"), "Pa": (1e-3, "kPa"), "m3": (1e6, "cm³")}
@@ -338,13 +347,4 @@ def _draw_actuators(axes, runs: dict[str, TrackingRecord], quantity: str, title:
     unit = f" [{units[0][1]}]" if is_common else ""
     axes.set(xlabel=f"time [s]{note}", ylabel=f"{label}{unit}", title=title)
     axes.margins(x=0.01)
-    _legend_above(axes, 4 if len(record.actuator_names) <= 4 else 9)
-
-
-def _legend_above(axes, columns: int) -> None:
-    """Places the legend beside the title, or below the axes when it is long."""
-    long = columns > 4
-    place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)} if long else {
-        "loc": "lower right", "bbox_to_anchor": (1.0, 0.98)}
-    axes.legend(**place, ncols=columns, fontsize=7 if long else 8,
-                columnspacing=0.9 if long else 1.2, handlelength=1.0 if long else 1.4)
+    legend_below(axes, _HALF)

@@ -39,7 +39,7 @@ from softrobot_twin.simulation.run_columns import (
 )
 from softrobot_twin.simulation.table_columns import STATUS, column, position_columns
 from softrobot_twin.study.equilibrium import WAY, Rest, bring_to_rest
-from softrobot_twin.study.figure import figure_file, load_pyplot
+from softrobot_twin.study.figure import figure_file, legend_below, load_pyplot
 from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
 from softrobot_twin.study.sample_workers import (
     DaskWorkers,
@@ -467,7 +467,7 @@ def draw_workspace(
         OutputError: The picture cannot be written.
     """
     from matplotlib.colors import LogNorm
-    with figure_file(path, (11.0, 5.2 * len(shown)), title, foot) as figure:
+    with figure_file(path, (11.0, 5.5 * len(shown)), title, foot) as figure:
         axes = figure.subplots(len(shown), 2, squeeze=False)
         for row, cloud in zip(axes, shown, strict=True):
             good = cloud.is_good & np.isfinite(cloud.stiffness) & (cloud.stiffness > 0.0)
@@ -494,7 +494,7 @@ def draw_workspace(
                 plot.set_ylabel(f"{'xyz'[up]} [mm]")
                 plot.set_title(f"{cloud.name}, seen along {'xyz'[3 - right - up]}")
                 plot.set_aspect("equal", adjustable="datalim")
-            row[0].legend(loc="best", fontsize=8, markerscale=1.5)
+            legend_below(row[0], 4.5, markerscale=1.5)
             bar = figure.colorbar(drawn, ax=list(row), shrink=0.9, pad=0.02)
             bar.set_label("stiffness in the softest direction [N/m]")
 

@@ -157,7 +157,7 @@ def test_the_legend_names_all_that_a_scene_has_and_nothing_else(name, shots):
 
 @pytest.mark.parametrize(("name", "view"), [
     *((name, None) for name in KINDS), ("stifface", (90.0, 0.0)), ("strider", (0.0, -90.0))])
-def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view, shots):
+def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view, shots, check_texts):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     figure = figure_of([shots[name]], name, view, labelled=True)
     check_texts(figure)
@@ -165,7 +165,7 @@ def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view
 
 
 @pytest.mark.parametrize("names", [("cantilever",) * 2, ("stifface",) * 3])
-def test_no_text_beside_several_states_is_clipped_or_overlaps_another(names, shots):
+def test_no_text_beside_several_states_is_clipped_or_overlaps_another(names, shots, check_texts):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pushed = [shots[name]._replace(
         title=f"{index} s", cables=[line._replace(tension=1e3 * index) for line in shots[name].cables])
@@ -173,26 +173,6 @@ def test_no_text_beside_several_states_is_clipped_or_overlaps_another(names, sho
     figure = figure_of(pushed, "")
     check_texts(figure)
     pyplot.close(figure)
-
-
-def check_texts(figure):
-    """All visible texts lie within the figure and apart from each other."""
-    from matplotlib.text import Text
-    figure.draw_without_rendering()
-    extents = {}
-    for text in figure.findobj(Text):
-        if text.get_visible() and text.get_text().strip():
-            extents[text] = text.get_window_extent()
-    assert len(extents) > 4
-    page = figure.bbox
-    for text, box in extents.items():
-        assert page.x0 <= box.x0 and box.x1 <= page.x1, text.get_text()
-        assert page.y0 <= box.y0 and box.y1 <= page.y1, text.get_text()
-    listed = list(extents.items())
-    for index, (text, box) in enumerate(listed):
-        for other, beside in listed[index + 1:]:
-            assert not box.padded(-1.0).overlaps(beside.padded(-1.0)), (
-                text.get_text(), other.get_text())
 
 
 def test_labels_name_every_thing_once_and_alike_ones_together(shots):
