@@ -172,7 +172,8 @@ class DeviceNode(TickingNode):
 
     def _listen(self, topic: str, take, name: str, twin: str) -> Subscription:
         """Receives a topic of the table; logs a warning for each refused message."""
-        warn, shown = self.warner(), TOPICS[topic].full_name(name, twin)
+        warn = self.warner()
+        shown = self.resolve_topic_name(TOPICS[topic].full_name(name, twin))
 
         def receive(message) -> None:
             warn(shown, take(message))
