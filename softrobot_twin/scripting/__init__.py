@@ -13,6 +13,7 @@ from softrobot_twin.scripting.named_commands import (
 )
 from softrobot_twin.scripting.robot import Robot, SceneWarning, build, load
 from softrobot_twin.scripting.step_outcome import Pose, Result
+from softrobot_twin.simulation import Status
 
 __all__ = [
     "Efforts",
@@ -23,6 +24,7 @@ __all__ = [
     "Robot",
     "SceneWarning",
     "Setpoints",
+    "Status",
     "Targets",
     "build",
     "efforts",

@@ -100,8 +100,9 @@ def export_mesh(simulation: Simulation, path: Path | str) -> tuple[str, ...]:
     try:
         with output_file(path) as partial:
             meshio.write(partial, mesh)
-    except (meshio.WriteError, KeyError) as error:
-        raise OutputError(path, str(error)) from error
+    except (meshio.WriteError, meshio.ReadError, KeyError) as error:
+        suffix = Path(path).suffix
+        raise OutputError(path, f"meshio cannot write {suffix or 'no suffix'}") from error
     return tuple(parts.names)
 
 

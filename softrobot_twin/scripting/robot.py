@@ -9,7 +9,7 @@ import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 
@@ -27,7 +27,12 @@ from softrobot_twin.scripting.named_commands import (
     unknown,
 )
 from softrobot_twin.scripting.robot_view import RobotView
-from softrobot_twin.scripting.run_table import RunColumns, Table
+from softrobot_twin.scripting.run_table import (
+    ColumnsOfSteps,
+    Table,
+    common_targets,
+    run_table,
+)
 from softrobot_twin.scripting.step_outcome import Names, Pose, Result
 from softrobot_twin.simulation import (
     Command,
@@ -38,14 +43,23 @@ from softrobot_twin.simulation import (
     Simulation,
     State,
     Status,
+    StepResult,
 )
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
-from softrobot_twin.simulation.input_tables import read_commands
-from softrobot_twin.simulation.run_columns import rigid_poses
+from softrobot_twin.simulation.input_tables import (
+    TARGETS_EXAMPLE,
+    open_columns,
+    read_commands,
+    read_targets,
+)
+from softrobot_twin.simulation.run_columns import RunColumns, RunRow
+from softrobot_twin.simulation.table_columns import column, position_columns
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
 from softrobot_twin.study.equilibrium import STILL
 from softrobot_twin.study.figure import load_pyplot
-from softrobot_twin.study.passive_run import no_commands
+from softrobot_twin.study.offline_run import columns_of, far_target_warning
+from softrobot_twin.study.offline_run import run as run_targets
+from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.scene_picture import draw_snapshots, figure_of, take_snapshot
 
 if TYPE_CHECKING:
@@ -136,9 +150,11 @@ class Robot:
         self.simulation = Simulation(scene)
         self.simulation.warm_up()
         self._reader = CommandReader(self.simulation)
-        self._columns = RunColumns(self.simulation)
+        self._columns = ColumnsOfSteps(self.simulation)
         self._names = Names(
-            self.simulation.effector_names, self.simulation.actuator_names,
+            self.simulation.effector_names,
+            tuple(column(name, kind.effort)
+                  for name, kind in self.simulation.actuators.kind_of.items()),
             self.simulation.rigid_names, self.simulation.touch_names,
         )  # fmt: skip
         self._compliance: EffectorCompliance | None = None
@@ -259,9 +275,9 @@ class Robot:
     @property
     def poses(self) -> dict[str, Pose]:
         """Pose of each rigid body, by name."""
-        poses = rigid_poses(self.simulation)
-        return {name: Pose(pose[:3], pose[3:])
-                for name, pose in zip(self._names.rigid_bodies, poses, strict=True)}
+        poses = zip(*self.simulation.rigid_poses(), strict=True)
+        named = zip(self._names.rigid_bodies, poses, strict=True)
+        return {name: Pose(*pose) for name, pose in named}
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""
@@ -302,20 +318,27 @@ class Robot:
         self._aim(aims)
         before = self.simulation.state.positions
         outcome = self.simulation.step(asked, None, touched)
-        self._by_effort = np.isfinite(asked.efforts) if isinstance(asked, CommandEfforts) else None
-        self._targets = asked.targets if isinstance(asked, FollowTargets) else None
-        self._contacts = outcome.contacts
-        if self._view is not None:
-            self._view.show(outcome, asked)
+        self._remember(outcome, asked)
         return Result(
-            outcome, self._names, self._columns, self._columns.cells(outcome), self.poses,
+            outcome, self._names, self.simulation, self._columns.of(asked), asked,
             self._is_at_rest(before, outcome.report.residual, outcome.status),
         )  # fmt: skip
 
+    def _remember(self, outcome: StepResult, command: Command) -> None:
+        """Takes what pictures and read-outs need of a step, and shows it."""
+        self._by_effort = None
+        if isinstance(command, CommandEfforts):
+            self._by_effort = np.isfinite(command.efforts)
+        self._targets = command.targets if isinstance(command, FollowTargets) else None
+        self._contacts = outcome.contacts
+        if self._view is not None:
+            self._view.show(outcome, command)
+
     def _aim(self, aims: Mapping[str, Aim]) -> None:
         """Sends guided bodies to poses; they go on to these in later steps."""
+        guides: Any = self.simulation.model.guides
         for name, aim in aims.items():
-            self.simulation.model.guides.aim(name, *aim)
+            guides.aim(name, *aim)
         self._aims |= aims
 
     def settle(
@@ -374,7 +397,7 @@ class Robot:
 
     def run(
         self,
-        command: AnyCommand | Iterable[AnyCommand] | Path | str | None = None,
+        command: AnyCommand | Iterable[AnyCommand] | Path | str | Table | None = None,
         *,
         steps: int | None = None,
         seconds: float | None = None,
@@ -385,12 +408,20 @@ class Robot:
         """Runs from where the robot stands, and returns a table with a row for each step.
 
         Args:
-            command: One command that is given in each step; several, one for each step; a commands
-                file; or None for a run without commands, whose table has the places of bodies and
-                the energies too.
+            command: One of these:
+
+                - a command that is given in each step;
+                - a list of commands, one for each step;
+                - a file, or a table of columns by name such as a `pandas.DataFrame` or a dict. With
+                  targets of effectors, or as an earlier run wrote it, each row is a step, as by
+                  ``simulate --targets``. Otherwise these are commands at increasing times, between
+                  which the steps interpolate, as by ``simulate --commands``;
+                - None for a run without commands, whose table has the places of bodies and the
+                  energies too.
+
             steps: Number of steps, for one command; by default one.
-            seconds: Duration in place of `steps` [s]; required without a command.
-            rate: Steps per second [Hz]; by default 50, for files and without commands 250.
+            seconds: Duration in place of `steps` [s].
+            rate: Steps per second [Hz]; by default 50, for commands of a table and without any 250.
             poses: See `step`; for all steps.
             touches: See `step`; for all steps.
 
@@ -400,48 +431,79 @@ class Robot:
 
         Raises:
             CommandError: See `step`; or the arguments contradict each other.
-            TableFileError: The file cannot be used.
+            TableFileError: The file or table cannot be used.
         """
-        if isinstance(command, Path | str):
-            _refuse("run", "a file", steps=steps, seconds=seconds, poses=poses, touches=touches)
-            table = read_commands(command, self.simulation)
-            rows = run_commands(self.simulation, table, _rate(rate, DEFAULT_RATE))
-            return self._columns.table([self._columns.row(*row[:3]) for row in rows])
-        if command is None:
-            return self._run_alone(steps, seconds, rate, poses, touches)
-        if isinstance(
-            command, NamedCommand | FollowTargets | CommandSetpoints | CommandEfforts | Hold
-        ):
-            count = _step_count(steps, seconds, _rate(rate, 1.0 / TIME_STEP))
-            commands: Iterator[AnyCommand] = iter([command] * count)
+        if _is_table(command):
+            _refuse("a table of commands", steps=steps, seconds=seconds, poses=poses,
+                    touches=touches)
+            return self._run_table(command, rate)
+        if command is None and not (poses or touches):
+            return self._run_alone(steps, seconds, _rate(rate, DEFAULT_RATE))
+        hertz = _rate(rate, 1.0 / TIME_STEP if command is not None else DEFAULT_RATE)
+        if command is None or _is_command(command):
+            count = _step_count(steps, seconds, hertz)
+            one = hold() if command is None else cast(AnyCommand, command)
+            commands = [one] * count
         else:
-            _refuse("run", "a list of commands", steps=steps, seconds=seconds)
-            commands = iter(command)  # type: ignore[arg-type]
-        time_step = 1.0 / _rate(rate, 1.0 / TIME_STEP)
-        return self._run_each(commands, time_step, poses, touches)
+            _refuse("a list of commands", steps=steps, seconds=seconds)
+            commands = list(cast(Iterable[AnyCommand], command))
+        return self._run_each(commands, 1.0 / hertz, poses, touches)
 
     def _run_each(
-        self, commands: Iterator[AnyCommand], time_step: float, poses: Mapping[str, Any],
+        self, commands: list[AnyCommand], time_step: float, poses: Mapping[str, Any],
         touches: Mapping[str, Any],
     ) -> Table:  # fmt: skip
+        """A run by one command a step; all are checked before the first step."""
+        read = [self._reader.read(command, time_step) for command in commands]
+        columns = RunColumns(self.simulation, common_targets(read))
         rows = []
-        for step, command in enumerate(commands):
-            outcome = self.step(command, time_step=time_step, poses=poses, touches=touches).outcome
-            rows.append(self._columns.row(step, (step + 1) * time_step, outcome))
-        return self._columns.table(rows)
+        for index, command in enumerate(commands):
+            result = self.step(command, time_step=time_step, poses=poses, touches=touches)
+            rows.append(columns.row(index, (index + 1) * time_step, result.outcome, read[index]))
+        return run_table(columns, rows)
 
-    def _run_alone(
-        self, steps: int | None, seconds: float | None, rate: float | None,
-        poses: Mapping[str, Any], touches: Mapping[str, Any],
-    ) -> Table:  # fmt: skip
-        rate = _rate(rate, DEFAULT_RATE)
+    def _run_table(self, source: Any, rate: float | None) -> Table:
+        """A run by a file or a table of columns."""
+        if isinstance(source, np.ndarray):
+            source = {name: source[name] for name in source.dtype.names or ()}
+        rows: Iterator[RunRow]
+        if not self._is_by_rows(source):
+            commanded = read_commands(source, self.simulation)
+            columns = RunColumns(self.simulation)
+            rows = run_commands(self.simulation, commanded, _rate(rate, DEFAULT_RATE), columns)
+            return self._collected(columns, rows)
+        _refuse("targets, of which each row is a step,", rate=rate)
+        table = read_targets(source, self.simulation)
+        for note in (*table.notes, far_target_warning(self.simulation, table)):
+            if note:
+                warnings.warn(note, SceneWarning, stacklevel=4)
+        columns = columns_of(self.simulation, table)
+        return self._collected(columns, run_targets(self.simulation, table, 0, columns))
+
+    def _is_by_rows(self, source: Any) -> bool:
+        """Whether each row of a table is a step: it has targets, or a run wrote it."""
+        columns = open_columns(source, TARGETS_EXAMPLE)
+        names = [name for effector in self._names.effectors
+                 for name in (*position_columns(effector), f"{effector}.x")]
+        return columns.is_output or "t" in columns or any(name in columns for name in names)
+
+    def _run_alone(self, steps: int | None, seconds: float | None, rate: float) -> Table:
+        """A run without commands."""
         count = _step_count(steps, seconds, rate)
-        columns = RunColumns(self.simulation, with_bodies=True)
-        if poses or touches:
-            return self._run_each(iter([hold()] * count), 1.0 / rate, poses, touches)
+        readouts = BodyReadouts(self.simulation)
+        columns = RunColumns(self.simulation, observed=readouts.columns)
         table = no_commands(self.simulation, count / rate if seconds is None else seconds)
-        rows = run_commands(self.simulation, table, rate)
-        return columns.table([columns.row(*row[:3]) for row in rows])
+        rows = (row._replace(observed=readouts.read())
+                for row in run_commands(self.simulation, table, rate, columns))
+        return self._collected(columns, rows)
+
+    def _collected(self, columns: RunColumns, rows: Iterable[RunRow]) -> Table:
+        """The table of a run, which is shown on its way."""
+        kept = []
+        for row in rows:
+            kept.append(row)
+            self._remember(row.result, Hold() if row.command is None else row.command)
+        return run_table(columns, kept)
 
     # --- how it yields ---------------------------------------------------------------------------
 
@@ -624,10 +686,21 @@ def _step_count(steps: int | None, seconds: float | None, rate: float) -> int:
     return max(1, math.ceil(seconds * rate - 1e-9))
 
 
-def _refuse(word: str, what: str, **given: Any) -> None:
-    """Refuses arguments that have no meaning with others."""
+def _refuse(what: str, **given: Any) -> None:
+    """Refuses arguments of a run that have no meaning beside what it takes."""
     for name, value in given.items():
         if value is not None and value is not NOTHING:
-            raise CommandError(name, f"has no meaning where {word} takes {what}")
+            raise CommandError(name, f"has no meaning where a run takes {what}")
+
+
+def _is_command(command: Any) -> bool:
+    kinds = NamedCommand | FollowTargets | CommandSetpoints | CommandEfforts | Hold
+    return isinstance(command, kinds)
+
+
+def _is_table(command: Any) -> bool:
+    """Whether something is a file, or has columns by name."""
+    is_array = isinstance(command, np.ndarray) and command.dtype.names is not None
+    return isinstance(command, Path | str) or is_array or hasattr(command, "keys")
 
 

@@ -64,6 +64,16 @@ class RobotView:
         """Whether steps are still shown."""
         return self._end.alive
 
+    @property
+    def shown_count(self) -> int:
+        """Number of states that were drawn, at rest and after steps."""
+        return max((one.logged_count for one in self._mirror.drawing_threads), default=0)
+
+    @property
+    def failure(self) -> str | None:
+        """What could not be drawn, or None."""
+        return self._mirror.failure
+
     def show(self, result: StepResult | None = None, command: Any = None) -> None:
         """Shows the present state.
 

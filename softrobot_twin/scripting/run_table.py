@@ -2,81 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from softrobot_twin.simulation import Simulation, StepResult
-from softrobot_twin.study.direct_run import DirectRow, direct_cells, direct_header, direct_row
-from softrobot_twin.study.offline_run import actuator_columns
-from softrobot_twin.study.passive_run import BodyReadouts
-
-# Columns that are no floating-point numbers, and their types in a structured array.
-_OTHERS = {"step": "i8", "contact_count": "i8", "status": "U16"}
+from softrobot_twin.simulation.command import Command, FollowTargets
+from softrobot_twin.simulation.run_columns import TEXT_COLUMNS, WHOLE_NUMBERS, RunColumns, RunRow
 
 Table: TypeAlias = Any
-"""A pandas.DataFrame where pandas is installed, else a structured numpy array."""
+"""A `pandas.DataFrame` where pandas is installed, else a structured numpy array."""
 
 
-class RunColumns:
-    """The columns of a run of one simulation, and their values in its steps.
+def run_table(columns: RunColumns, rows: Iterable[RunRow]) -> Table:
+    """A table of a run.
 
-    Attributes:
-        header: All columns, as in a run file.
-        numbers: Those that hold numbers.
-        driven: Those of the efforts of the actuators.
+    Args:
+        columns: Its columns.
+        rows: Its rows.
+
+    Returns:
+        A `pandas.DataFrame` where pandas is installed, else a structured numpy array, with a column
+        for each name of `columns`.
     """
+    cells = [columns.cells(row) for row in rows]
+    by_name = {
+        name: _array(name, [row[place] for row in cells])
+        for place, name in enumerate(columns.names)
+    }
+    try:
+        import pandas
+    except ImportError:
+        pass
+    else:
+        return pandas.DataFrame(by_name)
+    table = np.empty(len(cells), [(name, array.dtype) for name, array in by_name.items()])
+    for name, array in by_name.items():
+        table[name] = array
+    return table
 
-    def __init__(self, simulation: Simulation, with_bodies: bool = False):
-        """Collect the columns.
+
+def _array(name: str, values: list[Any]) -> np.ndarray:
+    if name in TEXT_COLUMNS:
+        return np.array(values, str)
+    return np.array(values, np.int64 if name in WHOLE_NUMBERS else np.float64)
+
+
+def common_targets(commands: Sequence[Command]) -> FollowTargets | None:
+    """The first of some commands where all of them follow targets of the same effectors, else None.
+
+    Args:
+        commands: The commands of a run.
+    """
+    first = commands[0] if commands else None
+    if not isinstance(first, FollowTargets):
+        return None
+    named = _named(first)
+    alike = all(isinstance(one, FollowTargets) and _named(one) == named for one in commands)
+    return first if alike else None
+
+
+def _named(command: FollowTargets) -> tuple[bytes, ...]:
+    """What a command gives of the effectors, in a form that can be compared."""
+    arrays = (command.targets, command.orientations, command.stiffness)
+    return tuple(b"" if array is None else np.isfinite(array).tobytes() for array in arrays)
+
+
+class ColumnsOfSteps:
+    """The columns of single steps, by what their commands give; made when they are needed."""
+
+    def __init__(self, simulation: Any):
+        """Keep the simulation.
 
         Args:
-            simulation: The simulation, at any state.
-            with_bodies: Whether bodies, markers and energies have columns, as in a run without
-                commands.
+            simulation: The simulation.
         """
         self._simulation = simulation
-        self._readouts = BodyReadouts(simulation) if with_bodies else None
-        observed = () if self._readouts is None else self._readouts.columns
-        self.header = tuple(direct_header(simulation, observed))
-        self.numbers = tuple(name for name in self.header if name not in ("step", "status"))
-        efforts = {(name, kind.effort) for name, kind in simulation.actuators.kind_of.items()}
-        self.driven = tuple(
-            "_".join((name, *quantity))
-            for name, *quantity in actuator_columns(simulation.actuators)
-            if (name, tuple(quantity)) in efforts
-        )  # fmt: skip
+        self._known: dict[tuple[bytes, ...], RunColumns] = {}
 
-    def row(self, step: int, time: float, result: StepResult) -> list[str]:
-        """One row of a run file.
-
-        Args:
-            step: Steps before this one.
-            time: At its end [s].
-            result: Its result; the simulation stands where it ended.
-        """
-        row: DirectRow = direct_row(self._simulation, step, time, result)
-        if self._readouts is not None:
-            row = row._replace(observed=self._readouts.read())
-        return direct_cells(row, self._simulation.actuators)
-
-    def cells(self, result: StepResult) -> tuple[float, ...]:
-        """Values of `numbers` in one step."""
-        row = self.row(0, result.state.time, result)
-        return tuple(float(cell) for name, cell in zip(self.header, row, strict=True)
-                     if name not in ("step", "status"))
-
-    def table(self, rows: Sequence[Sequence[str]]) -> Table:
-        """A table of rows: a `pandas.DataFrame` where pandas is installed, else a structured array.
-
-        Args:
-            rows: See `row`.
-        """
-        types = np.dtype([(name, _OTHERS.get(name, "f8")) for name in self.header])
-        array = np.array([tuple(row) for row in rows], types)
-        try:
-            import pandas
-        except ImportError:
-            return array
-        return pandas.DataFrame({name: array[name] for name in self.header})
+    def of(self, command: Command) -> RunColumns:
+        """The columns of a step by a command."""
+        followed = command if isinstance(command, FollowTargets) else None
+        key = () if followed is None else _named(followed)
+        if key not in self._known:
+            self._known[key] = RunColumns(
+                self._simulation, followed, with_reduction_errors=False
+            )
+        return self._known[key]

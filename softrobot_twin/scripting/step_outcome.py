@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scripting.named_commands import unknown
-from softrobot_twin.simulation import Status, StepReport, StepResult
+from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
+from softrobot_twin.simulation.appearance import rigid_poses
+from softrobot_twin.simulation.run_columns import TEXT_COLUMNS, RunColumns
+from softrobot_twin.simulation.table_columns import STEP
 
 if TYPE_CHECKING:
-    from softrobot_twin.scripting.run_table import RunColumns
     from softrobot_twin.simulation.contact_forces import ContactForces
 
 # Actuators that a short text names, at most.
@@ -32,10 +34,17 @@ class Pose(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Names of a scene that results are read by; see `Simulation`."""
+    """Names of a scene that results are read by.
+
+    Attributes:
+        effectors: Of the effectors, in the order of their arrays.
+        efforts: Columns of the efforts of the actuators, such as ``north_tension_N``.
+        rigid_bodies: Of the rigid bodies.
+        touches: Of the touches.
+    """
 
     effectors: tuple[str, ...]
-    actuators: tuple[str, ...]
+    efforts: tuple[str, ...]
     rigid_bodies: tuple[str, ...]
     touches: tuple[str, ...]
 
@@ -48,30 +57,42 @@ class Result:
 
     Attributes:
         outcome: The same in arrays, as `Simulation.step` returns it.
-        poses: Pose of each rigid body, by name.
         is_at_rest: Whether the step moved nothing any more, and its forces are in balance.
     """
 
     outcome: StepResult
-    poses: dict[str, Pose]
     is_at_rest: bool
 
     def __init__(
-        self, outcome: StepResult, names: Names, columns: RunColumns, cells: tuple[float, ...],
-        poses: dict[str, Pose], is_at_rest: bool,
+        self, outcome: StepResult, names: Names, simulation: Simulation, columns: RunColumns,
+        command: Command, is_at_rest: bool,
     ):  # fmt: skip
-        """Take a step's outcome.
+        """Take a step's outcome; what it is asked for later follows from it.
 
         Args:
             outcome: The outcome in arrays.
             names: Names of its arrays.
-            columns: Columns of a run's table.
-            cells: Their values in this step.
-            poses: Pose of each rigid body, by name.
+            simulation: What stepped.
+            columns: Columns of a run of this step.
+            command: What was asked.
             is_at_rest: See the attribute.
         """
-        self.outcome, self.poses, self.is_at_rest = outcome, poses, is_at_rest
-        self._names, self._columns, self._cells = names, columns, cells
+        self.outcome, self.is_at_rest = outcome, is_at_rest
+        self._names, self._columns, self._command = names, columns, command
+        self._model = simulation.model
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All numbers, without the simulation that they come from."""
+        kept = {**self.__dict__, "values": self.values, "poses": self.poses}
+        return {name: value for name, value in kept.items()
+                if name not in ("_columns", "_command", "_model")}
+
+    @cached_property
+    def poses(self) -> dict[str, Pose]:
+        """Pose of each rigid body, by name."""
+        poses = zip(*rigid_poses(self._model, self.outcome.state.positions), strict=True)
+        named = zip(self._names.rigid_bodies, poses, strict=True)
+        return {name: Pose(*pose) for name, pose in named}
 
     @property
     def status(self) -> Status:
@@ -140,7 +161,9 @@ class Result:
     @cached_property
     def values(self) -> dict[str, float]:
         """All numbers of the step by the columns of a run's table, in their order."""
-        return dict(zip(self._columns.numbers, self._cells, strict=True))
+        row = self._columns.row(0, self.time, self.outcome, self._command)
+        cells = zip(self._columns.names, self._columns.cells(row), strict=True)
+        return {name: float(cell) for name, cell in cells if name not in (STEP, *TEXT_COLUMNS)}
 
     def __getitem__(self, column: str) -> float:
         if column not in self.values:
@@ -170,7 +193,8 @@ class Result:
             error = self.errors[name]
             missed = f" ({1e3 * error:.2g} mm from its target)" if np.isfinite(error) else ""
             parts.append(f"{name} at [{place}] mm{missed}")
-        shown = [f"{name} {self.values[name]:.4g}" for name in self._columns.driven]
+        efforts = zip(self._names.efforts, self.outcome.efforts, strict=True)
+        shown = [f"{name} {effort:.4g}" for name, effort in efforts]
         if len(shown) > _MOST_SHOWN:
             shown = [*shown[:_MOST_SHOWN], f"and {len(shown) - _MOST_SHOWN} more"]
         parts += shown

@@ -1,0 +1,213 @@
+"""A robot in Python: results, states, copies, read-outs, pictures, files."""
+
+import copy
+import pickle
+import subprocess
+import sys
+
+import meshio
+import numpy as np
+import pytest
+
+import softrobot_twin as st
+from softrobot_twin.simulation.apparent_compliance import apparent_compliance
+
+
+def test_a_result_gives_effectors_and_columns_by_name(finger):
+    result = finger.step(st.targets(tip=[0.1, 0.01, 0.012]))
+    assert np.array_equal(result.tip, result.outcome.effector_positions[0])
+    assert result["tip_z_m"] == result.tip[2]
+    assert result["upper_tension_N"] == result.outcome.efforts[0]
+    assert result.errors["tip"] == result["tip_error_m"] == result.outcome.effector_errors[0]
+    assert result.time == result["time_s"] == 0.02
+    assert "tip" in dir(result)
+
+
+def test_a_result_does_not_change_in_later_steps(held):
+    first = held.step(poses={"palm": [0.0, 0.01, 0.01]})
+    held.step()
+    assert first["palm_x_m"] == first.poses["palm"].position[0] == pytest.approx(-0.008)
+
+
+@pytest.mark.parametrize("name", ["tipp", "upper_tension_N", "_hidden"])
+def test_a_result_has_no_other_attributes(finger, name):
+    with pytest.raises(AttributeError):
+        getattr(finger.step(), name)
+
+
+def test_an_unknown_column_of_a_result_is_refused_with_the_nearest(finger):
+    with pytest.raises(KeyError, match="is upper_tension_N meant"):
+        finger.step()["upper_tensoin_N"]
+    with pytest.raises(st.SoftRobotTwinError):
+        finger.step()["upper_tensoin_N"]
+
+
+def test_reprs_are_one_short_line(finger, held):
+    for shown in (repr(finger), repr(finger.step(st.targets(tip=[0.1, 0.01, 0.012]))),
+                  repr(held), repr(held.step())):
+        assert "\n" not in shown and len(shown) < 250
+    assert repr(finger).startswith("<Robot finger: bodies body; 144 tetrahedra; cables upper, lower")
+    assert "tip at [" in repr(finger.step())
+
+
+def test_after_reset_the_same_steps_follow_to_the_bit(finger):
+    first = finger.run(st.setpoints(upper_shortening_m=0.002), steps=4)
+    finger.reset()
+    second = finger.run(st.setpoints(upper_shortening_m=0.002), steps=4)
+    assert list(first["tip_z_m"]) == list(second["tip_z_m"])
+
+
+def test_a_saved_state_can_be_put_back(finger):
+    state = finger.step(st.setpoints(upper_shortening_m=0.001)).outcome.state
+    there = finger.step()
+    finger.state = state
+    assert np.array_equal(finger.step().positions, there.positions)
+
+
+@pytest.mark.parametrize("copied", [
+    copy.copy, copy.deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
+def test_a_copy_goes_on_in_the_same_way_and_by_itself(held, copied):
+    held.step(st.setpoints(upper_shortening_m=0.001), poses={"palm": [0.01, 0.01, 0.01]})
+    other = copied(held)
+    assert np.array_equal(other.positions, held.positions) and other.time == held.time
+    assert np.array_equal(other.step().positions, held.step().positions)
+    other.reset()
+    assert held.time == 0.04
+
+
+def test_a_result_is_pickled_without_its_robot(held):
+    result = held.step(poses={"palm": [0.01, 0.01, 0.01]})
+    dumped = pickle.dumps(result)
+    other = pickle.loads(dumped)
+    assert other.values == result.values and np.array_equal(other.tip, result.tip)
+    assert np.array_equal(other.poses["palm"].position, result.poses["palm"].position)
+    assert repr(other) == repr(result)
+    assert len(dumped) < 20 * result.positions.nbytes
+
+
+def test_settling_ends_at_rest_and_says_where_it_does_not(finger):
+    result = finger.settle(st.setpoints(upper_shortening_m=0.005))
+    assert result.is_at_rest and result.status is st.Status.OK
+    assert result["upper_shortening_m"] == pytest.approx(0.005)
+    assert finger.step().is_at_rest
+    assert not finger.settle(st.setpoints(upper_shortening_m=0.01), most_steps=2).is_at_rest
+
+
+def test_a_jacobian_has_the_columns_of_the_actuators(finger):
+    finger.settle(st.setpoints(upper_shortening_m=0.002, lower_shortening_m=0.002))
+    jacobian = finger.jacobian("tip")
+    assert jacobian.columns == ("upper_shortening_m", "lower_shortening_m")
+    found = apparent_compliance(finger.simulation)
+    assert np.array_equal(np.asarray(jacobian), found.jacobian[0])
+    assert np.array_equal(jacobian["upper_shortening_m"], found.jacobian[0, :, 0])
+    assert jacobian["upper_shortening_m"][2] > 0.0 > jacobian["lower_shortening_m"][2]
+    with pytest.raises(st.SoftRobotTwinError, match="is upper_shortening_m meant"):
+        jacobian["uper_shortening_m"]
+
+
+def test_the_jacobian_is_the_slope_of_settled_positions(finger):
+    at = {"upper_shortening_m": 0.002, "lower_shortening_m": 0.002}
+    finger.settle(st.setpoints(at))
+    slope, step = finger.jacobian("tip")["upper_shortening_m"], 1.0e-5
+    ends = [finger.settle(st.setpoints({**at, "upper_shortening_m": 0.002 + move})).tip
+            for move in (-step, step)]
+    assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(slope, rel=1e-3, abs=1e-6)
+
+
+def test_after_efforts_the_jacobian_is_by_efforts_and_the_robot_is_softer(finger):
+    finger.settle(st.setpoints(upper_shortening_m=0.004, lower_shortening_m=0.004))
+    held = finger.compliance("tip")
+    finger.settle(st.efforts(upper_tension_N=2.0, lower_tension_N=2.0))
+    assert finger.jacobian("tip").columns == ("upper_tension_N", "lower_tension_N")
+    assert finger.compliance("tip")["z_N"][2] > 2.0 * held["z_N"][2]
+
+
+def test_the_least_stiffness_is_the_inverse_of_the_greatest_compliance(finger):
+    finger.settle()
+    stiffness, directions = finger.stiffness("tip")
+    compliance = np.asarray(finger.compliance("tip"))
+    assert compliance @ directions[0] == pytest.approx(directions[0] / stiffness[0], rel=1e-6)
+
+
+def test_an_unknown_effector_is_refused_with_the_nearest(finger):
+    for ask in (finger.jacobian, finger.compliance, finger.stiffness):
+        with pytest.raises(st.SoftRobotTwinError, match="is tip meant"):
+            ask("tpi")
+
+
+def test_a_picture_is_written_or_returned(finger, tmp_path):
+    pytest.importorskip("matplotlib")
+    finger.step(st.targets(tip=[0.1, 0.01, 0.012]))
+    assert finger.plot(tmp_path / "finger.png") is None
+    assert (tmp_path / "finger.png").read_bytes().startswith(b"\x89PNG")
+    figure = finger.plot()
+    assert figure.get_axes() or figure.texts
+    with pytest.raises(st.SoftRobotTwinError, match="finger.nothing"):
+        finger.plot(tmp_path / "finger.nothing")
+
+
+def test_a_vtu_file_has_all_parts_and_their_displacements(held, tmp_path):
+    held.settle()
+    parts = held.save_vtu(tmp_path / "held.vtu")
+    assert parts == ("body", "palm", "upper", "lower")
+    mesh = meshio.read(tmp_path / "held.vtu")
+    body = held.simulation.model.bodies[0].mesh
+    moved = mesh.point_data["displacement"][: body.node_count]
+    rest = mesh.points[: body.node_count] - moved
+    assert np.abs(rest - body.node_positions).max() < 1e-15
+    assert [block.type for block in mesh.cells] == ["tetra", "triangle", "line"]
+    assert np.array_equal(mesh.cells[0].data, body.cells)
+    assert {int(n) for block in mesh.cell_data["part"] for n in block} == {0, 1, 2, 3}
+    with pytest.raises(st.SoftRobotTwinError, match="held.nothing"):
+        held.save_vtu(tmp_path / "held.nothing")
+
+
+@pytest.mark.parametrize(("element", "kind"), [
+    ("quadratic", "tetra10"), ("hexahedral", "hexahedron")])
+def test_a_vtu_file_has_the_cells_of_the_element(entries, tmp_path, element, kind):
+    entries["body"]["element"] = element
+    robot = st.build(**entries)
+    robot.save_vtu(tmp_path / "finger.vtu")
+    mesh, volume = meshio.read(tmp_path / "finger.vtu"), 0.1 * 0.02 * 0.02
+    assert mesh.cells[0].type == kind
+    # Corners come first in all kinds of cells: boxes of hexahedra, or six tetrahedra in each.
+    corners = mesh.points[mesh.cells[0].data[:, :4 if kind == "tetra10" else 8]]
+    if kind == "tetra10":
+        sides = corners[:, 1:] - corners[:, :1]
+        assert np.abs(np.linalg.det(sides)).sum() / 6.0 == pytest.approx(volume)
+        middles = mesh.points[mesh.cells[0].data[:, 4]]
+        assert middles == pytest.approx(corners[:, :2].mean(axis=1))
+    else:
+        assert np.ptp(corners, axis=1).prod(axis=1).sum() == pytest.approx(volume)
+
+
+def test_a_view_writes_every_step(finger, tmp_path):
+    with finger.view(tmp_path / "finger.rrd") as view:
+        finger.step()
+        finger.run(st.hold(), steps=3)
+        finger.run(seconds=0.008)
+    assert (tmp_path / "finger.rrd").stat().st_size > 10_000
+    assert view.shown_count == 1 + 1 + 3 + 2
+    finger.step()
+    assert view.shown_count == 7 and "closed" in repr(view)
+
+
+def test_a_view_shows_targets_and_is_replaced_by_the_next(held, tmp_path):
+    first = held.view(tmp_path / "first.rrd")
+    held.step(st.targets(tip=[0.1, 0.01, 0.012]))
+    second = held.view(tmp_path / "second.rrd")
+    assert not first.is_open and second.is_open
+    second.close()
+    assert first.failure is None and second.failure is None
+
+
+def test_names_of_the_package_are_imported_when_they_are_used():
+    code = ("import sys, softrobot_twin as st; assert 'numpy' not in sys.modules; "
+            "assert 'load' in dir(st); st.load; assert 'numba' in sys.modules; "
+            "assert 'rerun' not in sys.modules and 'matplotlib' not in sys.modules")
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_an_unknown_name_of_the_package_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="has no attribute 'lode'"):
+        st.lode
