@@ -15,7 +15,7 @@ import numpy as np
 import softrobot_twin as st
 
 ROOT = Path(__file__).resolve().parents[1]
-TIME_STEP, PERIOD = 0.04, 4.0  # s
+TIME_STEP, PERIOD = 0.05, 3.0  # s
 GAIN = 5.0  # 1/s, of the integrator
 NOISE = 0.1e-3  # m, of the camera
 

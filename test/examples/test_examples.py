@@ -1,0 +1,131 @@
+"""The scripts and the notebook of `examples/`: each runs as it is and shows what it promises."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+LONGEST = 60
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Runs an example in an empty folder; returns its variables."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    def run_example(name, *arguments):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("sys.argv", [f"{name}.py", *arguments])
+        return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+
+    yield run_example
+    pyplot.close("all")
+
+
+def test_there_are_six_scripts_and_a_notebook():
+    assert [path.stem for path in SCRIPTS] == [
+        "calibration", "closed_loop", "finger", "learning", "pneumatic_gripper",
+        "trunk_in_contact"]
+    assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["finger.ipynb"]
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_a_script_is_short_and_says_how_it_is_run(path):
+    text = path.read_text()
+    assert len(text.splitlines()) < LONGEST
+    assert f"\n    python examples/{path.name}" in text.split('"""')[1]
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_the_gallery_shows_each_script_with_its_picture(path):
+    gallery = (ROOT / "docs" / "examples.md").read_text()
+    assert f"examples/{path.name}" in gallery
+    picture = ROOT / "docs" / f"example_{path.stem}.png"
+    assert f"({picture.name})" in gallery
+    assert 5_000 < picture.stat().st_size < 100_000
+
+
+def test_the_finger_reaches_its_three_places(run, tmp_path, capsys):
+    result = run("finger")["result"]
+    assert result.status.value == "ok"
+    assert np.linalg.norm(result.tip - [0.065, 0.0, -0.048]) < 1e-5
+    printed = capsys.readouterr().out
+    assert printed.count("; ok\n") == 3 and "flexor_shortening_m" in printed
+    assert (tmp_path / "finger.png").stat().st_size > 10_000
+
+
+def test_the_trunk_follows_its_path_while_the_cylinders_carry_it(run, tmp_path):
+    seen = run("trunk_in_contact")
+    assert seen["errors"].max() < 0.1  # mm
+    assert seen["forces"][0] == 0.0 and seen["forces"].max() > 0.05  # N
+    assert {path.name for path in tmp_path.glob("*.png")} == {
+        "trunk_in_contact.png", "trunk_in_contact_end.png"}
+
+
+def test_the_gripper_lifts_the_ball_with_its_palm(run, tmp_path):
+    heights = run("pneumatic_gripper")["heights"]  # mm
+    assert abs(heights[:100]).max() < 1.0, "it stands on the floor until it is lifted"
+    assert heights[-1] == pytest.approx(40.0, abs=2.0)
+    assert {path.name for path in tmp_path.glob("*.png")} == {
+        "pneumatic_gripper.png", "pneumatic_gripper_end.png"}
+
+
+def test_calibration_finds_the_modulus_of_the_real_finger(run, tmp_path):
+    seen = run("calibration")
+    assert seen["fit"].success and seen["fit"].x == pytest.approx(437e3, rel=0.01)
+    # What the fit does not know matters: the modulus of the data sheet does not explain it.
+    wrong = np.abs(seen["sags"](500e3) - seen["measured"]).max()
+    right = np.abs(seen["sags"](seen["fit"].x) - seen["measured"]).max()
+    assert right < 0.3e-3 < 2e-3 < wrong
+    assert (tmp_path / "calibration.png").is_file()
+
+
+def test_a_camera_cuts_the_error_of_the_finger_to_less_than_a_half(run, tmp_path):
+    seen = run("closed_loop")
+    open_error = seen["errors"][seen["is_open"]].mean()
+    closed_error = seen["errors"][seen["is_closed"]].mean()
+    assert closed_error < 0.5 * open_error and open_error > 0.3  # mm
+    assert (tmp_path / "closed_loop.png").is_file()
+
+
+def test_a_policy_learns_within_a_few_generations(run, tmp_path):
+    pytest.importorskip("gymnasium")
+    seen = run("learning", "2")
+    finger, untrained = seen["finger"], np.zeros(seen["shape"])
+    before = 1e3 * np.mean([seen["last_distance"](untrained, one) for one in seen["unknown"]])
+    assert len(seen["history"]) == 2
+    assert seen["history"][-1] < 0.7 * before
+    assert np.isfinite(finger.target).all()
+    assert (tmp_path / "learning.png").is_file()
+
+
+def test_the_notebook_is_kept_without_outputs():
+    nbformat = pytest.importorskip("nbformat")
+    notebook = nbformat.read(EXAMPLES / "finger.ipynb", 4)
+    nbformat.validate(notebook)
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert len(cells) > 8
+    assert all(cell.outputs == [] and cell.execution_count is None for cell in cells)
+
+
+@pytest.mark.slow
+def test_the_notebook_runs_and_shows_three_pictures():
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    pytest.importorskip("matplotlib")
+    notebook = nbformat.read(EXAMPLES / "finger.ipynb", 4)
+    client = nbclient.NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": EXAMPLES}})
+    client.execute()  # An error in a cell is raised here.
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert [output.name for output in outputs if output.output_type == "stream"] == []
+    assert sum("image/png" in output.data for output in outputs) == 3
+    shown = " ".join(output.data["text/plain"] for output in outputs)
+    assert "<Robot finger: " in shown and "unreachable" in shown and "200 kPa" in shown
