@@ -40,7 +40,10 @@ METHOD = {
         "grasping", "graph_watch", "hostile_messages", "node_process", "pressures", "target_pose",
         "thread_priority", "trunk", "twin_diagnostics",
     ),
-    "docs": ("files_page", "reference_pages", "scenes_of_the_pages", "site", "statuses_page"),
+    "docs": (
+        "commands_of_the_pages", "files_page", "reference_pages", "scenes_of_the_pages", "site",
+        "statuses_page",
+    ),
 }  # fmt: skip
 
 

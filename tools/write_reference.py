@@ -360,7 +360,7 @@ def _option(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
         default, text = _without_angles(told[1]), DEFAULT.sub("", text, count=1)
     elif action.nargs == 0:
         default = "off"
-    elif action.default in (None, argparse.SUPPRESS) or action.default == []:
+    elif action.default in (None, argparse.SUPPRESS, (), "") or action.default == []:
         default = "none"
     else:
         default = f"`{_yaml(action.default)}`"
