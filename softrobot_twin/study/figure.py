@@ -115,7 +115,11 @@ def _with_few_colours(picture):
         colours += quantized(Image.fromarray(wrong[None]), _RARE).getpalette()[: 3 * _RARE]
     palette = Image.new("P", (1, 1))
     palette.putpalette(colours)
-    return picture.quantize(palette=palette, dither=Image.Dither.NONE)
+    indices = np.array(picture.quantize(palette=palette, dither=Image.Dither.NONE))
+    indices[(pixels == 255).all(axis=2)] = 0  # Pillow takes a colour that is nearly white
+    few = Image.fromarray(indices)
+    few.putpalette(colours)
+    return few
 
 
 @contextmanager

@@ -211,9 +211,14 @@ def test_a_small_mark_keeps_its_colour_and_white_stays_white(tmp_path):
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(np.random.default_rng(0).uniform(0.2, 0.8, (60, 60)), cmap="Blues")
     axes.set_position((0.1, 0.1, 0.8, 0.8))
+    axes.set_facecolor("#fdfdfd")
+    axes.set(xlim=(-20, 80), ylim=(-20, 80))
+    figure.text(0.5, 0.03, "a text with pale edges", fontsize=7, color="#777777")
     axes.plot([30], [30], marker="o", markersize=4, color="#208040")
     save_figure(figure, tmp_path / "few.png", 100)
     pyplot.close(figure)
-    colours = image.imread(tmp_path / "few.png")[..., :3].reshape(-1, 3)
+    picture = image.imread(tmp_path / "few.png")[..., :3]
+    assert (picture[:8] == 1.0).all()
+    colours = picture.reshape(-1, 3)
     assert (colours == 1.0).all(axis=1).mean() > 0.2
     assert (np.abs(colours - np.array([0x20, 0x80, 0x40]) / 255.0).max(axis=1) < 0.08).any()
