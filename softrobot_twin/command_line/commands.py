@@ -43,6 +43,7 @@ from softrobot_twin.study.meshing import UNITS, mesh_part, rate_step
 from softrobot_twin.study.offline_run import simulate
 from softrobot_twin.study.reduced_models import STUDY
 from softrobot_twin.study.reduction_states import TargetBox
+from softrobot_twin.study.run_plot import plot
 from softrobot_twin.study.stiffness import print_stiffness
 from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
 from softrobot_twin.study.workspace import workspace
@@ -309,6 +310,30 @@ def _bench(chosen: argparse.Namespace) -> int:
             raise OptionError("--contacts", "times a block of its own and takes no scene")
         return bench_contacts(chosen.steps, chosen.output)
     return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands)
+
+
+def add_plot(commands) -> None:
+    """Declares ``plot``."""
+    parser = add_command(
+        commands, "plot", _plot, "draw what a run wrote over time",
+        "Draw the file of a run, a panel for each quantity: places of effectors with their targets, "
+        "errors, shortenings, tensions, pressures, contact forces, the residual, the status of each "
+        "step and the limits that were active. It draws what workspace writes over the samples, and "
+        "tables of targets and commands too.",
+        examples=(
+            "run.csv",
+            "run.csv --columns 'tip_*' '*_tension_N' --output tensions.png",
+        ),
+    )
+    parser.add_argument("file", metavar="RUN.csv", type=Path, help="file of a run")
+    parser.add_argument("--columns", nargs="+", default=(), metavar="GLOB",
+                        help="draw all columns that match, in place of those that tell the most")
+    parser.add_argument("--output", metavar="FILE.png", type=Path,
+                        help="picture to write (default: beside the file)")
+
+
+def _plot(chosen: argparse.Namespace) -> int:
+    return plot(chosen.file, chosen.columns, chosen.output)
 
 
 def add_workspace(commands) -> None:
@@ -805,8 +830,8 @@ def _reduce(chosen: argparse.Namespace) -> int:
 
 
 COMMANDS = (
-    add_mesh, add_init, add_simulate, add_explain, add_workspace, add_bench, add_accuracy, add_choose,
-    add_reduce, add_reduce_vertebrae, add_replay, add_demo, add_completion,
+    add_mesh, add_init, add_simulate, add_plot, add_explain, add_workspace, add_bench, add_accuracy,
+    add_choose, add_reduce, add_reduce_vertebrae, add_replay, add_demo, add_completion,
 )  # fmt: skip
 """What declares each command, in the order of the list of commands."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -120,13 +120,9 @@ class RunSummary:
         """The summary as names and values with units."""
         if not self._rows:
             return [(self._unit, "0")]
-        begin, end = self._hold
         lines = [(self._unit, f"{len(self._rows)}, {self._rows[-1].time:.6g} s at their end")]
         lines += self._of_effectors()
-        lines += [(f"{name}, highest", f"{1e3 * height:+.2f} mm at {time:.2f} s")
-                  for name, (height, time) in self.heights().items()]
-        lines += [(f"{name}, creep while held", f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
-                  for name, rise in self.creep().items()]
+        lines += self._of_bodies()
         lines += self._of_actuators()
         lines += self._of_contacts()
         lines += self._of_limits()
@@ -159,6 +155,19 @@ class RunSummary:
         places = 1e3 * self._series("effector_positions")[-1] if self._effectors else ()
         return [(f"{name}, at the end", f"[{', '.join(f'{x:.5g}' for x in place)}] mm")
                 for name, place in zip(self._effectors, places)]
+
+    def _of_bodies(self) -> list[tuple[str, str]]:
+        """How high free bodies rose, and how far they crept; of many the one that did most."""
+        begin, end = self._hold
+        heights, creep = self.heights(), self.creep()
+        lines = [(name, "highest", f"{1e3 * height:+.2f} mm at {time:.2f} s")
+                 for name, (height, time) in _most(heights, lambda name: heights[name][0])]
+        lines += [(name, "creep while held", f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
+                  for name, rise in _most(creep, creep.get)]
+        many = {"highest": len(heights) > _SHOWN, "creep while held": len(creep) > _SHOWN}
+        return [(f"{word} of {len(heights if word == 'highest' else creep)}" if many[word]
+                 else f"{name}, {word}", f"{name} {told}" if many[word] else told)
+                for name, word, told in lines]
 
     def _of_actuators(self) -> list[tuple[str, str]]:
         """Ranges of displacement and effort of each actuator; those that are alike in one row."""
@@ -242,6 +251,14 @@ class _Kept(NamedTuple):
     residual: float
     linearization_error: float
     compute_time: float
+
+
+def _most(found: dict, size: Callable) -> list[tuple]:
+    """All entries, or that with the largest size where they are many."""
+    entries = list(found.items())
+    if len(entries) <= _SHOWN:
+        return entries
+    return [max(entries, key=lambda entry: size(entry[0]))]
 
 
 def _largest(values: np.ndarray) -> float:
