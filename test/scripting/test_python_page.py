@@ -1,0 +1,46 @@
+"""The code of docs/python.md runs as it stands, and names what there is."""
+
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+
+import softrobot_twin as st
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = (ROOT / "docs" / "python.md").read_text()
+
+
+@pytest.mark.slow
+def test_the_code_of_the_page_runs_block_by_block(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    for folder in ("config", "meshes"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    names: dict = {}
+    blocks = re.findall(r"```python\n(.*?)```", TEXT, re.S)
+    assert len(blocks) >= 8
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", st.SceneWarning)
+        for block in blocks:
+            exec(compile(block, "docs/python.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert "is flexor_shortening_m meant?" in printed and "<Result ok; tip at [" in printed
+    assert names["table"]["status"].tolist().count("diverged") == 0
+    assert {path.name for path in tmp_path.glob("finger.*")} == {
+        "finger.png", "finger.rrd", "finger.vtu"}
+    repeated = names["again"]["tip_z_m"].tolist()
+    assert len(repeated) > 10 and min(repeated) < -0.005
+
+
+def test_the_page_names_every_public_name_of_the_package():
+    for name in set(st.__all__) - {"Pose", "Result", "Robot", "Status"}:
+        assert f"st.{name}" in TEXT, name
+
+
+def test_every_attribute_of_the_page_exists():
+    for name in re.findall(r"`robot\.(\w+)", TEXT):
+        assert hasattr(st.Robot, name) or name == "simulation", name
+    for name in set(re.findall(r"`result\.(\w+)", TEXT)) - {"outcome"}:
+        assert hasattr(st.Result, name), name
