@@ -8,12 +8,14 @@ PACKAGE = "softrobot_twin"
 SHARED_SUFFIXES = {".csv", ".inp", ".msh", ".npz", ".rviz", ".vtk", ".vtu", ".yaml"}
 
 
-def shared_files(folder: str) -> list[tuple[str, list[str]]]:
+def shared_files(
+    folder: str, suffixes: set[str] = SHARED_SUFFIXES
+) -> list[tuple[str, list[str]]]:
     """Files of a folder, each under the same relative path below the package's share folder.
 
     The layout is kept because a scene names its mesh relative to itself.
     """
-    files = sorted(path for path in Path(folder).rglob("*") if path.suffix in SHARED_SUFFIXES)
+    files = sorted(path for path in Path(folder).rglob("*") if path.suffix in suffixes)
     return [(f"share/{PACKAGE}/{path.parent}", [str(path)]) for path in files]
 
 
@@ -29,7 +31,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         *shared_files("config"),
-        *shared_files("launch"),
+        *shared_files("launch", {".py"}),
         *shared_files("meshes"),
     ],
     package_data={PACKAGE: ["py.typed"]},

@@ -64,11 +64,9 @@ def test_two_robots_follow_their_own_targets(world, two_robots):
     speakers = {side: world.speaker(PointStamped, f"/lab/{side}/twin/target/tip", NEWEST)
                 for side in SIDES}  # fmt: skip
     for side in SIDES:
-        twin = two_robots[side, "twin"]
-        world.until(lambda twin=twin: twin.loop.device.setpoints is not None)
-        world.run(0.3)
-        answer = world.ask(SetBool, f"/lab/{side}/twin/enable", SetBool.Request(data=True))
-        assert answer.success, answer.message
+        service = f"/lab/{side}/twin/enable"
+        world.until(lambda service=service: world.ask(
+            SetBool, service, SetBool.Request(data=True)).success)  # fmt: skip
     rest = {side: two_robots[side, "twin"].loop.simulation.effector_positions()[0]
             for side in SIDES}  # fmt: skip
     wanted = {"left": rest["left"] + [0.004, 0.0, 0.002],

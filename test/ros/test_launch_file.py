@@ -1,0 +1,117 @@
+"""The launch file starts what exists; ``launch`` is not among the wheels, so small classes that
+record what they are given stand where its own are.
+"""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+import yaml
+
+from softrobot_twin.ros.parameters import ALL_TABLES
+
+ROOT = Path(__file__).resolve().parents[2]
+FILE = ROOT / "launch" / "robot.launch.py"
+ROBOTS = sorted(path.stem for path in (ROOT / "config").glob("*.yaml"))
+
+
+class LaunchConfiguration:
+    def __init__(self, name):
+        self._name = name
+
+    def perform(self, context):
+        return context.launch_configurations[self._name]
+
+
+def recorded(*positional, **keywords):
+    return SimpleNamespace(positional=positional, **keywords)
+
+
+@pytest.fixture
+def launch(monkeypatch):
+    """What the file starts for some arguments: a function that returns the nodes."""
+    contents = {
+        "launch": {"LaunchDescription": list},
+        "launch.actions": {"DeclareLaunchArgument": recorded, "OpaqueFunction": recorded},
+        "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": recorded},
+        "ament_index_python": {},
+        "ament_index_python.packages": {"get_package_share_directory": lambda _: str(ROOT)},
+    }
+    for name, members in contents.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location("robot_launch", FILE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+    def run(**given):
+        *arguments, opaque = module.generate_launch_description()
+        values = {argument.positional[0]: argument.default_value for argument in arguments}
+        assert given.keys() <= values.keys()
+        assert all(isinstance(value, str) for value in values.values())
+        return opaque.function(SimpleNamespace(launch_configurations=values | given))
+
+    return run
+
+
+def executables():
+    return set(re.findall(r'f"(\w+) = \{PACKAGE\}\.ros\.process', (ROOT / "setup.py").read_text()))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_nodes_and_the_parameter_file_of_a_robot_exist(launch, robot):
+    nodes = launch(robot=robot)
+    assert [node.executable for node in nodes] == ["twin", "device", "target"]
+    assert {node.executable for node in nodes} <= executables()
+    for node in nodes:
+        assert node.package == "softrobot_twin" and node.name == node.executable
+        assert Path(node.parameters[0]).is_file() and node.namespace == ""
+
+
+def test_every_parameter_is_known_and_has_its_type(launch):
+    known = {entry.name: entry for table in ALL_TABLES for entry in table}
+    nodes = launch(frame_id="left/base_link", tf_prefix="left/", view="true", view_port="9880")
+    for node in nodes:
+        for name, value in node.parameters[1].items():
+            assert type(value) is type(known[name].default), name
+    twin = nodes[0].parameters[1]
+    assert twin == {"frame_id": "left/base_link", "tf_prefix": "left/", "view": True,
+                    "view_port": 9880}  # fmt: skip
+    assert nodes[1].parameters[1] == {"frame_id": "left/base_link"}
+
+
+def test_no_text_that_it_passes_is_empty(launch):
+    for node in launch():
+        assert all(value != "" for extra in node.parameters[1:] for value in extra.values())
+
+
+def test_device_target_and_rviz_are_started_as_asked(launch):
+    nodes = launch(device="false", target="False", rviz="true", namespace="/lab/left")
+    assert [node.package for node in nodes] == ["softrobot_twin", "rviz2"]
+    assert all(node.namespace == "/lab/left" for node in nodes)
+    assert ("/twin/visualization", "twin/visualization") in nodes[1].remappings
+    assert Path(nodes[1].arguments[1]).is_file() and nodes[1].arguments[2:] == ["-f", "base_link"]
+
+
+def test_an_own_parameter_file_is_used_in_place_of_the_robots(launch):
+    assert all(node.parameters[0] == "mine.yaml" for node in launch(parameters="mine.yaml"))
+
+
+def test_rviz_shows_the_markers_of_the_twin():
+    shown = yaml.safe_load((ROOT / "config" / "rviz" / "robot.rviz").read_text())
+    displays = {one["Class"]: one for one in shown["Visualization Manager"]["Displays"]}
+    topic = displays["rviz_default_plugins/MarkerArray"]["Topic"]
+    assert topic["Value"] == "/twin/visualization" and topic["Reliability Policy"] == "Reliable"
+    assert "rviz_default_plugins/TF" in displays
+
+
+def test_launch_file_and_rviz_file_are_installed():
+    text = (ROOT / "setup.py").read_text()
+    assert 'shared_files("launch", {".py"})' in text and '".rviz"' in text
+    assert FILE.name.endswith(".launch.py")
