@@ -9,6 +9,8 @@ import pytest
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.twin_loop import DEVICE_LOST
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.actuation import INVERSION
 from softrobot_twin.simulation.actuator_kinds import actuator_kinds
@@ -77,3 +79,13 @@ def test_the_page_names_each_reason_for_holding():
     reasons = set(re.findall(r'"(no \w+ (?:yet|for target_timeout)|markers lost)"', source))
     assert len(reasons) == 5
     assert (reasons | {DEVICE_LOST, "not enabled"}) - NAMED == set()
+
+
+def test_the_refusal_on_the_page_is_what_a_scene_with_this_fault_gives(tmp_path):
+    page = (ROOT / "docs" / "own_robot.md").read_text()
+    text = re.search(r"```yaml\n(.*?)```", page, re.S)[1]
+    file = tmp_path / "finger.yaml"
+    file.write_text(re.sub(r"young_modulus: [\d.e]+", "young_modulus: -5.0", text))
+    with pytest.raises(SceneError) as raised:
+        load_scene(file)
+    assert f"softrobot_twin: {raised.value}".replace(f"{tmp_path}/", "") in TEXT.splitlines()
