@@ -1058,6 +1058,7 @@ def hexahedral_family(
 
     They are the files beside the scene's mesh that have ``_hexa`` before the number at the end, such
     as ``robot_hexa_300.vtk`` beside ``robot_400.vtk``, and whose volumes and bounds agree with it.
+    A box without a file has itself, made of hexahedra.
 
     Args:
         scene: The scene, on a mesh of tetrahedra.
@@ -1066,6 +1067,8 @@ def hexahedral_family(
     Returns:
         The scene on these meshes; empty without such files.
     """
+    if scene.body.mesh.box is not None:
+        return [_level(f"{scene.mesh_name}_hexa", scene, False, HEXAHEDRAL)]
     own = _own_level(scene)
     levels = []
     for path in _siblings(scene, HEXAHEDRAL_NAME):

@@ -1,0 +1,108 @@
+"""A body that is a box without a file, wherever commands read, refine or write meshes."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.geometry.cad_meshing import CadMesh, write_msh
+from softrobot_twin.scene import load_scene
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.command import Hold
+from softrobot_twin.simulation.vertebrae import reduction_path
+from softrobot_twin.study.accuracy_study import (
+    Setting,
+    hexahedral_family,
+    mesh_family,
+    with_element,
+    write_scene_copy,
+)
+from softrobot_twin.study.body_training import TrainingOptions, output_path
+from softrobot_twin.study.explain import describe_mesh
+
+SCENE = {
+    "name": "bar",
+    "body": {
+        "mesh": {"box": {"size": [0.1, 0.02, 0.02], "cells": [4, 2, 2]}},
+        "element": "linear",
+        "material": {"young_modulus": 5.0e5, "poisson_ratio": 0.4, "density": 1000.0},
+        "fixed": {"box": {"minimum": [-1.0, -1.0, -1.0], "maximum": [0.001, 1.0, 1.0]}},
+    },
+    "effectors": {"name": "tip", "points": [0.1, 0.01, 0.01]},
+}
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "bar.yaml"
+    path.write_text(yaml.safe_dump(SCENE))
+    return path
+
+
+def sagged(scene) -> np.ndarray:
+    simulation = Simulation(scene)
+    for _ in range(3):
+        simulation.step(Hold(0.02))
+    return simulation.state.positions
+
+
+def test_a_box_sags_as_the_same_mesh_from_a_file(path):
+    box = load_scene(path)
+    mesh = Simulation(box).model.bodies[0].mesh
+    write_msh(path.with_name("bar.msh"), CadMesh(mesh, {}, {}, (), ""))
+    path.write_text(yaml.safe_dump({**SCENE, "body": {**SCENE["body"], "mesh": "bar.msh"}}))
+    np.testing.assert_array_equal(sagged(box), sagged(load_scene(path)))
+
+
+def test_a_box_sags_straight_down(path):
+    """Its mesh is its own image in the mirror y: a load along z moves no node of that plane aside."""
+    moved = sagged(load_scene(path)) - Simulation(load_scene(path)).state.positions
+    middle = np.isclose(Simulation(load_scene(path)).state.positions[:, 1], 0.01)
+    assert moved[:, 2].min() < -1e-3
+    assert np.abs(moved[middle, 1]).max() < 1e-6 * np.abs(moved[:, 2]).max()
+
+
+def test_a_box_is_made_of_what_the_element_asks_for(path):
+    scene = load_scene(path)
+    for element, tets, hexahedra in (("linear", 96, 0), ("quadratic", 96, 0), ("hexahedral", 0, 16)):
+        simulation = Simulation(with_element(scene, element))
+        assert (simulation.tet_count, simulation.hexahedron_count) == (tets, hexahedra)
+
+
+def test_its_meshes_are_refined_and_made_of_hexahedra_for_a_study(path):
+    scene = load_scene(path)
+    levels = mesh_family(scene, path.parent / "meshes", most_tets=1000)
+    assert [level.name for level in levels] == ["box", "box_refined_1"]
+    assert [level.tet_count for level in levels] == [96, 768]
+    (of_hexahedra,) = hexahedral_family(scene)
+    assert of_hexahedra.name == "box_hexa" and of_hexahedra.tet_count == 16
+
+
+def test_a_copy_of_its_scene_keeps_the_box_or_names_the_refined_mesh(path):
+    levels = mesh_family(load_scene(path), path.parent / "meshes", most_tets=1000)
+    for level in levels:
+        copy = path.with_name(f"{level.name}.yaml")
+        setting = Setting(level.name, "linear", "corotational", 2, None)
+        write_scene_copy(copy, path, level.scene, setting, ["a remark"])
+        assert Simulation(load_scene(copy)).tet_count == level.tet_count
+    assert load_scene(path.with_name("box.yaml")).body.mesh.box is not None
+    assert load_scene(path.with_name("box_refined_1.yaml")).body.mesh.box is None
+
+
+def test_files_that_are_made_from_it_lie_beside_its_scene(path):
+    scene = load_scene(path)
+    body = Simulation(scene).model.bodies[0]
+    assert output_path(scene, body, TrainingOptions()) == path.parent / "bar_reduced.npz"
+    mapping = {**SCENE, "body": {**SCENE["body"], "vertebrae": {"rigid": [
+        {"name": name, "box": {"minimum": [low, -1.0, -1.0], "maximum": [low + 0.02, 1.0, 1.0]}}
+        for name, low in (("root", -0.001), ("tip", 0.081))]}}}  # fmt: skip
+    path.write_text(yaml.safe_dump(mapping))
+    scene = load_scene(path)
+    assert reduction_path(SimpleNamespace(entry=scene.body), scene) == path.parent / "body_vertebrae.npz"
+
+
+def test_explain_names_its_size_and_cells(path):
+    assert describe_mesh(load_scene(path).body.mesh) == "a box of [100, 20, 20] mm, 4×2×2 cells"
