@@ -75,7 +75,7 @@ def legend_below(axes, width: float, **look) -> None:
 
 # Colours of a PNG picture, of 256 with white: those of most pixels, and those of pixels that are then wrong by
 # more than the last number, such as a small mark of a colour of its own.
-_COMMON, _RARE, _WRONG = 200, 55, 20
+_COMMON, _RARE, _WRONG = 130, 125, 6
 
 
 def save_figure(figure, path: Path, dpi: int) -> None:

@@ -84,7 +84,7 @@ def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
         return np.empty((0, 3, 3))
     head = min(6.0 * radius, 0.6 * length)
     neck = start + (1.0 - head / length) * vector
-    ring = _straight_tube(neck, start + vector, 0.5 * head, head)
+    ring = _straight_tube(neck, start + vector, 0.5 * head, 2.0 * head)
     # A cone is a tube whose far ring is a point.
     tip = np.linalg.norm(ring - neck, axis=2) > 0.75 * head
     ring[tip] = start + vector
@@ -597,7 +597,7 @@ _DPI = 160
 # Space for the drawing of one state alone, and of one of several [inch].
 _ALONE, _BESIDE = (6.2, 5.2), (4.2, 4.4)
 # Space around it for numbers of the axes; between states [inch].
-_NUMBERS, _GAP = 0.62, 0.12
+_NUMBERS, _GAP = 0.62, 0.3
 _TITLE, _SCALE_BAR, _COLOUR_BAR = 0.38, 0.42, 0.95
 
 
