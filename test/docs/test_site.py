@@ -94,6 +94,13 @@ def test_every_picture_of_the_site_exists(site):
     assert len(pictures) > 10
 
 
+def test_every_picture_in_docs_is_on_a_page(site):
+    shown = {Path(unquote(name)).name for page in site.values() for name in page.pictures}
+    readme = (ROOT / "README.md").read_text()
+    unused = {path.name for path in (ROOT / "docs").glob("*.png")} - shown
+    assert {name for name in unused if f"docs/{name}" not in readme} == set()
+
+
 def test_words_in_angle_brackets_are_not_taken_for_html(site):
     unknown = {path.name: page.tags - VOID_OR_KNOWN for path, page in site.items()
                if page.tags - VOID_OR_KNOWN}  # fmt: skip
