@@ -26,7 +26,7 @@ SHARED := -p xdist -n 2 --dist worksteal $(addprefix --ignore ,$(AGAINST_THE_CLO
 .DEFAULT_GOAL := help
 # Also with make -j: both test runs start ROS nodes and use all cores.
 .NOTPARALLEL:
-.PHONY: help setup setup-oldest demo bench test test-newest test-oldest build clean
+.PHONY: help setup setup-oldest demo bench pictures docs types test test-newest test-oldest build clean
 
 help: ## list the targets
 	@echo 'make [ROBOT=$(ROBOT)] TARGET'
@@ -44,9 +44,18 @@ demo: setup ## drive a simulated robot through the twin, live; writes out/demo
 bench: setup ## time every stage of a step over sizes; writes out/bench
 	$(VENV)/bin/python -m softrobot_twin bench --output out/bench
 
+pictures: setup ## draw the pictures of the robots in docs/ anew
+	$(VENV)/bin/python tools/draw_robots.py
+
+docs: setup ## build the documentation as a site; writes out/site
+	$(VENV)/bin/python -m mkdocs build --strict --site-dir out/site
+
+types: setup ## check the types of the Python interface
+	$(VENV)/bin/python -m mypy
+
 test: test-newest test-oldest ## run all tests, then those of libraries on the oldest versions
 
-test-newest: setup ## run all tests
+test-newest: types ## check types, run all tests
 	$(PYTEST) $(SHARED) $(PYTEST_ARGUMENTS)
 	$(PYTEST) $(AGAINST_THE_CLOCK) $(PYTEST_ARGUMENTS)
 

@@ -1,0 +1,78 @@
+"""The README: its code runs as it is written, its files exist, and it stays short."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.M | re.S)
+PYTHON = [code for language, code in BLOCKS if language == "python"]
+# Comments end a line, and a backslash joins it with the next.
+SHELL = [line.partition("  # ")[0].strip() for language, code in BLOCKS if language == "sh"
+         for line in code.replace("\\\n", " ").splitlines()]
+
+
+@pytest.fixture
+def clone(tmp_path):
+    """A folder that stands for a clone, without the sources: what a block writes stays in it."""
+    for name in ("config", "meshes"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    return tmp_path
+
+
+def run(command, folder: Path) -> str:
+    """Runs a command as a user would, and gives what it printed."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True,
+                          timeout=280)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_it_has_at_most_150_lines():
+    assert len(TEXT.splitlines()) <= 150
+
+
+def test_every_file_and_picture_that_it_links_exists():
+    links = re.findall(r"\]\(([^)#]+)|src=\"([^\"]+)\"", TEXT)
+    paths = [first or second for first, second in links]
+    assert paths and [path for path in paths if not (ROOT / path).is_file()] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("code", PYTHON)
+def test_its_python_runs_and_brings_the_tip_to_the_target(clone, code):
+    assert len(code.splitlines()) <= 15
+    told = run([sys.executable, "-c", code], clone)
+    x, z = map(float, re.search(r"tip=\[([-\d.]+), [-\d.]+, ([-\d.]+)\]", code).groups())
+    ended = re.search(r"Status\.OK \[ *(\S+) +\S+ +([^\]\s]+) *\]", told)
+    assert ended, told
+    assert (float(ended[1]), float(ended[2])) == pytest.approx((x, z), abs=1e-4)
+    assert (clone / "finger.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_its_commands_run_one_after_the_other(clone):
+    commands = [shlex.split(line) for line in SHELL if line.startswith("softrobot_twin ")]
+    assert {command[1] for command in commands} == {"explain", "simulate", "plot"}
+    for command in commands:
+        run([sys.executable, "-m", *command], clone)
+    assert {"explained.png", "finger.csv", "finger.png"} <= {file.name for file in clone.iterdir()}
+
+
+def test_its_make_targets_and_parameter_files_exist():
+    makefile = (ROOT / "Makefile").read_text()
+    for line in SHELL:
+        words = line.split()
+        if words and words[0] == "make":
+            assert re.search(rf"^{words[1]}:", makefile, re.M)
+            assert all((ROOT / f"config/{word[6:]}.yaml").is_file()
+                       for word in words if word.startswith("ROBOT="))
+    files = re.findall(r"\$SHARE/(\S+)", TEXT)
+    assert files and all((ROOT / file).is_file() for file in files)
