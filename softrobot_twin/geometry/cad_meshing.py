@@ -37,6 +37,8 @@ MOST_TETS = 1_000_000
 """A size that would make more tetrahedra than this is refused."""
 MOST_BYTES, MOST_FACETS = 500_000_000, 1_000_000
 """Greatest CAD file, and greatest number of triangles of an STL file."""
+VOLUME_TOLERANCE = 0.01
+"""A mesh whose volume differs from the part's by a greater share is told."""
 INSTALL = "pip install 'softrobot_twin[mesh]'"
 """Installs gmsh."""
 LIBRARIES = ("libglu1-mesa libgl1 libgomp1 libxrender1 libxcursor1 libxfixes3 libxext6 libxft2 "
@@ -121,7 +123,7 @@ def mesh_cad(path: Path, size: float, scale: float = 1.0) -> CadMesh:
         shells = read_shells(path, scale)
         return _mesh_shells(path, shells, size)
     job = {"file": str(path.resolve()), "size": 1e3 * size, "most_tets": MOST_TETS}
-    return _made(path, _run_gmsh(path, job), None, [])
+    return _made(path, _run_gmsh(path, job), [])
 
 
 class PartSize(NamedTuple):
@@ -391,8 +393,9 @@ def _mesh_shells(path: Path, shells: Shells, size: float) -> CadMesh:
         raise MeshError(path, str(error)) from None
     arrays = {"points": 1e3 * shells.points, "triangles": shells.triangles,
               "shells": shells.shell_of}  # fmt: skip
-    made = _run_gmsh(path, {"size": 1e3 * size, "shells": True, "solids": shells.solids}, arrays)
-    found = _made(path, made, shells.volume, shells.notes)
+    job = {"size": 1e3 * size, "shells": True, "solids": shells.solids,
+           "volume": 1e9 * shells.volume}  # fmt: skip
+    found = _made(path, _run_gmsh(path, job, arrays), shells.notes)
     expected = sum(len(own) - 1 for own in shells.solids)
     if len(found.cavities) != expected:
         raise MeshError(path, f"has {expected} closed inner surfaces, but its mesh has "
@@ -431,7 +434,7 @@ def _in_words(error: dict) -> str:
     return text if kind == "refused" else f"gmsh cannot mesh it ({text})"
 
 
-def _made(path: Path, made: dict, volume: float | None, notes: list[str]) -> CadMesh:
+def _made(path: Path, made: dict, notes: list[str]) -> CadMesh:
     """The mesh that gmsh made, with its cavities and regions."""
     positions = 1e-3 * made["nodes"]
     oriented = orient_tets(positions, made["tets"]).tets
@@ -440,9 +443,10 @@ def _made(path: Path, made: dict, volume: float | None, notes: list[str]) -> Cad
         mesh = TetMesh(nodes.node_positions, nodes.tets)
     except MeshError as error:
         raise MeshError(path, f"its mesh cannot be used: {error.reason}; try another size") from None
-    if volume is not None and abs(mesh.volume / volume - 1.0) > 0.01:
-        notes = [*notes, f"the volume of the mesh differs by {100.0 * (mesh.volume / volume - 1.0):+.1f}"
-                 " % from the part's: a smaller size follows its curved faces better"]  # fmt: skip
+    differs = 1e9 * mesh.volume / float(made["volume"]) - 1.0
+    if abs(differs) > VOLUME_TOLERANCE:
+        notes = [*notes, f"the volume of the mesh differs by {100.0 * differs:+.1f} % from the part's: "
+                 "a smaller size follows its curved faces better"]  # fmt: skip
     names = made["names"].tolist()
     regions = {}
     if len(names) > 1:

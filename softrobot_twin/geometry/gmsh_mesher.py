@@ -45,9 +45,10 @@ def main(folder: Path) -> int:
             return 0
         _set_options(gmsh, job["size"])
         if "shells" in job:
-            names = _solids_of_shells(gmsh, np.load(folder / "shells.npz"), job["solids"])
+            _solids_of_shells(gmsh, np.load(folder / "shells.npz"), job["solids"])
+            names, volume = [""] * len(job["solids"]), job["volume"]
         else:
-            names = _solids_of_file(gmsh, job)
+            names, volume = _solids_of_file(gmsh, job)
         _mesh(gmsh)
         nodes, tets, solids = _tets(gmsh)
     except Refused as error:
@@ -56,7 +57,7 @@ def main(folder: Path) -> int:
         lines = [line for line in gmsh.logger.get() if line.startswith(("Error", "Warning"))]
         return _failed(folder, "gmsh", " ".join([str(error), *lines[-3:]]))
     np.savez(folder / "mesh.npz", nodes=nodes, tets=tets, solids=solids, names=np.array(names),
-             version=np.array(gmsh.__version__))
+             volume=volume, version=np.array(gmsh.__version__))
     return 0
 
 
@@ -77,16 +78,13 @@ def _set_options(gmsh, size: float) -> None:
         gmsh.option.setNumber(name, value)
 
 
-def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> list[str]:
+def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> None:
     """Solids between closed surfaces of triangles.
 
     Args:
         gmsh: The library.
         shells: Arrays `points` [mm], `triangles`, and the shell of each triangle, `shells`.
         solids: Outer shell of each solid, and those of its cavities.
-
-    Returns:
-        Name of each solid: none has one.
     """
     points, triangles, shell_of = shells["points"], shells["triangles"], shells["shells"]
     places = {}
@@ -113,11 +111,10 @@ def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> list[str]:
         loops = [gmsh.model.geo.addSurfaceLoop(of_shell[shell]) for shell in own]
         gmsh.model.geo.addVolume(loops)
     gmsh.model.geo.synchronize()
-    return [""] * len(solids)
 
 
-def _solids_of_file(gmsh, job: dict) -> list[str]:
-    """The solids of a STEP file, joined where they touch; returns their names."""
+def _solids_of_file(gmsh, job: dict) -> tuple[list[str], float]:
+    """The solids of a STEP file, joined where they touch; returns their names and volume [mm³]."""
     solids, extents, volume = _imported(gmsh, job["file"])
     refuse_size(job["size"], extents, volume, job["most_tets"])
     occ = gmsh.model.occ
@@ -132,7 +129,7 @@ def _solids_of_file(gmsh, job: dict) -> list[str]:
                     raise Refused(f"two of its {len(solids)} solids overlap "
                                   f"({names[owner[one]] or owner[one]}, {names[index] or index})")
         names = [names[owner.get(one, 0)] for one in gmsh.model.getEntities(3)]
-    return names
+    return names, volume
 
 
 def _imported(gmsh, file: str) -> tuple[list[tuple[int, int]], np.ndarray, float]:
