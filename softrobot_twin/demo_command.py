@@ -80,8 +80,9 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
 def _print_start(plan: DemoPlan, domain: str) -> None:
     output = console(sys.stderr)
     runs = " and then ".join(run.replace("_", " ") for run in plan.runs)
-    output.print(f"{plan.robot}: {len(plan.runs) * plan.run_time:g} s, {runs}; "
-              f"ROS_DOMAIN_ID={domain}", soft_wrap=True)
+    output.print(f"{plan.robot}: {len(plan.runs) * plan.run_time:g} s, {runs}, after the nodes have "
+                 f"started, and then the report; --seconds shortens it; ROS_DOMAIN_ID={domain}",
+                 soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
         output.print(f"no display; open the live view with: rerun {plan.view_address}",
                   soft_wrap=True)

@@ -435,6 +435,5 @@ def hold_radius(scene: Scene) -> float:
 
 
 def report_activity(text: str) -> None:
-    """Prints the present activity when standard error is a terminal."""
-    if sys.stderr.isatty():
-        print(f"{text} …", file=sys.stderr)
+    """Prints the present activity on standard error."""
+    print(f"{text} …", file=sys.stderr, flush=True)

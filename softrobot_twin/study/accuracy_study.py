@@ -47,7 +47,7 @@ from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
 from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.output_file import OutputError
-from softrobot_twin.study.terminal import progress, warn
+from softrobot_twin.study.terminal import approximate_duration, progress, warn
 
 
 class AccuracyError(SoftRobotTwinError):
@@ -459,16 +459,9 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
     return seconds
 
 
-def approximate_duration(seconds: float) -> str:
-    """A duration as rounded text."""
-    if seconds < 90.0:
-        return f"about {max(5, 5 * round(seconds / 5.0))} s"
-    return f"about {seconds / 60.0:.0f} minutes"
-
-
 @contextmanager
 def shown_progress(name: str, total: float) -> Iterator[Callable[[str], None]]:
-    """Shows the present activity and the progress; silent when there is no terminal.
+    """Shows the present activity and the progress.
 
     Args:
         name: Title of the progress bar.

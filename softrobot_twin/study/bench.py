@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import cycle
@@ -29,7 +30,7 @@ from softrobot_twin.study.bench_measurement import (
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import OutputError
-from softrobot_twin.study.terminal import console, table
+from softrobot_twin.study.terminal import announce, console, table
 
 COLUMNS = (
     "scene", "family", "nodes", "tets", "dof", "modes", "points", "rows", "contacts",
@@ -447,12 +448,15 @@ def make_folder(folder: Path) -> None:
 
 
 def _measure_all(cases: Iterable[BenchCase], steps: int) -> list[SizeMeasurement]:
-    sizes = []
-    for case in cases:
+    sizes, begin, listed = [], time.monotonic(), list(cases)
+    for number, case in enumerate(listed, start=1):
         # One line instead of a progress bar, whose thread would disturb the timing.
-        if sys.stderr.isatty():
-            print(f"{case.name}: {steps} steps …", file=sys.stderr)
+        print(f"{case.name}, {number} of {len(listed)}: {steps} steps …", file=sys.stderr, flush=True)
         sizes.append(measure(case, steps))
+        if number == 1:
+            announce((len(listed) - 1) * (time.monotonic() - begin),
+                     f"{len(listed) - 1} more, if none takes longer than the first",
+                     "fewer --steps, or scenes that are named, shorten it")
     return sizes
 
 

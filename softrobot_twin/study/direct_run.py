@@ -17,7 +17,7 @@ from softrobot_twin.study.offline_run import run_file
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import console, progress, table, warn
+from softrobot_twin.study.terminal import FirstSteps, console, progress, table, terminal_status, warn
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
@@ -134,7 +134,8 @@ def _load_with_notes(scene: Path) -> Simulation:
 def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
                   summary: RunSummary, picture: Picture | None,
                   body_readouts: BodyReadouts | None = None) -> int:
-    simulation.warm_up()
+    with terminal_status("compiling and warming up"):
+        simulation.warm_up()
     _run(simulation, commanded, output, rate, summary, picture, body_readouts)
     how = "direct" if body_readouts is None else "no commands"
     made = table(f"{simulation.scene.name}, {how}, {rate:g} Hz", "what", "value")
@@ -166,10 +167,12 @@ def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: fl
     with run_file(output, columns) as write:
         with progress() as bar:
             task = bar.add_task(simulation.scene.name, total=count, note="")
+            first = FirstSteps(count, "steps", "a lower --rate or a shorter time shortens it")
             for row in run_commands(simulation, commanded, rate, columns):
                 write(row if body_readouts is None else row._replace(observed=body_readouts.read()))
                 summary.add(row)
                 bar.update(task, advance=1, note=row.result.status.value)
+                first.add()
                 while wanted and row.time >= wanted[0] - 1e-9:
                     time = f"{wanted.pop(0):g} s"
                     shots.append(take_snapshot(simulation, row.result.contacts, time))

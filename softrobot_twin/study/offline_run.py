@@ -17,7 +17,7 @@ from softrobot_twin.study.explain import print_mesh_error, print_reduction_error
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import console, progress, table, warn
+from softrobot_twin.study.terminal import FirstSteps, console, progress, table, terminal_status, warn
 
 
 def run(simulation: Simulation, table: TargetTable, settle: int = 0,
@@ -110,7 +110,8 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
         warn(far)
     if picture is not None:
         check_picture(picture)
-    simulation.warm_up()
+    with terminal_status("compiling and warming up"):
+        simulation.warm_up()
     summary = RunSummary(simulation, unit="rows")
     _run_and_write(simulation, rows, output, settle, picture, summary)
     _print_summary(simulation.scene.name, summary, output, picture)
@@ -130,11 +131,13 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
     with run_file(output, columns) as write:
         with progress() as bar:
             task = bar.add_task(simulation.scene.name, total=len(rows.times), note="")
+            first = FirstSteps(len(rows.times), "rows", "fewer rows of targets shorten it")
             for row in run(simulation, rows, settle, columns):
                 write(row)
                 summary.add(row)
                 effector_path[row.step] = row.result.effector_positions
                 bar.update(task, advance=1, note=row.result.status.value)
+                first.add()
         if picture is not None:
             _draw(simulation, rows, effector_path, picture)
 

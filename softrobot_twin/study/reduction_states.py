@@ -646,7 +646,9 @@ def find_states(
     left = [(index, chain) for index, chain in enumerate(asked) if known[index] is None]
     total = sum(map(len, asked))
     causes: list[str] = []
-    with SampleProgress(title, total, total - sum(len(chain) for _, chain in left)) as shown:
+    done = total - sum(len(chain) for _, chain in left)
+    shorter = "fewer --snapshots or --states, or more --workers on more cores, shorten it"
+    with SampleProgress(title, total, done, shorter) as shown:
         outcomes: Iterator = closed(crew.run(job, left))
         for index, states, cause in outcomes:
             if states is None:

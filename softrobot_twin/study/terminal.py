@@ -1,17 +1,19 @@
-"""Output on a terminal or through a pipe: tables, progress, warnings and a status line."""
+"""Output on a terminal or through a pipe: tables, progress, durations, warnings, a status line."""
 
 from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import TextIO
 
 from rich import box
 from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
@@ -53,17 +55,164 @@ def listing(title: str, rows, piped: bool | None = None) -> Table:
     return made
 
 
-def progress() -> Progress:
-    """A progress bar on standard error; silent when that is no terminal."""
+def progress() -> Progress | PipedProgress:
+    """A progress bar on standard error, or a line now and then where that is no terminal."""
+    if not sys.stderr.isatty():
+        return PipedProgress(sys.stderr)
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                     TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
-                    console=Console(stderr=True, quiet=not sys.stderr.isatty()),
-                    disable=not sys.stderr.isatty())
+                    console=Console(stderr=True))
 
 
-def terminal_status(text: str) -> Status:
-    """Shows an activity on standard error while it lasts; silent when that is no terminal."""
-    return Console(stderr=True, quiet=not sys.stderr.isatty()).status(text)
+_FIRST_LINE, _NEXT_LINE = 5.0, 30.0
+"""Time until the first line of progress through a pipe, and from then on the longest between two
+lines [s].
+"""
+_TENTH = 0.1
+"""A line is printed too when so much more of the whole is done, at most every `_FIRST_LINE`."""
+
+
+class PipedProgress:
+    """Progress as lines of text, for standard error that is no terminal.
+
+    It has what is used of `rich.progress.Progress`. Work of less than some seconds prints nothing.
+    """
+
+    def __init__(self, stream: TextIO):
+        """Begins to count the time.
+
+        Args:
+            stream: Where lines are printed.
+        """
+        self._stream, self._begin = stream, time.monotonic()
+        self._printed_at, self._printed = self._begin, 0.0
+        self._title, self._total, self._first, self._done, self._note = "", 0.0, 0.0, 0.0, ""
+
+    def __enter__(self) -> PipedProgress:
+        return self
+
+    def __exit__(self, *_) -> None:
+        pass
+
+    def add_task(self, description: str, total: float, completed: float = 0, note: str = "") -> int:
+        """Begins the one task.
+
+        Args:
+            description: What is done.
+            total: Number of its parts.
+            completed: Parts that were done before.
+            note: Text behind the numbers.
+        """
+        self._title, self._total, self._note = description, total, note
+        self._first = self._done = self._printed = completed
+        return 0
+
+    def advance(self, task: int, advance: float = 1) -> None:
+        """Counts parts that are done."""
+        self.update(task, advance=advance)
+
+    def update(self, task: int, *, advance: float = 0, completed: float | None = None,
+               note: str | None = None) -> None:
+        """Counts parts that are done, and prints a line if it is time.
+
+        Args:
+            task: What `add_task` returned.
+            advance: Further parts that are done.
+            completed: All parts that are done, in place of `advance`.
+            note: Text behind the numbers.
+        """
+        self._done = self._done + advance if completed is None else completed
+        self._note = self._note if note is None else note
+        since = time.monotonic() - self._printed_at
+        is_more = self._done - self._printed >= _TENTH * self._total
+        if since >= _NEXT_LINE or since >= _FIRST_LINE and (is_more or self._printed == self._first):
+            self._print()
+
+    def _print(self) -> None:
+        now = time.monotonic()
+        line = f"{self._title}: {self._done:g} of {self._total:g}"
+        computed = self._done - self._first
+        if computed > 0 and self._done < self._total:
+            left = (now - self._begin) * (self._total - self._done) / computed
+            line += f", {approximate_duration(left)} left"
+        print(f"{line}, {self._note}" if self._note else line, file=self._stream, flush=True)
+        self._printed_at, self._printed = now, self._done
+
+
+def terminal_status(text: str) -> AbstractContextManager:
+    """Shows an activity on standard error while it lasts; through a pipe a line if it takes long."""
+    if sys.stderr.isatty():
+        return Console(stderr=True).status(text)
+    return _piped_status(text, sys.stderr)
+
+
+@contextmanager
+def _piped_status(text: str, stream: TextIO) -> Iterator[None]:
+    """Prints a line when an activity takes some seconds."""
+    timer = threading.Timer(_FIRST_LINE, lambda: print(f"{text} …", file=stream, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def approximate_duration(seconds: float) -> str:
+    """A duration as rounded text."""
+    if seconds < 90.0:
+        return f"about {max(5, 5 * round(seconds / 5.0))} s"
+    if seconds < 5400.0:
+        return f"about {seconds / 60.0:.0f} minutes"
+    return f"about {seconds / 3600.0:.1f} hours"
+
+
+LONG_WORK = 30.0
+"""Work that takes longer than this is announced [s]."""
+
+
+def announce(seconds: float, what: str, shorter: str) -> None:
+    """Says on standard error how long work takes about; nothing where that is short.
+
+    Args:
+        seconds: The estimate [s].
+        what: The work, with the numbers that it depends on.
+        shorter: What makes it shorter.
+    """
+    if seconds > LONG_WORK:
+        print(f"{what}: {approximate_duration(seconds)} on this machine; {shorter}",
+              file=sys.stderr, flush=True)
+
+
+class FirstSteps:
+    """Tells from the first steps of a run how long the whole takes."""
+
+    _LEAST_STEPS, _LEAST_TIME = 5, 1.0
+
+    def __init__(self, total: int, what: str, shorter: str,
+                 tell: Callable[[float, str, str], None] = announce):
+        """Begins to count the time.
+
+        Args:
+            total: Number of steps.
+            what: What the steps are called.
+            shorter: What makes the run shorter.
+            tell: Tells the estimate.
+        """
+        self._total, self._what, self._shorter, self._tell = total, what, shorter, tell
+        self._done, self._begin, self._is_told = 0, time.monotonic(), False
+
+    def add(self, count: int = 1) -> None:
+        """Counts steps that are done."""
+        self._done += count
+        if self._is_told or self._done < self._LEAST_STEPS:
+            return
+        elapsed = time.monotonic() - self._begin
+        if elapsed >= self._LEAST_TIME:
+            self._is_told = True
+            each = elapsed / self._done
+            self._tell(each * (self._total - self._done),
+                       f"{self._total} {self._what} of {1e3 * each:.3g} ms", self._shorter)
 
 
 def warn(text: str) -> None:

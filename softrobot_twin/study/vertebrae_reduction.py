@@ -44,7 +44,7 @@ from softrobot_twin.study.superelement_fit import (
     sample,
     sample_count,
 )
-from softrobot_twin.study.terminal import console, progress, table, warn
+from softrobot_twin.study.terminal import FirstSteps, console, progress, table, warn
 
 # States of the full model that show which deformations occur.
 RANGE_STATES = 32
@@ -250,8 +250,10 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
     lost = 0
     with progress() as bar:
         task = bar.add_task("full and reduced model", total=count, note="")
-        for setpoints in setpoints_within(full, count, seed):
+        first = FirstSteps(count, "states", "fewer of them shorten it")
+        for place, setpoints in enumerate(setpoints_within(full, count, seed)):
             bar.advance(task)
+            first.add(min(place, 1))
             if not brought_to(full, setpoints):
                 warn("the full model found no equilibrium at a state; it is left out")
                 continue
@@ -362,8 +364,10 @@ def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, o
     occurring, efforts = [[] for _ in found], []
     with progress() as bar:
         task = bar.add_task("full model", total=RANGE_STATES, note="")
-        for setpoints in setpoints_within(full, RANGE_STATES, seed):
+        first = FirstSteps(RANGE_STATES, "states", "a coarser mesh shortens it")
+        for place, setpoints in enumerate(setpoints_within(full, RANGE_STATES, seed)):
             bar.advance(task)
+            first.add(min(place, 1))
             if not brought_to(full, setpoints):
                 warn(f"the full model found no equilibrium at setpoints {setpoints}; left out")
                 continue

@@ -50,7 +50,15 @@ from softrobot_twin.study.sample_workers import (
     core_count,
 )
 from softrobot_twin.study.stiffness import ActuationError, actuator_column_places
-from softrobot_twin.study.terminal import console, progress, table, terminal_status, warn
+from softrobot_twin.study.terminal import (
+    FirstSteps,
+    approximate_duration,
+    console,
+    progress,
+    table,
+    terminal_status,
+    warn,
+)
 
 LOST = "lost"
 """Status of a sample whose worker was lost or failed."""
@@ -508,7 +516,16 @@ PIPED_PERIOD = 5.0
 class SampleProgress:
     """Progress of a run on standard error: a bar on a terminal, a line now and then elsewhere."""
 
-    def __init__(self, title: str, total: int, done: int):
+    def __init__(self, title: str, total: int, done: int, shorter: str):
+        """Begins to count.
+
+        Args:
+            title: What is computed.
+            total: Number of samples.
+            done: Samples that were done before.
+            shorter: What makes the run shorter, which is said where it takes long.
+        """
+        self._first_steps = FirstSteps(total - done, "samples", shorter)
         self._title, self._total, self._done = title, total, done
         self._begin = self._printed = time.monotonic()
         self._first = done
@@ -534,6 +551,7 @@ class SampleProgress:
 
     def add(self, *statuses: str) -> None:
         """Count samples by their statuses."""
+        self._first_steps.add(len(statuses))
         self._done += len(statuses)
         self._not_at_rest += sum(status in NOT_AT_REST for status in statuses)
         note = f"{self._not_at_rest} not at rest" if self._not_at_rest else ""
@@ -550,7 +568,7 @@ class SampleProgress:
         computed = self._done - self._first
         if computed and self._done < self._total:
             left = (now - self._begin) * (self._total - self._done) / computed
-            line += f", about {left:.0f} s left"
+            line += f", {approximate_duration(left)} left"
         print(line, file=sys.stderr, flush=True)
 
 
@@ -631,7 +649,8 @@ def _compute(
     left = [(index, sample) for index, sample in enumerate(setpoints)
             if index not in unfinished.rows]  # fmt: skip
     causes: list[tuple[int, str]] = []
-    with SampleProgress(title, len(setpoints), len(setpoints) - len(left)) as shown:
+    shorter = "fewer --samples, or more --workers on more cores, shorten it"
+    with SampleProgress(title, len(setpoints), len(setpoints) - len(left), shorter) as shown:
         for index, row, cause in closed(crew.run(job, left)):
             if row is None:
                 causes.append((index, cause))

@@ -50,7 +50,7 @@ def rows_of(path):
 def test_a_hanging_body_stretches_under_its_weight(hung, tmp_path, call):
     done = call("simulate", hung, "--steps", 8, "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
-    assert done.errors == "" and "largest displacement" in done.output
+    assert "warning" not in done.errors and "largest displacement" in done.output
     row = rows_of(tmp_path / "run.csv")[-1]
     length, stress = SIZE[2], DENSITY * 9.81 * SIZE[2]
     stretch = stress * length / (2.0 * YOUNG)

@@ -1,0 +1,86 @@
+"""Progress through a pipe, and durations that are told before long work."""
+
+import io
+import sys
+
+import pytest
+
+from softrobot_twin.study import terminal
+from softrobot_twin.study.terminal import FirstSteps, PipedProgress, announce, progress
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that a test controls [s]."""
+    now = [0.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
+    return now
+
+
+def lines_of(clock, total, step_time, count=None, completed=0):
+    """Lines of a run whose steps take a time each [s]."""
+    stream = io.StringIO()
+    with PipedProgress(stream) as bar:
+        task = bar.add_task("robot", total=total, completed=completed, note="")
+        for _ in range(total if count is None else count):
+            clock[0] += step_time
+            bar.update(task, advance=1, note="ok")
+    return stream.getvalue().splitlines()
+
+
+def test_a_short_run_prints_nothing_through_a_pipe(clock):
+    assert lines_of(clock, 1000, 0.004) == []
+
+
+def test_a_long_run_prints_a_line_for_each_tenth_with_the_time_left(clock):
+    lines = lines_of(clock, 1000, 0.125)
+    assert lines[0] == "robot: 40 of 1000, about 2 minutes left, ok"
+    assert lines[5] == "robot: 540 of 1000, about 60 s left, ok"
+    assert len(lines) == 10
+
+
+def test_a_very_long_run_prints_a_line_every_half_minute(clock):
+    lines = lines_of(clock, 100_000, 0.125, count=3000)
+    assert lines[1] == "robot: 280 of 100000, about 3.5 hours left, ok"
+    assert len(lines) == 13
+
+
+def test_parts_that_were_done_before_do_not_shorten_the_estimate(clock):
+    lines = lines_of(clock, 1000, 1.0, count=6, completed=500)
+    assert lines == ["robot: 505 of 1000, about 8 minutes left, ok"]
+
+
+def test_standard_error_that_is_no_terminal_gets_lines(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    assert isinstance(progress(), PipedProgress)
+
+
+def test_the_duration_of_a_long_run_is_told_once_from_its_first_steps(clock):
+    said = []
+    first = FirstSteps(10_000, "steps", "a lower --rate shortens it",
+                       lambda *words: said.append(words))
+    for _ in range(200):
+        clock[0] += 0.03125
+        first.add()
+    ((seconds, what, shorter),) = said
+    assert seconds == pytest.approx(0.03125 * (10_000 - 32))
+    assert what == "10000 steps of 31.2 ms" and shorter == "a lower --rate shortens it"
+
+
+def test_only_work_longer_than_half_a_minute_is_announced(capsys):
+    announce(20.0, "100 samples", "fewer shorten it")
+    assert capsys.readouterr().err == ""
+    announce(200.0, "100 samples", "fewer shorten it")
+    assert capsys.readouterr().err == (
+        "100 samples: about 3 minutes on this machine; fewer shorten it\n")
+
+
+def test_an_activity_that_takes_long_is_named_through_a_pipe(monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr(terminal, "_FIRST_LINE", 0.0)
+    monkeypatch.setattr(sys, "stderr", stream)
+    with terminal.terminal_status("building the scene"):
+        for thread in terminal.threading.enumerate():
+            if isinstance(thread, terminal.threading.Timer):
+                thread.join()
+    assert stream.getvalue() == "building the scene …\n"
