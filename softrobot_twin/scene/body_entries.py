@@ -60,13 +60,16 @@ class BoxMesh(Entry):
         if count > MOST_BOX_CELLS:
             key = "cells" if self.cell_size is None else "cell_size"
             raise refusal(key, getattr(self, key) if self.cells is None else list(self.cells),
-                          f"makes {count} cells, more than {MOST_BOX_CELLS}")  # fmt: skip
+                          f"makes {count:.6g} cells, more than {MOST_BOX_CELLS}")  # fmt: skip
         return self
 
     @property
     def cell_counts(self) -> tuple[int, int, int]:
         """Numbers of cells along x, y, z."""
-        return cells_of_size(self.size, self.cell_size) if self.cells is None else self.cells
+        if self.cell_size is not None:
+            return cells_of_size(self.size, self.cell_size)
+        assert self.cells is not None  # it is checked that one is given
+        return self.cells
 
 
 class Mesh(Entry):
@@ -106,12 +109,12 @@ class Mesh(Entry):
         if not self.is_cad:
             if self.size is not None:
                 raise refusal("size", self.size, f"is that of tetrahedra made from CAD files "
-                              f"({', '.join(CAD_SUFFIXES)}); {self.file.name} has its own")
+                              f"({', '.join(CAD_SUFFIXES)}); {self.label} has its own")
             return self
         if self.size is None:
             raise refusal("size", "(nothing)", f"is required: the edge of the tetrahedra that "
-                          f"{self.file.name} is meshed with")
-        if self.scale != 1.0 and self.file.suffix.lower() != ".stl":
+                          f"{self.label} is meshed with")
+        if self.scale != 1.0 and not self.label.lower().endswith(".stl"):
             raise refusal("scale", self.scale, "is not taken: a STEP file states its unit")
         return self
 
