@@ -262,8 +262,8 @@ TWIN_TOPICS = _by_name(
     Topic("/diagnostics", OUT, DiagnosticArray, DIAGNOSTICS, "",
           "1 Hz, and at once when the clock was set or another node or publisher of the same name "
           "appears: `<node>: loop`, `solver`, `limits`, `markers`, `device`, `target`, `view`, "
-          "`graph`, and `contact` and `touch` where a scene has them; `<node>` is the full name "
-          "without its first slash"),
+          "`graph`, `record` with that parameter, and `contact` and `touch` where a scene has "
+          "them; `<node>` is the full name without its first slash"),
 )  # fmt: skip
 """Topics of the twin, by name."""
 
