@@ -36,7 +36,7 @@ from softrobot_twin.ros.messages import (
     touch_message,
     wrench_message,
 )
-from softrobot_twin.ros.parameters import DEVICE, declare
+from softrobot_twin.ros.parameters import DEVICE, Entry, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import DEVICE_TOPICS as TOPICS
@@ -56,18 +56,21 @@ class DeviceNode(TickingNode):
         device: The device.
         refusals: Commands refused, by reason.
         poses: Commanded poses of guided bodies.
+        own_parameters: Parameters of a subclass, besides those of the simulated device.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
     """
+
+    own_parameters: tuple[Entry, ...] = ()
 
     def __init__(self, **arguments):
         super().__init__("device", **arguments)
 
     def build(self) -> None:
         """Builds the node; see `TickingNode.build`."""
-        values = declare(self, DEVICE)
-        self.warn_about_unknown_parameters()
+        values = declare(self, (*DEVICE, *self.own_parameters))
+        self.warn_about_unknown_parameters(self.own_parameters)
         self.device = self.make_device(values)
         self._frame = str(values["frame_id"])
         self._ambient_pressure = float(values["ambient_pressure"])

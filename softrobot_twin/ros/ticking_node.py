@@ -20,7 +20,7 @@ from softrobot_twin.control.loop_timing import (
     TickClock,
 )
 from softrobot_twin.ros.messages import arrival_of
-from softrobot_twin.ros.parameters import ALL_TABLES, unknown_parameters
+from softrobot_twin.ros.parameters import ALL_TABLES, Entry, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 
 _MOST_NAMES = 4
@@ -237,9 +237,13 @@ class TickingNode(Node):
             f"a message or request was refused: {words}", throttle_duration_sec=_WARN_EVERY
         )
 
-    def warn_about_unknown_parameters(self) -> None:
-        """Logs given parameters that no node declares, which rclpy ignores silently."""
-        for sentence in unknown_parameters(self, ALL_TABLES):
+    def warn_about_unknown_parameters(self, more: Sequence[Entry] = ()) -> None:
+        """Logs given parameters that no node declares, which rclpy ignores silently.
+
+        Args:
+            more: Parameters of this node that are in none of the package's tables.
+        """
+        for sentence in unknown_parameters(self, (*ALL_TABLES, more)):
             self.get_logger().warning(sentence)
 
     def watch_topics(self, critical: Iterable, others: Iterable = ()) -> None:

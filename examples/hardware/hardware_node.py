@@ -1,0 +1,88 @@
+"""The device node of a robot with servos: `DeviceNode` of the package around `ServoDevice`.
+
+    python hardware_node.py --ros-args --params-file PARAMETERS -p servos_file:=servos.yaml
+
+All that it shares with the simulated device is the package's: topics, checks of messages, clocks,
+the watch over the ROS graph. New are the servos, and that a measurement that fails is not published.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+
+from servo_bus import BusError, HardwareAlert
+from servos import ServoDevice, read_servos
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.ros.device_node import DeviceNode
+from softrobot_twin.ros.parameters import Entry
+from softrobot_twin.ros.process import run_node
+
+_WARN_EVERY = 2.0
+
+
+class NoServos(SoftRobotTwinError):
+    """The servos cannot be used."""
+
+
+class HardwareNode(DeviceNode):
+    """Connects servos to the topics of a twin.
+
+    Attributes:
+        bus_errors: Number of measurements that failed.
+    """
+
+    own_parameters = (
+        Entry("servos_file", "servos.yaml", "File that describes the servos and their pulleys.",
+              read_only=True),
+    )  # fmt: skip
+    device: ServoDevice | None = None
+    bus_errors = 0
+
+    def make_device(self, values: Mapping[str, object]) -> ServoDevice:
+        """Finds the servos; see `DeviceNode.make_device`."""
+        self._measured = float("-inf")
+        self._description = read_servos(str(values["servos_file"]))
+        try:
+            return ServoDevice(self._description)
+        except BusError as error:
+            raise NoServos(str(error)) from error
+
+    def work(self, now: float) -> None:
+        """Measures and publishes; what cannot be measured is not published, so that the twin
+        notices it as a lost device."""
+        try:
+            super().work(now)
+            self._measured = now
+        except BusError as error:
+            self.bus_errors += 1
+            self.get_logger().error(f"bus: {error}", throttle_duration_sec=_WARN_EVERY)
+            is_long = now - self._measured > self._description.command_timeout
+            if is_long or isinstance(error, HardwareAlert):
+                self._recover()
+
+    def _recover(self) -> None:
+        try:
+            self.device.recover()
+        except BusError:
+            return
+        self.get_logger().warning("the servos answer again; their torque is off until a command",
+                                  throttle_duration_sec=_WARN_EVERY)  # fmt: skip
+
+    def after_work(self, now: float) -> None:
+        """Tells why the servos stand still."""
+        if self.device.trouble:
+            self.get_logger().warning(self.device.trouble, throttle_duration_sec=_WARN_EVERY)
+
+    def destroy_node(self) -> None:
+        """Switches the torque off, then destroys the node."""
+        device, self.device = self.device, None
+        if device is not None:
+            for problem in device.close():
+                self.get_logger().error(problem)
+        super().destroy_node()
+
+
+if __name__ == "__main__":
+    sys.exit(run_node("hardware", lambda: HardwareNode))
