@@ -1,5 +1,6 @@
 """The command lines that README and the pages of docs/ show can be given as they stand there."""
 
+import ast
 import re
 import shlex
 from pathlib import Path
@@ -95,7 +96,18 @@ def test_nodes_and_parameters_in_command_lines_exist():
     entry_points = re.findall(r'f"(\w+) = ', (ROOT / "setup.py").read_text())
     assert {line.words[3] for line in nodes} <= set(entry_points)
     given = {name for line in nodes for name in re.findall(r"(\w+):=", " ".join(line.words))
-             if name != "cmd_vel"}  # fmt: skip
+             if name not in ("cmd_vel", "__ns")}  # fmt: skip
     set_later = {line.words[4] for line in of("ros2", "param", "set")}
     assert (given | set_later) - PARAMETERS == set()
     assert given and set_later
+
+
+def test_launch_files_and_their_arguments_in_command_lines_exist():
+    launched = of("ros2", "launch", "softrobot_twin")
+    assert launched
+    for line in launched:
+        tree = ast.parse((ROOT / "launch" / line.words[3]).read_text())
+        (table,) = (node.value for node in tree.body if isinstance(node, ast.Assign)
+                    and node.targets[0].id == "ARGUMENTS")  # fmt: skip
+        known = {name for name, _, _ in ast.literal_eval(table)} | {"--show-args"}
+        assert {word.partition(":=")[0] for word in line.words[4:]} <= known
