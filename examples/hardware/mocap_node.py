@@ -31,6 +31,8 @@ KINDS = {"PoseArray": PoseArray, "PoseStamped": PoseStamped, "PointCloud2": Poin
 # Accepts reliable and best-effort publishers.
 SENSOR = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 MOST_MARKERS = 1000
+FURTHEST = 1e6
+"""A marker further than this from the tracker's origin is hidden, in the tracker's unit."""
 
 PARAMETERS = (
     Entry("twin", "twin", "Name of the twin.", read_only=True),
@@ -203,9 +205,9 @@ class MocapNode(TickingNode):
         positions = np.where(np.isfinite(positions).all(axis=1)[:, None], positions, np.nan)
         if self._values["mocap_hidden_is_zero"]:
             positions[(positions == 0.0).all(axis=1)] = np.nan
-        # A huge number must not become an infinite one.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return ids, self._frame.to_robot(positions)
+        # What is further away cannot be a marker.
+        positions[(np.abs(positions) > FURTHEST).any(axis=1)] = np.nan
+        return ids, self._frame.to_robot(positions)
 
     def _read(self, message) -> tuple[np.ndarray, np.ndarray] | Refusal:
         """Ids in the scene and positions as the tracker has them."""
