@@ -114,8 +114,10 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         else:
             self.robot = Robot(scene) if isinstance(scene, Scene) else load(scene)
         names = self.robot.effector_names
-        if not names or effector not in (None, *names):
-            raise unknown(effector or "effector", "effectors:", names)
+        if not names:
+            raise CommandError(self.robot.name, "has no effector that could reach a target")
+        if effector not in (None, *names):
+            raise unknown(str(effector), "effectors:", names)
         self.effector = effector or names[0]
         self.time_step = _within("time_step", time_step, 1.0e-6, 1.0e3)
         self.most_steps = int(_within("most_steps", most_steps, 1, 10**9))
