@@ -114,13 +114,6 @@ def test_a_page_begins_with_its_title_and_what_it_is_for(page):
     assert re.match(r"[\w*`!\[]", lines[1]), "a sentence or a picture follows the title"
 
 
-def test_every_link_and_picture_of_the_readme_leads_to_a_file():
-    links = re.findall(r"\]\(([^)\s#]+)[^)]*\)|src=\"([^\"]+)\"", (ROOT / "README.md").read_text())
-    local = [link for link in map("".join, links) if not urlsplit(link).scheme]
-    assert len(local) > 5
-    assert [link for link in local if not (ROOT / unquote(link)).exists()] == []
-
-
 class File:
     """A page as mkdocs gives it to its hooks."""
 
