@@ -57,7 +57,8 @@ class ActuatorEntry(Entry):
         """Refuses an unknown `body`; without a name the only deformable body is meant."""
         deformable = [body.name for body in scene.deformables]
         framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
-        check_carrier(f"{key}.body", self.name, self.body, deformable, framed)
+        body = self.body  # type: ignore[attr-defined]  # entries that call this have one
+        check_carrier(f"{key}.body", self.name, body, deformable, framed)
 
 
 class Pulley(Entry):

@@ -106,6 +106,7 @@ class Mesh(Entry):
                     raise refusal(key, str(value) if key == "file" else value,
                                   "is given beside box, where it has no effect")  # fmt: skip
             return self
+        assert self.file is not None, "checked above"
         if not self.is_cad:
             if self.size is not None:
                 raise refusal("size", self.size, f"is that of tetrahedra made from CAD files "
@@ -209,7 +210,8 @@ def _numbers_by_name(given: Any) -> Any:
 
 def _constant(name: str, value: Any) -> float | tuple[float, ...]:
     if isinstance(value, list | tuple):
-        return tuple(_constant(f"{name}[{index}]", part) for index, part in enumerate(value))
+        parts = (_constant(f"{name}[{index}]", part) for index, part in enumerate(value))
+        return tuple(parts)  # type: ignore[arg-type]  # laws refuse lists inside lists
     try:
         if isinstance(value, bool | bytes):
             raise TypeError
@@ -301,11 +303,14 @@ class ElasticEntry(Entry):
         if self.young_modulus is None:
             raise refusal("young_modulus", "(nothing)", f"is required by the law {law}")
         if nu is None:
+            assert kappa is not None, "one of both is given"
             nu = poisson_ratio_of_bulk(self.young_modulus, kappa)
             if not nu > -1.0:
                 least = self.young_modulus / 9.0
                 raise refusal("bulk_modulus", kappa, f"must be above young_modulus / 9, {least:g} Pa")
-        return AtRest(law_named(law).of_moduli(self.young_modulus, nu), self.young_modulus, nu)
+        of_moduli = law_named(law).of_moduli
+        assert of_moduli is not None, "a law has moduli or constants of its own"
+        return AtRest(of_moduli(self.young_modulus, nu), self.young_modulus, nu)
 
     def _of_constants(
         self, law: str, own: OwnConstants, nu: float | None, kappa: float | None
@@ -327,6 +332,7 @@ class ElasticEntry(Entry):
                 f"give the shear modulus {mu:g} Pa at rest, which must be above 0 Pa", unit="Pa",
             )  # fmt: skip
         if kappa is None:
+            assert nu is not None, "one of both is given"
             parameters = own.parameters(self.constants, bulk_modulus_of_shear(mu, nu))
             return AtRest(parameters, 2.0 * mu * (1.0 + nu), nu)
         return AtRest(own.parameters(self.constants, kappa), *moduli_of_shear_and_bulk(mu, kappa))
@@ -634,9 +640,9 @@ class Body(Entry):
     def _remembers(self):
         """Refuse viscosity and softening where they are not built."""
         base = self.material
-        for key, entry in (("material", base), *(
-            (f"materials[{index}]", entry) for index, entry in enumerate(self.materials))
-        ):  # fmt: skip
+        entries: list[tuple[str, Any]] = [("material", base)]
+        entries += [(f"materials[{index}]", entry) for index, entry in enumerate(self.materials)]
+        for key, entry in entries:
             law = base.law if entry.law is None else entry.law
             viscosity = base.viscosity if entry.viscosity is None else entry.viscosity
             softening = base.softening if entry.softening is None else entry.softening
@@ -668,7 +674,7 @@ class Body(Entry):
             try:
                 self.part_at_rest(index)
             except PydanticCustomError as error:
-                inner = error.context
+                inner = error.context or {}
                 raise refusal(
                     f"materials[{index}].{inner['key']}", inner["value"], inner["reason"],
                     unit=inner["unit"],

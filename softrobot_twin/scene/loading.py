@@ -110,7 +110,7 @@ def written_out(mapping: Any, path: Path | None = None) -> Any:
 # --- YAML ----------------------------------------------------------------------------------------
 
 
-class DuplicateKeyError(yaml.YAMLError):
+class DuplicateKeyError(yaml.YAMLError):  # type: ignore[misc]
     """A key occurs twice in one section.
 
     Attributes:
@@ -124,7 +124,7 @@ class DuplicateKeyError(yaml.YAMLError):
         super().__init__(f"{key} is given twice, in lines {lines[0]} and {lines[1]}")
 
 
-class _SceneYaml(yaml.SafeLoader):
+class _SceneYaml(yaml.SafeLoader):  # type: ignore[misc]
     """Accepts only ``true`` and ``false`` as truth values, as YAML 1.2 does."""
 
 
@@ -189,7 +189,7 @@ def _check(node: yaml.Node, key: str, counts: dict[int, int], above: set[int]) -
 def _check_section(
     node: yaml.MappingNode, key: str, counts: dict[int, int], above: set[int]
 ) -> int:
-    count, lines = 0, {}
+    count, lines = 0, dict[str, int]()
     for name, value in node.value:
         below = f"{key}.{name.value}" if key else str(name.value)
         if isinstance(name, yaml.ScalarNode) and name.tag != _MERGE:

@@ -104,14 +104,14 @@ class Pattern(Entry):
     @property
     def copy_count(self) -> int:
         """Number of copies."""
-        return self.count if self.names is None else len(self.names)
+        return int(self.count or 0) if self.names is None else len(self.names)
 
     @property
     def words(self) -> tuple[str, ...]:
         """What ``#`` stands for in each copy."""
         if self.names is not None:
             return self.names
-        return tuple(str(self.first + number) for number in range(self.count))
+        return tuple(str(self.first + number) for number in range(self.copy_count))
 
     @property
     def moves(self) -> bool:
@@ -266,9 +266,10 @@ def _vectors(value: Any, move: Callable[[tuple], tuple]) -> Any:
 
 def _box(value: Any, motion: Motion, key: str) -> Any:
     """A box along the axes, moved."""
-    corners = [_numbers(value.get(end)) for end in ("minimum", "maximum")] if isinstance(
+    given = [_numbers(value.get(end)) for end in ("minimum", "maximum")] if isinstance(
         value, Mapping) else [None]  # fmt: skip
-    if None in corners:
+    corners = [corner for corner in given if corner is not None]
+    if len(corners) < len(given):
         return value
     if not motion.is_quarter:
         raise _CannotMove(
@@ -308,6 +309,7 @@ def _helix(value: Any, motion: Motion, model: type[Entry]) -> Any:
     phase = value.get("phase", 0.0)
     if motion.rows is None or not before or not any(before) or isinstance(phase, str | bool):
         return moved
+    assert after is not None, "a direction stays one when it is turned"
     axis = np.array(after) / math.hypot(*after)
     start, counted = across(np.array(before) / math.hypot(*before)), across(axis)
     begins = np.array(motion.direction(tuple(start)))
@@ -439,9 +441,9 @@ class Origin(NamedTuple):
         count: Number of copies.
     """
 
-    index: int
+    index: int  # type: ignore[assignment]  # names of a tuple's methods, which nobody calls
     number: int = 0
-    count: int = 0
+    count: int = 0  # type: ignore[assignment]
 
 
 class Expanded(list):
@@ -505,8 +507,8 @@ class _Expansion:
         for key, value in section.items():
             field = model.model_fields.get(key)
             item = item_of_list(field.annotation) if field is not None else None
-            if is_entry(item) and isinstance(value, list | tuple):
-                value = self._list(item, value, (*place, key))
+            if item is not None and is_entry(item) and isinstance(value, list | tuple):
+                value = self._list(item, list(value), (*place, key))
             elif field is not None and is_entry(plain(field.annotation)):
                 value = self.section(plain(field.annotation), value, (*place, key))
             made[key] = value
@@ -610,7 +612,7 @@ class Source:
         """
         made: dict[str, list[Origin | None]] = {}
         for note in notes:
-            copies = []
+            copies: list[Origin | None] = []
 
             def written(found: re.Match, copies: list = copies) -> str:
                 key, copy = self._key(found[0])

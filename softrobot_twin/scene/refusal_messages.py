@@ -202,7 +202,7 @@ def _sections_with(model, key: str, place: str) -> list[str]:
     return found
 
 
-def _reason(root, location: tuple, details: dict) -> str:
+def _reason(root, location: tuple, details: Any) -> str:
     """What is required at a location with an invalid value."""
     kind, context, value = details["type"], details.get("ctx", {}), details.get("input")
     unit = unit_at(root, location)

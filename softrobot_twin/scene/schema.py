@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
@@ -210,7 +210,7 @@ class Touch(Entry):
 class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
-    factorization: Literal[*FACTORIZATIONS] = "multifrontal"
+    factorization: Literal[*FACTORIZATIONS] = "multifrontal"  # type: ignore[valid-type]
     """How the stiffness is factorized: multifrontal Cholesky, or SuperLU as a reference."""
     qp_solver: Literal["osqp", "daqp"] = "osqp"
     """Solver of the inverse problem."""
@@ -357,8 +357,9 @@ def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
     if section in Scene.model_fields:
         raise ValueError(f"scenes have a section {section} already")
     ACTUATOR_SECTIONS[section] = entry
-    Scene.__annotations__[section] = tuple[entry, ...]
-    Scene.model_fields[section] = FieldInfo(annotation=tuple[entry, ...], default=())
+    entries: Any = tuple[entry, ...]  # type: ignore[valid-type]
+    Scene.__annotations__[section] = entries
+    Scene.model_fields[section] = FieldInfo(annotation=entries, default=())
     Scene.model_rebuild(force=True)
 
 
