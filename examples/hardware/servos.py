@@ -25,8 +25,6 @@ OPERATING_MODE, TORQUE_ENABLE, HARDWARE_ERROR, WATCHDOG = 11, 64, 70, 98
 GOAL_POSITION, PRESENT_CURRENT, PRESENT_POSITION = 116, 126, 132
 _MODES = {"position": 3, "extended_position": 4}
 _TRIES = 3
-_ANSWER_TIME = 0.015
-"""Longest time until servos and the adapter of the bus answer [s], besides that of the bytes."""
 
 
 class ServosError(SoftRobotTwinError):
@@ -105,6 +103,8 @@ class ServosFile(NamedTuple):
         greatest_tension: Above this tension the servos stop [N].
         largest_jump: A command further than this from the measured length is refused [m].
         command_timeout: After this time without a command the servos stop [s].
+        answer_time: Longest time until servos and the adapter of the bus answer, besides that of the
+            bytes [s].
     """
 
     servos: tuple[Servo, ...]
@@ -115,6 +115,7 @@ class ServosFile(NamedTuple):
     greatest_tension: float
     largest_jump: float
     command_timeout: float
+    answer_time: float
 
 
 def read_servos(file: Path | str) -> ServosFile:
@@ -132,7 +133,8 @@ def read_servos(file: Path | str) -> ServosFile:
               "torque_constant": (float, "N m/A", 1e-6, 1e3),
               "greatest_tension": (float, "N", 1e-6, 1e5),
               "largest_jump": (float, "m", 1e-6, 10.0),
-              "command_timeout": (float, "s", 0.02, 2.54)}  # fmt: skip
+              "command_timeout": (float, "s", 0.02, 2.54),
+              "answer_time": (float, "s", 1e-4, 1.0)}  # fmt: skip
     own = {"name": (str, "", 0, 0), "id": (int, "", 0, 252), "radius": (float, "m", 1e-5, 1.0),
            "direction": (int, "", -1, 1), "zero_ticks": (int, "ticks", -(2**31), 2**31 - 1),
            "zero_length": (float, "m", 0.0, 1e3), "least_length": (float, "m", 0.0, 1e3),
@@ -225,7 +227,7 @@ class ServoDevice:
         port = SerialPort(description.port, description.baud_rate) if port is None else port
         # An answer of 10 bytes has 21 on the bus, each of 10 bits.
         sent = 10.0 * (40 + 21 * len(self._servos)) / description.baud_rate
-        self._port, self._bus = port, ServoBus(port, _ANSWER_TIME + sent)
+        self._port, self._bus = port, ServoBus(port, description.answer_time + sent)
         self._torque = self._is_stopped = self._is_closed = False
         self._goal: np.ndarray | None = None
         self._lengths: np.ndarray | None = None

@@ -43,7 +43,9 @@ REST = 0.1
 
 def description(**changes):
     """The servos of the example's file, at a rate that a pseudo-terminal need not have."""
-    return read_servos(FOLDER / "servos.yaml")._replace(baud_rate=115200, **changes)
+    return read_servos(FOLDER / "servos.yaml")._replace(
+        **{"baud_rate": 115200, "answer_time": 0.3} | changes
+    )
 
 
 class Wired:

@@ -38,7 +38,7 @@ class Robot:
                        for entry in given["servos"]}  # fmt: skip
         self.bus = SimulatedBus(self.servos)
         self.terminal = Terminal(self.bus)
-        given |= {"port": self.terminal.path, "baud_rate": 115200}
+        given |= {"port": self.terminal.path, "baud_rate": 115200, "answer_time": 0.3}
         for entry, length in zip(given["servos"], rest, strict=True):
             entry |= {"zero_length": float(length), "least_length": float(length) - 0.045,
                       "greatest_length": float(length) + 0.002}  # fmt: skip
@@ -90,7 +90,7 @@ def test_a_twin_leads_the_tip_by_servos(world, robot, hardware):
         return (np.linalg.norm(tip - wanted) < 5e-4 and commanded is not None
                 and np.abs(measured - commanded.setpoints).max() < 2e-4)  # fmt: skip
 
-    world.until(is_there, 30.0)
+    world.until(is_there, 60.0)
     assert all(robot.has_torque()) and hardware.bus_errors == 0
     # Lengths in metres arrive at the servos as ticks, of south and east the other way round.
     lengths = robot.twin.loop.device.setpoints - robot.twin.loop.simulation.rest_setpoints
