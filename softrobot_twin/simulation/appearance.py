@@ -179,6 +179,35 @@ def _skin(body: Body, scene: Scene):
     return OwnSkin(body)
 
 
+def fixed_places(body: Body, node_positions: np.ndarray) -> np.ndarray:
+    """Places of the fixed nodes on a body's surface.
+
+    Nodes that move with a rigid body are not among them.
+
+    Args:
+        body: The body.
+        node_positions: Node positions [m], shape (node_count, 3).
+
+    Returns:
+        Positions [m], shape (fixed_count, 3).
+    """
+    fixed = body.fixed.copy()
+    if body.vertebrae is not None:
+        fixed = body.vertebrae.division.body.fixed.copy()
+    for nodes in body.riding.values():
+        fixed[nodes] = False
+    nodes = np.intersect1d(np.flatnonzero(fixed), body.mesh.surface_triangles)
+    if not len(nodes):
+        return np.empty((0, 3))
+    return body.shown_nodes(nodes).positions(node_positions)
+
+
+def fixed_ends(beams: tuple[BeamBody, ...]) -> np.ndarray:
+    """Places of the fixed ends of beams [m], shape (fixed_count, 3)."""
+    ends = [beam.places[0 if end == "start" else -1] for beam in beams for end in beam.entry.fixed]
+    return np.array(ends, float).reshape(-1, 3)
+
+
 class SolidSkin(NamedTuple):
     """The surface of something rigid.
 

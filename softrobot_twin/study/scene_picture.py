@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene.body_entries import PlaneShape
+from softrobot_twin.simulation.appearance import fixed_ends, fixed_places
 from softrobot_twin.simulation.scene_layout import build_shape
 from softrobot_twin.simulation.touches import touch_term
 from softrobot_twin.study.figure import load_pyplot, save_figure
@@ -335,33 +336,12 @@ def _bodies(simulation: Simulation) -> list[Solid]:
 
 def _fixed(simulation: Simulation, size: float) -> list[Solid]:
     """Balls at the fixed nodes of the surfaces, and at fixed ends of beams."""
-    places = [fixed_places(simulation, body) for body in simulation.model.bodies]
+    model, positions = simulation.model, simulation.state.positions
     solids = [Solid(sphere(place, 0.0055 * size), FIXED_COLOUR, "thin", "fixed")
-              for own in places for place in own]
+              for body in model.bodies for place in fixed_places(body, positions)]
     solids += [Solid(sphere(place, 0.014 * size), FIXED_COLOUR, "thin", "fixed")
-               for beam in simulation.model.beams for place in fixed_ends(beam)]
+               for place in fixed_ends(model.beams)]
     return solids
-
-
-def fixed_places(simulation: Simulation, body) -> np.ndarray:
-    """Places of the fixed nodes on a body's surface [m], shape (count, 3).
-
-    Nodes that move with a rigid body are not among them.
-    """
-    fixed = body.fixed.copy()
-    if body.vertebrae is not None:
-        fixed = body.vertebrae.division.body.fixed.copy()
-    for nodes in body.riding.values():
-        fixed[nodes] = False
-    nodes = np.intersect1d(np.flatnonzero(fixed), body.mesh.surface_triangles)
-    if not len(nodes):
-        return np.empty((0, 3))
-    return body.shown_nodes(nodes).positions(simulation.state.positions)
-
-
-def fixed_ends(beam) -> list[np.ndarray]:
-    """Places of a beam's fixed ends [m]."""
-    return [beam.places[0 if end == "start" else -1] for end in beam.entry.fixed]
 
 
 def _beam_skins(simulation: Simulation) -> tuple:
@@ -499,13 +479,13 @@ def labels(simulation: Simulation, paths: dict[str, np.ndarray], planes) -> Iter
                                  for skin, points in zip(skins[:count], places[:count])])
     yield from _grouped("beam", [(skin.name, _nearest(points, points.mean(axis=0)))
                                  for skin, points in zip(skins[count:], places[count:])])
-    held = [fixed_places(simulation, body) for body in simulation.model.bodies]
+    held = [fixed_places(body, state.positions) for body in simulation.model.bodies]
     for own in held:
         if len(own):
             nodes = f"{len(own)} node{'' if len(own) == 1 else 's'}"
             yield Label(f"fixed, {nodes}", _nearest(own, own.mean(axis=0)))
-    ends = [place for beam in simulation.model.beams for place in fixed_ends(beam)]
-    if ends:
+    ends = fixed_ends(simulation.model.beams)
+    if len(ends):
         yield Label(f"fixed, {len(ends)} beam end{'' if len(ends) == 1 else 's'}", ends[0])
     yield from _grouped("rigid body", [
         (part.name, state.positions[part.first_node]) for part in simulation.model.rigid])

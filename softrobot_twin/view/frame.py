@@ -107,6 +107,7 @@ class Stage:
         shows_contact: Whether frames may contain contacts.
         force_scale: Length of the arrow of a contact force [m/N].
         axis_length: Length of the axes of effectors with orientation [m]; 0 draws none.
+        fixed_points: Places where bodies are fixed [m], shape (fixed_count, 3).
 
     Raises:
         ViewError: The range of tensions or pressures is empty, the force scale is not positive, a rigid surface has
@@ -127,6 +128,7 @@ class Stage:
     shows_contact: bool = False
     force_scale: float = 0.1
     axis_length: float = 0.0
+    fixed_points: np.ndarray = field(default_factory=_none)
 
     def __post_init__(self) -> None:
         for solid in (*self.rigid_bodies, *self.obstacles):

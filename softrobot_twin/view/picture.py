@@ -298,6 +298,8 @@ TRAIL = "/robot/effector_trail"
 TARGETS = "/targets"
 PREDICTED_MARKERS = "/markers/predicted"
 MEASURED_MARKERS = "/markers/measured"
+FIXED_POINTS = "/robot/fixed"
+PULL_POINTS = "/robot/pull_points"
 ERROR_PLOT = "/plots/effector_error"
 LENGTH_PLOT = "/plots/cable_lengths"
 TENSION_PLOT = "/plots/cable_tensions"
@@ -312,6 +314,7 @@ _TRAIL_DURATION = 5.0
 _TRAIL_COLOUR = (130, 190, 255)
 _PREDICTED_COLOUR = (70, 150, 255)
 _MEASURED_COLOUR = (255, 160, 40)
+_FIXED_COLOUR, _PULL_COLOUR = (110, 110, 120), (235, 235, 235)
 # Okabe and Ito's colours without black; colour-blind people can distinguish them.
 _CURVE_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (240, 228, 66),
                   (204, 121, 167), (213, 94, 0), (0, 114, 178), (200, 200, 200))
@@ -362,7 +365,13 @@ class Picture:
                                               show_labels=False), static=True)
         log(TRAIL, rr.LineStrips3D.from_fields(colors=[_TRAIL_COLOUR], radii=[radius(1.2)]),
             static=True)
+        if len(stage.fixed_points):
+            log(FIXED_POINTS, rr.Points3D.from_fields(
+                positions=np.asarray(stage.fixed_points, dtype=np.float32),
+                colors=[_FIXED_COLOUR], radii=[radius(2.5)]), static=True)
         if stage.cable_names:
+            log(PULL_POINTS, rr.Points3D.from_fields(colors=[_PULL_COLOUR], radii=[radius(4.0)]),
+                static=True)
             log(CABLES, rr.LineStrips3D.from_fields(
                 labels=stage.cable_names, radii=[radius(2.5)], show_labels=True), static=True)
             self._name_curves(LENGTH_PLOT, stage.cable_names)
@@ -411,6 +420,7 @@ class Picture:
         if self._stage.cable_names:
             colours = tension_colours(frame.cable_tensions, self._stage.tension_range)
             log(CABLES, rr.LineStrips3D.from_fields(strips=frame.cable_paths, colors=colours))
+            log(PULL_POINTS, _points([path[0] for path in frame.cable_paths]))
 
     def _log_points(self, frame: Frame) -> None:
         log = self._recording.log

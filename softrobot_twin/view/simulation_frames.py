@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
+from softrobot_twin.simulation.appearance import fixed_ends, fixed_places
 from softrobot_twin.view.frame import Frame, OtherActuator, Stage, Surface
 
 OPEN_TENSION = 10.0
@@ -69,6 +70,13 @@ def pressure_range(simulation: Simulation) -> tuple[float, float]:
     return (vacuum, most) if vacuum < most else (0.0, OPEN_PRESSURE)
 
 
+def _fixed_points(simulation: Simulation) -> np.ndarray:
+    """Places where bodies and beams are fixed [m], shape (fixed_count, 3)."""
+    model, positions = simulation.model, simulation.state.positions
+    places = [fixed_places(body, positions) for body in model.bodies]
+    return np.concatenate([*places, fixed_ends(model.beams)])
+
+
 class SimulationFrames:
     """The stage of a simulation, and frames of its states.
 
@@ -116,6 +124,7 @@ class SimulationFrames:
             shows_contact=simulation.scene.contact is not None,
             axis_length=AXIS_SHARE * simulation.model.nodes.size if self._is_oriented else 0.0,
             force_scale=force_scale,
+            fixed_points=_fixed_points(simulation),
         )
 
     def frame(

@@ -74,6 +74,20 @@ def test_cables_are_lines_coloured_by_tension(draw, make_frame, stage):
     assert recorded.static("/robot/cables", "LineStrips3D:labels") == list(stage.cable_names)
 
 
+def test_pull_points_are_the_beginnings_of_the_cables(draw, make_frame):
+    frame = make_frame(5)
+    places = draw([frame]).at_steps("/robot/pull_points", "Points3D:positions")
+    assert places.keys() == {5}
+    assert np.array(places[5]) == pytest.approx(np.array([p[0] for p in frame.cable_paths]), abs=1e-8)
+
+
+def test_fixed_points_are_logged_once_and_only_where_there_are_any(draw, make_frame, stage):
+    fixed = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.02]])
+    recorded = draw([make_frame(0)], stage=replace(stage, fixed_points=fixed))
+    assert np.array(recorded.static("/robot/fixed", "Points3D:positions")) == pytest.approx(fixed)
+    assert "/robot/fixed" not in draw([make_frame(0)]).entities
+
+
 def test_points_are_at_the_positions_of_the_frame(draw, make_frame):
     frame = make_frame(2)
     recorded = draw([frame])
