@@ -17,6 +17,7 @@ import numpy as np
 from softrobot_twin.errors import MeshError, SoftRobotTwinError
 from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES, kept_mesh, part_size
 from softrobot_twin.geometry.closed_surface import closed_surface
+from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.mesh_reading import MeshReading, read_solid_mesh
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.surface import boundary_triangles
@@ -90,6 +91,7 @@ class Guess(NamedTuple):
         left_out: Names of surfaces that are not closed.
         cables: Points of two cables inside it, pull point first [m], each of shape (n, 3).
         hold_radius: Radius for their points [m].
+        of_hexahedra: Whether its cells are hexahedra.
     """
 
     axis: int
@@ -101,6 +103,7 @@ class Guess(NamedTuple):
     left_out: tuple[str, ...]
     cables: tuple[np.ndarray, np.ndarray]
     hold_radius: float
+    of_hexahedra: bool
 
 
 def guess(reading: MeshReading) -> Guess:
@@ -113,7 +116,7 @@ def guess(reading: MeshReading) -> Guess:
         The guesses.
     """
     mesh = reading.mesh
-    points, tets = mesh.node_positions, mesh.as_tets if hasattr(mesh, "as_tets") else mesh.cells
+    points, tets = mesh.node_positions, mesh.as_tets
     triangles = boundary_triangles(tets)
     low, high = points.min(axis=0), points.max(axis=0)
     extents = high - low
@@ -136,7 +139,8 @@ def guess(reading: MeshReading) -> Guess:
     cables = tuple(_cable(mesh, points, tets, axis, at_high, side) for side in (-1.0, 1.0))
     across = np.delete(extents, axis).min()
     return Guess(axis, fixed, fixed_nodes, end, _tip(mesh, points, axis, at_high),
-                 tuple(cavities), tuple(left_out), cables, 0.15 * float(across))  # fmt: skip
+                 tuple(cavities), tuple(left_out), cables, 0.15 * float(across),
+                 isinstance(mesh, HexahedralMesh))  # fmt: skip
 
 
 def _flat_area(points, triangles, axis: int, end: float, length: float) -> float:
@@ -206,6 +210,12 @@ def _cable(mesh, points, tets, axis: int, at_high: bool, side: float) -> np.ndar
 # --- the text of the scene ------------------------------------------------------------------------
 
 
+_ELEMENTS = {
+    False: "  element: quadratic                   # linear is faster, but much too stiff in bending",
+    True: "  element: hexahedral                  # as the cells of the file",
+}
+
+
 def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
     """The YAML text of a first scene, every value with its unit and every guess in a comment.
 
@@ -233,7 +243,7 @@ def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
         "body:",
         f"  mesh: {{{', '.join(mesh)}}}",
         *_remarks(*source.remarks),
-        "  element: quadratic                   # linear is some 10 times as fast, but much too stiff",
+        _ELEMENTS[found.of_hexahedra],
         "  material:",
         f"    preset: {PRESET}             # guessed: law {preset.law}, {preset.density:g} kg/m³",
         *_remarks("others: " + ", ".join(name for name in MATERIAL_PRESETS if name != PRESET),

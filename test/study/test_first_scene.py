@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from softrobot_twin.study.first_scene import robot_name
 from test.cad_parts import box, finger, need_gmsh, write_stl
 
 MM = 1e-3
+MESHES = Path(__file__).resolve().parents[2] / "meshes"
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +112,14 @@ def test_the_unit_of_a_mesh_file_is_guessed_and_told(tmp_path, capsys, in_file, 
     scene = load_scene(tmp_path / "bar.yaml")
     assert scene.body.mesh.scale == scale
     np.testing.assert_allclose(scene.effectors[0].points, [[0.01, 0.01, 0.1]], atol=1e-9)
+
+
+def test_a_file_of_hexahedra_gets_their_element(tmp_path):
+    shutil.copy(MESHES / "bar_hexa_44.msh", tmp_path / "bar.msh")
+    assert main(["init", str(tmp_path / "bar.msh")]) == 0
+    scene = load_scene(tmp_path / "bar.yaml")
+    assert scene.body.element == "hexahedral"
+    Simulation(scene).step(Hold(0.02))
 
 
 def test_a_given_unit_is_taken(tmp_path):
