@@ -23,6 +23,7 @@ from softrobot_twin.ros.demo import (
     plan_demo,
 )
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.demo_table import write_demo_table
 from softrobot_twin.study.terminal import LiveLine, console, table
 from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
 from softrobot_twin.study.tracking import (
@@ -36,7 +37,8 @@ from softrobot_twin.study.tracking import (
     write_report,
 )
 
-RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd")
+RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd",
+           "open_loop.csv", "closed_loop.csv", "commands.csv")
 """Files that a demo writes into its folder, besides one log for each process."""
 
 _FEWEST_SAMPLES = 10
@@ -47,7 +49,7 @@ _SETTLING = 2.0
 
 
 def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
-    """Runs the demo and writes report.json, tracking.png and samples.npz beside run.rrd.
+    """Runs the demo and writes report.json, pictures and samples beside run.rrd.
 
     Args:
         robot: Name of the robot.
@@ -104,6 +106,9 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
         _print_table(plan, report)
         write_report(plan.folder / "report.json", report)
         save_records(plan.folder / "samples.npz", records)
+        for run, record in records.items():
+            kinds = simulation.actuators.kind_of
+            write_demo_table(plan.folder / f"{run}.csv", record, plan.effector, kinds)
         draw_tracking(plan.robot, records, plan.folder / "tracking.png")
     unclean = {name: code for name, code in outcome.exit_codes.items() if code != 0}
     for name, code in unclean.items():

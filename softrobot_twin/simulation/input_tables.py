@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene.refusal_messages import nearest
 from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
 from softrobot_twin.simulation.command import (
@@ -565,9 +566,12 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
             columns.source, f"the scene has no {what} {owner!r}; its {what}s: {listed}", 1,
             columns.given(name))
     today = name_today(name, quantities)
+    near = nearest(name, (TIME, *_columns_of_actuators(simulation),
+                          *(one for own in simulation.effector_names
+                            for one in _columns_of_targets(own))))
     use = f"use {today}" if today != name else (
         f"valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
-        f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}")
+        f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}{near}")
     raise TableFileError(
         columns.source, f"is not a valid column; {use}", 1, columns.given(name) or "''")
 
@@ -768,8 +772,14 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
     poses = _poses(columns, simulation, times)
     touches = _touches(columns, simulation, times)
     if columns.left:
+        guided = [entry.name for entry in simulation.scene.rigid_bodies]
+        near = nearest(columns.left[0], (
+            TIME, *_columns_of_actuators(simulation),
+            *(one for own in guided for one in position_columns(own) + quaternion_columns(own)),
+            *(one for own in simulation.touch_names
+              for one in force_columns(own) + displacement_columns(own))))
         raise TableFileError(
-            columns.source, "is not a valid column; valid are " + _known(simulation), 1,
+            columns.source, f"is not a valid column; valid are {_known(simulation)}{near}", 1,
             columns.left[0] or "''")
     commanded = [series for name, series in columns.taken.items() if name != TIME]
     changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
@@ -923,6 +933,15 @@ def _known(simulation: Simulation) -> str:
     guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
     return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
             f"_qw (guided bodies: {', '.join(guided) or 'none'}){_known_touches(simulation)}")
+
+
+def _columns_of_actuators(simulation: Simulation) -> list[str]:
+    """All columns that drive actuators, motors or pulleys of a scene."""
+    actuators = simulation.actuators
+    own = [column(name, quantity) for name, kind in actuators.kind_of.items()
+           for quantity in _commandable(kind)]
+    own += [f"{motor.name}_shortening_m" for motor in simulation.scene.motors]
+    return own + [column(name, ANGLE) for name in actuators.pulleys.names]
 
 
 def _known_actuators(simulation: Simulation) -> str:

@@ -102,4 +102,5 @@ def name_today(old: str, quantities: Iterable[Quantity]) -> str:
 
 def is_output(header: Iterable[str]) -> bool:
     """Whether a file with these columns was written by a run."""
-    return {STEP, TIME, STATUS} <= set(header)
+    names = set(header)
+    return {STEP, TIME} <= names and bool(names & {STATUS, DRIVEN_BY})

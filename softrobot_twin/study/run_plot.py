@@ -144,7 +144,7 @@ _WITHOUT_OWNER = {
 
 _FEW = ("position", "body position", "error", "orientation error", "stiffness", "shortening", "angle", "growth",
         "expansion", "displacement", "length", "pressure", "tension", "torque", "effort",
-        "touch force", "moved", "energy", "pressing", "residual")
+        "touch force", "moved", "energy", "pressing", "reduction error", "residual")
 """Quantities that are drawn where no columns are named, in this order."""
 
 _MOST_PANELS = 7

@@ -285,7 +285,8 @@ def _ranges(
     """
     told = []
     for quantity, values in ((kind.displacement, displacements), (kind.effort, efforts)):
-        if not np.isfinite(values).any():
+        # A slide has no effort, and a cavity without wall none.
+        if not np.isfinite(values).any() or (quantity == kind.effort and not values.any()):
             continue
         most = ""
         if names:

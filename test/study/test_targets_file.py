@@ -261,3 +261,8 @@ def test_what_drove_a_run_is_read_from_what_it_wrote(tmp_path, by, columns, valu
 def test_results_are_refused_in_a_file_that_no_run_wrote(tmp_path):
     error = refusal(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m,residual_N\n0,0,0,0,0\n")
     assert error.column == "residual_N" and "not a valid column; valid are time_s" in str(error)
+
+
+def test_the_nearest_column_is_named(tmp_path):
+    error = refusal(tmp_path, "time_s,north_lenght_m,south_length_m\n0,1,1\n")
+    assert error.column == "north_lenght_m" and str(error).endswith("is north_length_m meant?")
