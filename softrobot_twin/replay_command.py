@@ -19,7 +19,7 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.record.replay import Comparison, Difference, Replay
 from softrobot_twin.record.run_description import machine
 from softrobot_twin.record.run_file import RunFile
-from softrobot_twin.record.tick_table import header_of, row_of
+from softrobot_twin.record.tick_table import TickTable
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
@@ -67,12 +67,11 @@ def _ignore(*tick) -> None:
 def _writer(again: Replay, path: Path, stack: ExitStack) -> Callable:
     """A function that writes a tick as a row."""
     file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
-    rows = csv.writer(file)
-    simulation = again.loop.simulation
-    rows.writerow(header_of(simulation))
+    rows, ticks = csv.writer(file), TickTable(again.loop)
+    rows.writerow(ticks.header)
 
     def write(outcome, ros_time: int, seconds: float) -> None:
-        rows.writerow(row_of(simulation, outcome, again.comparison.ticks - 1, seconds))
+        rows.writerow(ticks.texts(outcome, again.comparison.ticks - 1, seconds))
 
     return write
 
@@ -92,9 +91,12 @@ def _print_result(again: Replay, found: Comparison) -> None:
              "not follow: from there on the run cannot be replayed")  # fmt: skip
     elif not file.is_complete:
         why = f" ({file.damage})" if file.damage else ""
-        warn(f"the file has no end{why}: the recording was cut off after tick {found.ticks - 1}")
+        where = f"after tick {found.ticks - 1}" if found.ticks else "before its first tick"
+        warn(f"the file has no end{why}: the recording was cut off {where}")
     print(f"{found.ticks} ticks, {found.seconds:.2f} s, {found.calls} messages, services and "
           "changes of parameters")  # fmt: skip
+    if not found.ticks:
+        return
     if found.is_equal:
         print(f"{found.ticks} ticks, all equal to the bit")
         return

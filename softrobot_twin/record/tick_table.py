@@ -1,83 +1,63 @@
-"""Ticks of a run as rows of a CSV file, whose columns are named like those of all files."""
+"""Ticks of a run as rows of a CSV file, with the columns that all runs have."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
-from softrobot_twin.control.twin_loop import TickOutcome
-from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.table_columns import (
-    STATUS,
-    STEP,
-    TIME,
-    column,
-    position_columns,
-    quaternion_columns,
-    target_name,
-)
+import numpy as np
+
+from softrobot_twin.control.loop_settings import Mode
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
+from softrobot_twin.simulation import FollowTargets
+from softrobot_twin.simulation.run_columns import RunColumns
 
 
-def header_of(simulation: Simulation) -> list[str]:
-    """The names of the columns.
+class TickTable:
+    """The columns of a run's ticks, and their cells.
 
-    Args:
-        simulation: The model.
+    Errors are those of the loop: the distance of the effector, measured or else predicted, from the
+    target that was given, also while the step is sent to a point on the way there.
+
+    Attributes:
+        header: Names of the columns.
     """
-    columns = [STEP, TIME, STATUS, "activity"]
-    for name, is_oriented in _effectors(simulation):
-        columns += position_columns(name)
-        columns += quaternion_columns(name) if is_oriented else ()
-    for name, is_oriented in _effectors(simulation):
-        columns += position_columns(target_name(name))
-        columns += quaternion_columns(target_name(name)) if is_oriented else ()
-    for name, kind in simulation.actuators.kind_of.items():
-        columns += [column(name, quantity) for quantity in _quantities(kind)]
-    for name in simulation.guided_names:
-        columns += [*position_columns(name), *quaternion_columns(name)]
-    columns += [f"{name}_error_m" for name, _ in _effectors(simulation)]
-    return [*columns, "residual_N", "linearizations", "compute_time_s"]
 
+    def __init__(self, loop: TwinLoop):
+        """Collects the columns.
 
-def row_of(
-    simulation: Simulation, outcome: TickOutcome, step: int, seconds: float
-) -> list[object]:
-    """The cells of a tick; empty where there is no number.
+        Args:
+            loop: The loop.
+        """
+        self._loop = loop
+        simulation = loop.simulation
+        self._follows = loop.mode is Mode.INVERSE and bool(simulation.effector_names)
+        followed = None
+        if self._follows:
+            # Any effector may get a target while the twin runs.
+            places = np.zeros((len(simulation.effector_names), 3))
+            turns = np.where(np.array(simulation.oriented_effectors)[:, None], np.zeros(4), np.nan)
+            followed = FollowTargets(places, loop.settings.period, None, turns)
+        self._columns = RunColumns(simulation, followed, with_reduction_errors=False)
+        self.header = self._columns.names
 
-    Args:
-        simulation: The model.
-        outcome: What the tick gave.
-        step: Ticks before it.
-        seconds: Time since the first tick [s].
-    """
-    result, reading = outcome.result, outcome.reading
-    cells: list[object] = []
-    for positions, turns in (
-        (result.effector_positions, result.effector_orientations),
-        (reading.targets, reading.orientations),
-    ):
-        for index, (_, is_oriented) in enumerate(_effectors(simulation)):
-            cells += positions[index].tolist()
-            cells += turns[index].tolist() if is_oriented else []
-    for index, kind in enumerate(simulation.actuators.kinds):
-        values = {kind.displacement: result.displacements[index],
-                  kind.effort: result.efforts[index],
-                  kind.setpoint: result.setpoints[index]}  # fmt: skip
-        cells += [float(values[quantity]) for quantity in _quantities(kind)]
-    for name in simulation.guided_names:
-        position, quaternion = outcome.guided_poses[name]
-        cells += [*position.tolist(), *quaternion.tolist()]
-    cells += outcome.tracking_errors.tolist()
-    report = result.report
-    cells += [report.residual, report.iterations, report.compute_time]
-    numbers = ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in cells]
-    return [step, seconds, result.status.value, outcome.activity.value, *numbers]
+    def texts(self, outcome: TickOutcome, step: int, seconds: float) -> list[str]:
+        """The cells of a tick, just after it; numbers are given to the last bit.
 
-
-def _effectors(simulation: Simulation) -> list[tuple[str, bool]]:
-    """Name of each effector, and whether it asks for an orientation."""
-    return list(zip(simulation.effector_names, simulation.oriented_effectors, strict=True))
-
-
-def _quantities(kind) -> tuple:
-    """What is written of an actuator, each quantity once."""
-    return tuple(dict.fromkeys((kind.setpoint, kind.effort, kind.displacement)))
+        Args:
+            outcome: What the tick gave.
+            step: Ticks before it.
+            seconds: Time since the first tick [s].
+        """
+        result, command = outcome.result, None
+        if self._follows:
+            reading, count = outcome.reading, len(outcome.reading.targets)
+            turns, angles = reading.orientations, outcome.orientation_errors
+            command = FollowTargets(
+                reading.targets, self._loop.settings.period, None,
+                np.full((count, 4), np.nan) if turns is None else turns,
+            )  # fmt: skip
+            result = replace(
+                result, effector_errors=outcome.tracking_errors,
+                orientation_errors=np.full(count, np.nan) if angles is None else angles,
+            )  # fmt: skip
+        return self._columns.texts(self._columns.row(step, seconds, result, command))

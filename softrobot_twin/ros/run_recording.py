@@ -110,6 +110,11 @@ class RunRecording:
             self.recorder.close()
 
 
+def to_bytes(message: object) -> bytes:
+    """A message in CDR; some are published as such."""
+    return message if isinstance(message, bytes) else serialize_message(message)
+
+
 class RecordedPublisher:
     """Publishes and records messages; everything else is that of the publisher."""
 

@@ -1,5 +1,6 @@
 """A recorded run again: the same bits, or the first one that differs; damaged and other files."""
 
+import csv
 import json
 import shutil
 import threading
@@ -18,6 +19,7 @@ from softrobot_twin.record.run_description import describe, scene_text
 from softrobot_twin.record.run_file import CALL, FORMAT, SCHEMA, TICK, RunFile, RunFileError
 from softrobot_twin.record.run_recorder import BoundedQueue
 from softrobot_twin.scene.loading import read_yaml, written_out
+from softrobot_twin.simulation.table_columns import is_output
 
 from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
 
@@ -155,6 +157,22 @@ def test_a_clock_that_is_read_more_often_goes_on_by_the_mean_time():
     assert [clock() for _ in range(5)] == [1.0, 2.0, 5.0, 7.0, 9.0]
     clock.play([20.0])
     assert [clock() for _ in range(2)] == [20.0, 22.0]
+
+
+def test_what_a_replay_gave_is_written_in_the_columns_of_all_runs(recorded, tmp_path, capsys):
+    output = tmp_path / "run.csv"
+    assert main(["replay", str(recorded.path), "--output", str(output)]) == 0
+    assert f"wrote {output}" in capsys.readouterr().out
+    with output.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == TICKS and is_output(rows[0])
+    for row, outcome in zip(rows, recorded.outcomes, strict=True):
+        assert float(row["tip_z_m"]) == outcome.result.effector_positions[0, 2]
+        assert float(row["north_length_m"]) == outcome.result.setpoints[0]
+        wanted = float(row["tip_target_x_m"]), float(row["tip_error_m"])
+        given = outcome.reading.targets[0, 0], outcome.tracking_errors[0]
+        assert np.array_equal(wanted, given, equal_nan=True)
+        assert row["status"] == outcome.result.status.value
 
 
 # --- files ---------------------------------------------------------------------------------------

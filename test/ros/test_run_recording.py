@@ -19,11 +19,13 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import CALL, TICK, RunFile
+from softrobot_twin.record.tick_table import TickTable
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.message_definitions import definition, type_name
 from softrobot_twin.ros.target_node import TargetNode
@@ -132,9 +134,12 @@ def test_hostile_messages_of_every_kind_are_replayed_to_the_bit(
                 end.callback(hostile.message(end.msg_type))
         twin.tick()
     twin.recording.close()
-    found = Replay(RunFile(path)).all_ticks()
+    again = Replay(RunFile(path))
+    table, rows = TickTable(again.loop), []
+    found = again.all_ticks(lambda outcome, _, time: rows.append(table.texts(outcome, 0, time)))
     assert found.is_equal, found.first and found.first.in_words()
-    assert found.ticks == 25 and found.calls >= 25 * 4
+    assert found.ticks == len(rows) == 25 and found.calls >= 25 * 4
+    assert {len(row) for row in rows} == {len(table.header)}
 
 
 def test_a_run_on_simulated_time_is_replayed_to_the_bit(world, make_twin, tmp_path):
@@ -176,6 +181,20 @@ def test_matrices_that_somebody_receives_change_no_bit(world, make_twin, tmp_pat
     twin.recording.close()
     found = Replay(RunFile(path)).all_ticks()
     assert found.is_equal and found.ticks > 15
+
+
+def test_markers_that_are_published_as_bytes_are_recorded_as_such(world, make_twin, tmp_path):
+    path = tmp_path / "run.mcap"
+    twin = make_twin(record=str(path))
+    heard = world.hear(MarkerArray, "/twin/visualization")
+    world.until(lambda: len(heard) > 2)
+    twin.recording.close()
+    assert not twin.recording.recorder.failure
+    with path.open("rb") as file:
+        kept = [deserialize_message(message.data, MarkerArray)
+                for _, _, message in make_reader(file).iter_messages(["/twin/visualization"])]
+    assert heard[0] in kept and len(kept) >= len(heard)
+    assert Replay(RunFile(path)).all_ticks().is_equal
 
 
 def test_diagnostics_tell_the_file_and_its_ticks(world, make_twin, diagnostics, tmp_path):

@@ -64,6 +64,16 @@ def test_the_better_model_is_in_use_while_the_error_is_above_the_wanted_one(fall
     assert f"body.{kind}" not in results[-1].report.active_limits
 
 
+def test_both_models_read_one_clock_before_and_after_a_change(falling):
+    simulation, _ = falling
+    simulation.reset()
+    clock = simulation.now
+    assert simulation._fallback._other.now is clock
+    wind(simulation, np.array([2.0, 0.4, 1.6, 0.0]) * TRAINED, 80)
+    assert simulation.falls_back
+    assert simulation.now is clock and simulation._fallback._other.now is clock
+
+
 def test_commands_do_not_jump_where_the_model_changes(falling):
     simulation, _ = falling
     simulation.reset()
