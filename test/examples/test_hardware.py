@@ -369,3 +369,17 @@ def test_the_file_of_the_example_fits_the_diamond():
     low, high = simulation.limits.setpoint_range(simulation.rest_setpoints)
     assert all(servo.least_length <= least for servo, least in zip(servos, low, strict=True))
     assert all(servo.greatest_length >= most for servo, most in zip(servos, high, strict=True))
+
+
+def test_the_page_names_every_key_of_the_file_and_every_parameter_of_the_tracker():
+    page = (ROOT / "docs" / "hardware.md").read_text()
+    given = yaml.safe_load((FOLDER / "servos.yaml").read_text())
+    own = given.pop("servos")[0]
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    told = {word for row in rows for word in row.replace("`", "").replace(",", " ").split()}
+    told = {word.removeprefix("servos[].") for word in told}
+    assert {*given, *own} <= told
+    from mocap_node import PARAMETERS
+
+    assert {entry.name for entry in PARAMETERS} <= told
+    assert told <= {*given, *own, *(entry.name for entry in PARAMETERS)}
