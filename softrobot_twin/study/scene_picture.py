@@ -570,10 +570,11 @@ LEGEND = {
 }
 """Mark, colour and text of each kind of thing, in the order of the legend."""
 # Length of the longest arrow, as a share of the scene's size.
-_LONGEST_ARROW = 0.2
+_LONGEST_ARROW = 0.16
 _PLANE_CELLS = 8
 _PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
-_DPI = 160
+# Pixels per inch of one state alone, and of one of several.
+_SHARP_ALONE, _SHARP_BESIDE = 160, 140
 # Space for the drawing of one state alone, and of one of several [inch].
 _ALONE, _BESIDE = (6.2, 5.2), (4.2, 4.4)
 # Space around it for numbers of the axes; between states [inch].
@@ -620,7 +621,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
     figure = figure_of(snapshots, title, view, labelled)
     try:
         with output_file(path) as partial:
-            save_figure(figure, partial, _DPI)
+            save_figure(figure, partial, _sharpness(snapshots))
     except ValueError as error:  # There is no format with this suffix.
         raise OutputError(path, str(error)) from error
     finally:
@@ -650,7 +651,7 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
         axes = sheet.panel(place)
         for point, normal in snapshot.planes:
             _add_plane(axes, point, normal, box, camera)
-        _add_image(axes, solids, camera, sheet)
+        _add_image(axes, solids, camera, sheet, _sharpness(snapshots))
         axes.set_title(title if alone else snapshot.title, fontsize=12,
                        y=1.0 + (sheet.above + 0.08) / sheet.height)
         if alone:
@@ -729,7 +730,7 @@ def _all_solids(snapshot: Snapshot, maps: ColourMaps, camera: Camera, most: floa
     if most > 0.0:
         for positions, forces in (snapshot.forces, snapshot.touches):
             arrows = forces * (_LONGEST_ARROW * size / most)
-            solids += [Solid(arrow(start, vector, 0.006 * size), FORCE_COLOUR, "thin", "force")
+            solids += [Solid(arrow(start, vector, 0.005 * size), FORCE_COLOUR, "thin", "force")
                        for start, vector in zip(positions, arrows) if vector.any()]
     if snapshot.effector_path is not None and len(snapshot.effector_path) > 1:
         solids += [Solid(tube(path, 0.0022 * size, size), EFFECTOR_COLOUR, "thin")
@@ -850,7 +851,12 @@ def _most_force(snapshot: Snapshot) -> float:
                for forces in (snapshot.forces[1], snapshot.touches[1]))
 
 
-def _add_image(axes, solids: list[Solid], camera: Camera, sheet: _Sheet) -> None:
+def _sharpness(snapshots: Sequence[Snapshot]) -> int:
+    """Pixels per inch."""
+    return _SHARP_ALONE if len(snapshots) == 1 else _SHARP_BESIDE
+
+
+def _add_image(axes, solids: list[Solid], camera: Camera, sheet: _Sheet, dpi: int) -> None:
     """Draws all solids, lit from the viewer's upper left."""
     layers = {}
     for layer in ("solid", "marks", "clear"):
@@ -865,7 +871,7 @@ def _add_image(axes, solids: list[Solid], camera: Camera, sheet: _Sheet) -> None
         layers[layer] = Triangles(camera.project(1e3 * triangles),
                                   np.clip(base * light, 0.0, 1.0),
                                   np.isin(look, ("mesh", "clear")))
-    shape = (round(sheet.height * _DPI), round(sheet.width * _DPI))
+    shape = (round(sheet.height * dpi), round(sheet.width * dpi))
     image = rasterize(layers, sheet.window, shape)
     axes.imshow(image, extent=sheet.window, interpolation="none", zorder=2, aspect="auto")
 
@@ -1070,13 +1076,16 @@ def _add_scale_bar(figure, sheet: _Sheet, camera: Camera) -> None:
     length = 10.0 ** np.floor(np.log10(longest))
     length *= next(factor for factor in (5.0, 2.0, 1.0) if factor * length <= longest)
     y = (sheet.bottom - 0.16) / high
-    middle = sheet.left + 0.5 * sheet.width
+    text = f"{length:g} mm"
+    # In a narrow panel the bar is moved aside for the directions.
+    half = 0.5 * max(length * sheet.scale, _width(figure, text))
+    middle = max(sheet.left + 0.5 * sheet.width, 0.8 + half)
     ends = np.array([-0.5, 0.5]) * length * sheet.scale + middle
     figure.add_artist(Line2D(ends / wide, [y, y], color="#444444", linewidth=2.0,
                              solid_capstyle="butt"))
-    figure.text(middle / wide, y - 0.06 / high, f"{length:g} mm", ha="center", va="top",
-                fontsize=9, color="#444444")
-    origin = np.array([max(0.3, ends[0] - 0.55), sheet.bottom - 0.22])
+    figure.text(middle / wide, y - 0.06 / high, text, ha="center", va="top", fontsize=9,
+                color="#444444")
+    origin = np.array([middle - half - 0.5, sheet.bottom - 0.22])
     for name, arm, colour in zip("xyz", np.eye(3), AXIS_COLOURS, strict=True):
         to = camera.project(arm)[:2]
         if np.linalg.norm(to) < 0.15:

@@ -164,7 +164,7 @@ def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view
     pyplot.close(figure)
 
 
-@pytest.mark.parametrize("names", [("cantilever",) * 2, ("stifface",) * 3])
+@pytest.mark.parametrize("names", [("cantilever",) * 2, ("trunk",) * 3])
 def test_no_text_beside_several_states_is_clipped_or_overlaps_another(names, shots, check_texts):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pushed = [shots[name]._replace(
