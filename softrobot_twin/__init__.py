@@ -25,7 +25,7 @@ import time
 from hashlib import sha1
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softrobot_twin.errors import SoftRobotTwinError
 
@@ -114,19 +114,22 @@ if "NUMBA_CACHE_DIR" not in os.environ:
     os.environ["NUMBA_CACHE_DIR"] = _kernel_folder()
 
 
-def __getattr__(name: str) -> Any:
-    """Imports the names of `scripting` when the first of them is used.
+# Hidden from type checkers: with it they would take any name.
+if not TYPE_CHECKING:
 
-    They bring numpy, numba and the whole simulation, a second or more. A node must listen to signals
-    before it imports these, and a worker process may need a few modules only.
-    """
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import softrobot_twin.scripting as scripting
+    def __getattr__(name):
+        """Imports the names of `scripting` when the first of them is used.
 
-    found = getattr(scripting, name)
-    globals()[name] = found
-    return found
+        They bring numpy, numba and the whole simulation, a second or more. A node must listen to
+        signals before it imports these, and a worker process may need a few modules only.
+        """
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import softrobot_twin.scripting as scripting
+
+        found = getattr(scripting, name)
+        globals()[name] = found
+        return found
 
 
 def __dir__() -> list[str]:

@@ -861,7 +861,7 @@ def _complete_paths(command: argparse.ArgumentParser) -> None:
     for action in command._actions:  # argparse has no public list of them
         if action.type is Path:
             is_folder = action.metavar == "FOLDER"
-            action.complete = shtab.DIRECTORY if is_folder else shtab.FILE
+            action.complete = shtab.DIRECTORY if is_folder else shtab.FILE  # type: ignore[attr-defined]
 
 
 def _version() -> str:

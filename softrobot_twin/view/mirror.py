@@ -108,8 +108,8 @@ class RerunMirror:
         except BaseException:
             self.close()
             raise
-        if spawn_viewer:
-            self._viewer = open_viewer(live.address)
+        if spawn_viewer and self._address is not None:
+            self._viewer = open_viewer(self._address)
 
     @property
     def address(self) -> str | None:
