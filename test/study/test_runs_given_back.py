@@ -64,14 +64,13 @@ def test_a_run_by_targets_is_reproduced_by_its_own_file(tmp_path, column, call):
     assert not any("target" in name for name in rows_of(directly)[0])
 
 
-def driven(simulation, path, table, rate=10.0):
+def driven(simulation, path, table, rate=10.0) -> None:
     """Runs a table of commands from rest, and writes the file of the run."""
     simulation.reset()
     commanded = read_commands(table, simulation)
     with run_file(path, RunColumns(simulation)) as write:
         for row in run_commands(simulation, commanded, rate):
             write(row)
-    return numbers_of(path)
 
 
 @pytest.mark.parametrize("driver", ["shortening_m", "tension_N"])
@@ -80,8 +79,12 @@ def test_a_run_by_commands_is_reproduced_by_its_own_file(tmp_path, robot, driver
                                            zip(NAMES, (2e-3, 1e-3, 1.5e-3, 0.5e-3))}}
     table |= {"tip_x_m": [0.5, 0.51, 0.51], "tip_y_m": [0, 0, 0], "tip_z_m": [0, 0, 0.01],
               "finger_force_y_N": [0.0, 0.01, 0.0]}
-    first = driven(robot, tmp_path / "first.csv", table)
-    again = driven(robot, tmp_path / "again.csv", tmp_path / "first.csv")
+    driven(robot, tmp_path / "first.csv", table)
+    driven(robot, tmp_path / "again.csv", tmp_path / "first.csv")
+    first, again = (np.array([[float(one[name]) for name in one if name.endswith(("_m", "_N"))
+                               and name not in ("residual_N", "linearization_error_m")]
+                              for one in rows_of(tmp_path / name)])
+                    for name in ("first.csv", "again.csv"))
     np.testing.assert_allclose(again, first, rtol=1e-6, atol=1e-9)
     last = rows_of(tmp_path / "first.csv")[1]
     assert float(last["tip_body_x_m"]) == pytest.approx(0.51), "the effector has this name"

@@ -164,6 +164,9 @@ def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, co
     output, errors = run("0,0.001,0,0.126", "0.2,0.002,0,0.126", "0.4,0.003,0.001,0.126")
     assert "body: at the last pose the reduced model is" in output
     assert "mm from the full one" in output and "by its spare modes" in output
-    assert "range of the training" not in errors
+    assert "range of the training" not in errors and "reduction error, max" in output
+    for row in rows_of(tmp_path / "run.csv"):
+        assert 0.0 < float(row["sampled_range"]) < 1.0
+        assert 0.0 <= float(row["body_reduction_error_m"]) < 1e-3
     far = [f"{0.2 * k},{0.03 * k / 10},0,{0.132 - 0.012 * k / 10}" for k in range(11)]
     assert "the run left the range of the training" in run(*far)[1]
