@@ -19,6 +19,11 @@ def need_gmsh() -> None:
         pytest.skip(f"gmsh cannot be loaded: {error}")
 
 
+def lines_of(errors: str) -> list[str]:
+    """Lines of standard error, without those that tell of an activity on a slow machine."""
+    return [line for line in errors.splitlines() if not line.endswith(" …")]
+
+
 def box(size, centre=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
     """Points and outward triangles of a box."""
     shape = Box(np.array(centre, float), np.array(size, float))

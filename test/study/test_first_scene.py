@@ -18,7 +18,7 @@ from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import CommandSetpoints, Hold
 from softrobot_twin.study.first_scene import robot_name
-from test.cad_parts import box, finger, need_gmsh, write_stl
+from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
 
 MM = 1e-3
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
@@ -177,7 +177,7 @@ def test_what_cannot_be_done_is_one_error_and_writes_nothing(
     monkeypatch.chdir(tmp_path)
     assert main(["init", *arguments]) == 2
     error = capsys.readouterr().err
-    assert word in error and error.count("\n") == 1
+    assert word in error and len(lines_of(error)) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["bar.msh"]
 
 
