@@ -102,7 +102,8 @@ def export_mesh(simulation: Simulation, path: Path | str) -> tuple[str, ...]:
             meshio.write(partial, mesh)
     except (meshio.WriteError, meshio.ReadError, KeyError) as error:
         suffix = Path(path).suffix
-        raise OutputError(path, f"meshio cannot write {suffix or 'no suffix'}") from error
+        reason = f"meshio cannot write {suffix}" if suffix else "needs a suffix, such as .vtu"
+        raise OutputError(path, reason) from error
     return tuple(parts.names)
 
 

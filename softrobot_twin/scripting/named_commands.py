@@ -149,8 +149,8 @@ def _numbers_of(
     word: str, first: Mapping[str, Any] | None, named: Mapping[str, Any], may_be_free: str = ""
 ) -> Mapping[str, Numbers]:
     """Checked numbers of all names, those of the mapping first."""
-    if first is not None and not isinstance(first, Mapping):
-        raise CommandError(word, f"takes names, such as tip=[0, 0, 0.1], not {_kind(first)}")
+    if first is not None:
+        _check_mapping(word, first, "tip=[0, 0, 0.1]")
     given = dict(first or {})
     twice = next((name for name in named if name in given), None)
     if twice is not None:
@@ -188,8 +188,13 @@ def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
     numbers = tuple(float(number) for number in np.atleast_1d(array))
     bad = next((number for number in numbers if not np.isfinite(number)), None)
     if bad is not None:
-        raise CommandError(name, f"holds {bad}; leave a name out to leave it free")
+        raise CommandError(name, f"holds {bad}, which is not finite")
     return numbers
+
+
+def _check_mapping(word: str, given: Any, example: str) -> None:
+    if not isinstance(given, Mapping):
+        raise CommandError(word, f"takes names, such as {example}, not {_kind(given)}")
 
 
 def _kind(value: Any) -> str:
@@ -429,6 +434,7 @@ class CommandReader:
             CommandError: A body is not guided, or a pose is not one.
         """
         guided, read = self._simulation.guided_names, dict[str, Aim]()
+        _check_mapping("poses", poses, "palm=[0, 0, 0.1]")
         for name, pose in poses.items():
             if name not in guided:
                 raise unknown(name, "guided bodies:", guided)
@@ -458,6 +464,7 @@ class CommandReader:
         Raises:
             CommandError: A name is unknown, or a value is not 3 finite numbers.
         """
+        _check_mapping("touches", touches, "fingertip_force_N=[0, 0, -1]")
         before, names = self._simulation.state.touches, self._simulation.touch_names
         known = {f"{name}_{word}": (index, word) for index, name in enumerate(names)
                  for word in ("force_N", "displacement_m", "place_m")}

@@ -23,6 +23,7 @@ from softrobot_twin.scripting.named_commands import (
     Aim,
     CommandReader,
     NamedCommand,
+    finite_numbers,
     hold,
     unknown,
 )
@@ -253,6 +254,8 @@ class Robot:
 
     @state.setter
     def state(self, state: State) -> None:
+        if not isinstance(state, State):
+            raise CommandError("state", f"must be a state of this robot, not {state!r:.60}")
         self.simulation.restore(state)
         self._forget()
 
@@ -445,6 +448,8 @@ class Robot:
             one = hold() if command is None else cast(AnyCommand, command)
             commands = [one] * count
         else:
+            if not isinstance(command, Iterable):
+                raise CommandError("run", f"takes commands, a file or a table, not {command!r}")
             _refuse("a list of commands", steps=steps, seconds=seconds)
             commands = list(cast(Iterable[AnyCommand], command))
         return self._run_each(commands, 1.0 / hertz, poses, touches)
@@ -651,25 +656,31 @@ def _listed(word: str, names: Iterable[str]) -> str:
 
 
 def _duration(time_step: float) -> float:
-    try:
-        number = float(time_step)
-    except (TypeError, ValueError):
-        raise CommandError("time_step", f"must be a number of seconds, not {time_step!r}") from None
-    if not (math.isfinite(number) and number >= 0.0):
+    number = _number("time_step", time_step)
+    if number < 0.0:
         raise CommandError("time_step", f"{time_step} s is not a duration")
     return number
+
+
+def _number(name: str, value: Any) -> float:
+    """A finite number."""
+    numbers = finite_numbers(name, value)
+    if len(numbers) != 1:
+        raise CommandError(name, f"must be one number, not {len(numbers)}")
+    return numbers[0]
 
 
 def _rate(rate: float | None, default: float) -> float:
     if rate is None:
         return default
-    if not (math.isfinite(rate) and rate > 0.0):
+    number = _number("rate", rate)
+    if number <= 0.0:
         raise CommandError("rate", f"{rate} Hz must be above 0")
-    return float(rate)
+    return number
 
 
 def _count(name: str, count: int) -> int:
-    if int(count) != count or count < 1:
+    if _number(name, count) != int(count) or count < 1:
         raise CommandError(name, f"{count} must be a whole number above 0")
     return int(count)
 
@@ -680,7 +691,7 @@ def _step_count(steps: int | None, seconds: float | None, rate: float) -> int:
         raise CommandError("seconds", "is given beside steps: give one of them")
     if seconds is None:
         return 1 if steps is None else _count("steps", steps)
-    if not (math.isfinite(seconds) and seconds > 0.0):
+    if _number("seconds", seconds) <= 0.0:
         raise CommandError("seconds", f"{seconds} s must be above 0")
     # The small number prevents an additional step due to rounding.
     return max(1, math.ceil(seconds * rate - 1e-9))

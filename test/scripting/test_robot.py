@@ -64,6 +64,12 @@ def test_a_saved_state_can_be_put_back(finger):
     assert np.array_equal(finger.step().positions, there.positions)
 
 
+def test_what_is_no_state_is_refused(finger, held):
+    for state in (None, held.state):
+        with pytest.raises(st.SoftRobotTwinError, match="state: "):
+            finger.state = state
+
+
 @pytest.mark.parametrize("copied", [
     copy.copy, copy.deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
 def test_a_copy_goes_on_in_the_same_way_and_by_itself(held, copied):
