@@ -36,10 +36,15 @@ longer."""
 
 
 class _Drawn(NamedTuple):
-    """A marker and what changes of it."""
+    """What stays of a marker, and what changes of it."""
 
-    marker: Marker
+    namespace: str
+    number: int
+    kind: int
+    colour: Sequence[int]
     content: Content
+    width: float = 1.0
+    """Of its lines or spheres [m]."""
 
 
 class RobotMarkers:
@@ -65,8 +70,8 @@ class RobotMarkers:
         self._rigid = [skin.points[skin.triangles.ravel()] for skin in simulation.rigid_skins()]
         self._obstacles = [skin.points[skin.triangles.ravel()]
                            for skin in simulation.obstacle_skins()]  # fmt: skip
-        # The form of a message depends only on whether obstacles and targets are in it.
-        self._forms: dict[tuple[bool, bool], MarkerBytes] = {}
+        # By the markers in a message: which obstacles, targets and shapes there are.
+        self._forms: dict[tuple, MarkerBytes] = {}
 
     def message(
         self, outcome: TickOutcome, stamp: tuple[int, int], with_obstacles: bool
@@ -84,24 +89,23 @@ class RobotMarkers:
         ]  # fmt: skip
         if with_obstacles:
             drawn += self._fixed()
-        targets = self._targets(outcome)
-        key = with_obstacles, bool(targets)
-        drawn += targets
+        # A body may have nothing to show.
+        drawn = [one for one in (*drawn, *self._targets(outcome)) if len(one.content.points)]
+        key = tuple((one.namespace, one.number) for one in drawn)
         if key not in self._forms:
             self._forms[key] = MarkerBytes(
-                [one.marker for one in drawn],
+                [self._marker(one) for one in drawn],
                 [one.content.colours is not None for one in drawn],
             )  # fmt: skip
         return self._forms[key].message(stamp, [one.content for one in drawn])
 
-    def _marker(
-        self, namespace: str, number: int, kind: int, colour: Sequence[int], width: float = 1.0
-    ) -> Marker:
-        """A marker without points; the width is that of its lines or spheres [m]."""
-        r, g, b, a = _shares(colour)
+    def _marker(self, drawn: _Drawn) -> Marker:
+        """The message of a marker, without points."""
+        r, g, b, a = _shares(drawn.colour)
+        width = float(drawn.width)
         marker = Marker(
-            header=Header(frame_id=self._frame), ns=namespace, id=number, type=kind,
-            action=Marker.ADD, scale=Vector3(x=width, y=width, z=width),
+            header=Header(frame_id=self._frame), ns=drawn.namespace, id=drawn.number,
+            type=drawn.kind, action=Marker.ADD, scale=Vector3(x=width, y=width, z=width),
             color=ColorRGBA(r=r, g=g, b=b, a=a), lifetime=self._lifetime,
         )  # fmt: skip
         marker.pose.orientation.w = 1.0
@@ -112,7 +116,7 @@ class RobotMarkers:
         colour = palette.CLEAR_SURFACE_COLOUR if has_cavities else palette.SURFACE_COLOUR
         pairs = zip(self._bodies.surfaces, self._bodies.points(), strict=True)
         return [
-            _Drawn(self._marker("surfaces", number, Marker.TRIANGLE_LIST, colour),
+            _Drawn("surfaces", number, Marker.TRIANGLE_LIST, colour,
                    Content(points[surface.triangles.ravel()]))
             for number, (surface, points) in enumerate(pairs)
         ]  # fmt: skip
@@ -126,9 +130,9 @@ class RobotMarkers:
         lines = np.concatenate([np.repeat(path, 2, axis=0)[1:-1] for path in paths])
         colours = palette.tension_colours(outcome.result.efforts[self._cables], self._tensions)
         counts = [2 * (len(path) - 1) for path in paths]
-        marker = self._marker("cables", 0, Marker.LINE_LIST, (255, 255, 255, 255),
-                              CABLE_WIDTH * self._size)  # fmt: skip
-        return [_Drawn(marker, Content(lines, np.repeat(colours, counts, axis=0) / 255.0))]
+        content = Content(lines, np.repeat(colours, counts, axis=0) / 255.0)
+        width = CABLE_WIDTH * self._size
+        return [_Drawn("cables", 0, Marker.LINE_LIST, (255, 255, 255), content, width)]
 
     def _cavities(self) -> list[_Drawn]:
         simulation = self._simulation
@@ -138,7 +142,7 @@ class RobotMarkers:
         pressures = simulation.cavities.pressures(simulation.state)
         colours = palette.pressure_colours(pressures, self._pressures)
         return [
-            _Drawn(self._marker("cavities", number, Marker.TRIANGLE_LIST, colour),
+            _Drawn("cavities", number, Marker.TRIANGLE_LIST, colour,
                    Content(points[skin.triangles.ravel()], colour=_shares(colour)))
             for number, (skin, points, colour) in enumerate(
                 zip(skins, simulation.cavity_positions(), colours, strict=True)
@@ -150,37 +154,32 @@ class RobotMarkers:
             return []
         poses = zip(self._rigid, *self._simulation.rigid_poses(), strict=True)
         return [
-            _Drawn(self._marker("rigid_bodies", number, Marker.TRIANGLE_LIST,
-                                palette.RIGID_COLOUR),
+            _Drawn("rigid_bodies", number, Marker.TRIANGLE_LIST, palette.RIGID_COLOUR,
                    Content(corners, position=position, quaternion=quaternion))
             for number, (corners, position, quaternion) in enumerate(poses)
         ]  # fmt: skip
 
     def _fixed(self) -> list[_Drawn]:
         return [
-            _Drawn(self._marker("obstacles", number, Marker.TRIANGLE_LIST,
-                                palette.OBSTACLE_COLOUR),
+            _Drawn("obstacles", number, Marker.TRIANGLE_LIST, palette.OBSTACLE_COLOUR,
                    Content(corners))
             for number, corners in enumerate(self._obstacles)
         ]  # fmt: skip
 
     def _effectors(self, outcome: TickOutcome) -> list[_Drawn]:
-        places = outcome.result.effector_positions
-        if not len(places):
-            return []
-        marker = self._marker("effectors", 0, Marker.SPHERE_LIST, palette.EFFECTOR_COLOUR,
-                              EFFECTOR_WIDTH * self._size)  # fmt: skip
-        return [_Drawn(marker, Content(places))]
+        return [
+            _Drawn("effectors", 0, Marker.SPHERE_LIST, palette.EFFECTOR_COLOUR,
+                   Content(outcome.result.effector_positions), EFFECTOR_WIDTH * self._size)
+        ]  # fmt: skip
 
     def _targets(self, outcome: TickOutcome) -> list[_Drawn]:
         """Targets where there are some; one that ended vanishes after its lifetime."""
         targets = outcome.reading.targets
         targets = targets[np.isfinite(targets).all(axis=1)]
-        if not len(targets):
-            return []
-        marker = self._marker("targets", 0, Marker.SPHERE_LIST, palette.TARGET_COLOUR,
-                              TARGET_WIDTH * self._size)  # fmt: skip
-        return [_Drawn(marker, Content(targets))]
+        return [
+            _Drawn("targets", 0, Marker.SPHERE_LIST, palette.TARGET_COLOUR, Content(targets),
+                   TARGET_WIDTH * self._size)
+        ]  # fmt: skip
 
 
 def _shares(colour: Sequence[int]) -> tuple[float, float, float, float]:
