@@ -34,6 +34,8 @@ from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Metres in the units that lengths are given in."""
+BUSY = 1.3
+"""A machine on which steps take this many times as long as they compute is called busy."""
 TRIALS = 5
 """Most meshes that are tried for a wanted time of a step."""
 # A mesh is fine enough if its step takes this share of the wanted time.
@@ -54,6 +56,19 @@ class MeshingError(SoftRobotTwinError):
     """A part cannot be meshed as it is asked for."""
 
 
+class StepTime(NamedTuple):
+    """Time of a step on this machine.
+
+    Attributes:
+        median: In the round of steps that other programs disturbed least [s].
+        slowdown: Elapsed time of all rounds by that in which this program computed: 1 on a machine
+            that nothing else uses.
+    """
+
+    median: float
+    slowdown: float
+
+
 class Trial(NamedTuple):
     """A mesh of the part and the time of a step with it.
 
@@ -61,17 +76,17 @@ class Trial(NamedTuple):
         size: Wanted edge of its tetrahedra [m].
         made: The mesh.
         scene: A first scene of it.
-        step: Median time of a step on this machine [s].
+        step: Time of a step on this machine.
     """
 
     size: float
     made: CadMesh
     scene: Scene
-    step: float
+    step: StepTime
 
 
-def measured_step(scene: Scene) -> float:
-    """Median time of a step on this machine when nothing else runs [s].
+def measured_step(scene: Scene) -> StepTime:
+    """Measures the time of a step on this machine.
 
     Its effectors follow targets where it has actuators; otherwise it settles under gravity.
 
@@ -87,11 +102,14 @@ def measured_step(scene: Scene) -> float:
     for _ in range(_WARM_STEPS):
         simulation.step(command)
     times = np.empty((_ROUNDS, _STEPS))
+    computed = time.process_time()
     for index in np.ndindex(times.shape):
         begun = time.perf_counter()
         simulation.step(command)
         times[index] = time.perf_counter() - begun
-    return float(np.median(times, axis=1).min())
+    computed = time.process_time() - computed
+    slowdown = max(1.0, float(times.sum()) / max(computed, 1e-9))
+    return StepTime(float(np.median(times, axis=1).min()), slowdown)
 
 
 def size_for(
@@ -208,11 +226,17 @@ def _searched(
     def measure(size: float) -> float:
         trials[size] = tried(size)
         mesh, step = trials[size].made.mesh, trials[size].step
-        console().print(f"{1e3 * size:8.3g} mm {mesh.node_count:8d} nodes   step {_time(step)}")
-        return step
+        console().print(f"{1e3 * size:8.3g} mm {mesh.node_count:8d} nodes   step {_time(step.median)}")
+        return step.median
 
-    size = size_for(wanted, part.size_for(_FIRST_TETS), 0.5 * float(part.extents.max()), measure)
-    return trials[size]
+    try:
+        size = size_for(wanted, part.size_for(_FIRST_TETS), 0.5 * float(part.extents.max()), measure)
+        return trials[size]
+    finally:
+        slowdown = float(np.median([trial.step.slowdown for trial in trials.values()] or [1.0]))
+        if slowdown > BUSY:
+            warn(f"other programs slowed the measurements down {slowdown:.1f} times: search again "
+                 "when they are done, for a finer mesh")  # fmt: skip
 
 
 def _time(seconds: float) -> str:
@@ -240,8 +264,8 @@ def _print(path: Path, trial: Trial, element: str) -> None:
         shown.add_row("cavities", "none: no closed surface lies inside the part")
     for name, tets in made.regions.items():
         shown.add_row(f"region {name}", f"{len(tets)} tetrahedra")
-    shown.add_row("expected step", f"{_time(trial.step)} with {element} elements on this machine, "
-                  f"{MARGIN / trial.step:.0f} Hz")  # fmt: skip
+    shown.add_row("expected step", f"{_time(trial.step.median)} with {element} elements on this "
+                  f"machine, {MARGIN / trial.step.median:.0f} Hz")  # fmt: skip
     console().print(shown)
     for note in made.notes:
         warn(note)

@@ -10,7 +10,7 @@ from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import length, step_time
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.study import meshing
-from softrobot_twin.study.meshing import MeshingError, size_for
+from softrobot_twin.study.meshing import MeshingError, StepTime, size_for
 from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
 
 
@@ -85,7 +85,7 @@ def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(meshing, "_print_mesh_error", lambda scene: None)
 
     def step_of(scene):
-        return 2e-6 * read_solid_mesh(scene.mesh_path).mesh.cell_count
+        return StepTime(2e-6 * read_solid_mesh(scene.mesh_path).mesh.cell_count, 1.0)
 
     part, output = write_stl(tmp_path / "block.stl", box((60, 20, 20))), tmp_path / "block.msh"
     wanted = ["--unit", "mm", "--step-time", "1ms"]
