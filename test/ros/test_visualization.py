@@ -223,3 +223,17 @@ def test_a_marker_without_points_or_with_too_few_colours_is_refused():
         plain.message((0, 0), [Content(points, np.zeros((2, 4)))])
     with pytest.raises(ValueError, match="one colour for each point"):
         coloured.message((0, 0), [Content(points, np.zeros((1, 4)))])
+
+
+def test_a_body_with_nothing_to_show_is_left_out(make_twin):
+    twin = make_twin()
+    twin.stop()
+    twin.tick()
+    markers = RobotMarkers(twin.loop.simulation, "base_link", 3.0)
+    markers._obstacles = [np.empty((0, 3)), np.ones((3, 3))]
+    found = deserialize_message(
+        markers.message(twin._window.newest, (1, 2), True), MarkerArray
+    ).markers
+    assert [(marker.ns, marker.id) for marker in found if marker.ns == "obstacles"] == [
+        ("obstacles", 1)
+    ]
