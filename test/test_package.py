@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "softrobot_twin"
 # Distributions whose names differ from the modules that they install.
-DISTRIBUTIONS = {"mpl_toolkits": "matplotlib", "pydantic_core": "pydantic",
+DISTRIBUTIONS = {"PIL": "pillow", "mpl_toolkits": "matplotlib", "pydantic_core": "pydantic",
                  "rerun": "rerun-sdk", "yaml": "pyyaml"}
 # Files that a build must not use.
 LEFT_OUT = shutil.ignore_patterns(
