@@ -48,7 +48,7 @@ pictures: setup ## draw the pictures of the robots in docs/ anew
 	$(VENV)/bin/python tools/draw_robots.py
 
 docs: setup ## build the documentation as a site; writes out/site
-	$(VENV)/bin/python -m mkdocs build --strict --site-dir out/site
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict --site-dir out/site
 
 types: setup ## check the types of the Python interface
 	$(VENV)/bin/python -m mypy
