@@ -145,18 +145,19 @@ class PacketReader:
 
     def _next(self) -> Packet | None:
         content = self._bytes
-        start = content.find(HEADER)
-        if start < 0:
-            # The last bytes may be the beginning of a header.
-            del content[: max(0, len(content) - len(HEADER) + 1)]
-            return None
-        del content[:start]
-        if len(content) < 7:
-            return None
-        length = int.from_bytes(content[5:7], "little")
-        if not 3 <= length <= _LONGEST:
+        while True:
+            start = content.find(HEADER)
+            if start < 0:
+                # The last bytes may be the beginning of a header.
+                del content[: max(0, len(content) - len(HEADER) + 1)]
+                return None
+            del content[:start]
+            if len(content) < 7:
+                return None
+            length = int.from_bytes(content[5:7], "little")
+            if 3 <= length <= _LONGEST:
+                break
             del content[: len(HEADER)]
-            return self._next()
         if len(content) < 7 + length:
             return None
         whole = bytes(content[: 7 + length])

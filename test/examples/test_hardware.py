@@ -358,6 +358,42 @@ def test_a_torque_that_may_still_be_on_is_told(wired):
     assert not wired.servos[1].has_torque and not wired.servos[4].has_torque
 
 
+def test_any_answers_end_a_measurement_as_an_error_of_the_bus(wired):
+    wired.described = wired.described._replace(answer_time=0.01)
+    device = wired.device()
+    now = time.monotonic()
+    follow(device, rest(device) - 0.002)
+    seed = int(np.random.default_rng().integers(2**32))
+    print(f"seed {seed}")
+    random = np.random.default_rng(seed)
+    honest, count = wired.bus.answer, [0]
+
+    def lie(content):
+        answer = bytearray(honest(content))
+        kind = random.integers(4)
+        if kind == 0:
+            return bus_module.HEADER * 1000
+        if kind == 1:
+            return random.bytes(int(random.integers(300)))
+        if kind == 2 and answer:
+            del answer[int(random.integers(len(answer))) :]
+        elif answer:
+            answer[int(random.integers(len(answer)))] ^= 1 << int(random.integers(8))
+        return bytes(answer)
+
+    wired.bus.answer = lie
+    for _ in range(60):
+        try:
+            lengths = device.read(now).setpoints
+        except BusError:
+            count[0] += 1
+        else:
+            # What is believed is where the servos are.
+            np.testing.assert_allclose(lengths, rest(device) - 0.002, atol=2e-4)
+    wired.bus.answer = honest
+    assert count[0] > 20
+
+
 def test_the_file_of_the_example_fits_the_diamond():
     from softrobot_twin.simulation import Simulation
 
