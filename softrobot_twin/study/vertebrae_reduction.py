@@ -250,10 +250,10 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
     lost = 0
     with progress() as bar:
         task = bar.add_task("full and reduced model", total=count, note="")
-        first = FirstSteps(count, "states", "fewer of them shorten it")
+        duration = FirstSteps(count, "states", "fewer --states shorten it")
         for place, setpoints in enumerate(setpoints_within(full, count, seed)):
             bar.advance(task)
-            first.add(min(place, 1))
+            duration.add(min(place, 1))
             if not brought_to(full, setpoints):
                 warn("the full model found no equilibrium at a state; it is left out")
                 continue
@@ -364,10 +364,10 @@ def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, o
     occurring, efforts = [[] for _ in found], []
     with progress() as bar:
         task = bar.add_task("full model", total=RANGE_STATES, note="")
-        first = FirstSteps(RANGE_STATES, "states", "a coarser mesh shortens it")
+        duration = FirstSteps(RANGE_STATES, "states", "a coarser mesh shortens it")
         for place, setpoints in enumerate(setpoints_within(full, RANGE_STATES, seed)):
             bar.advance(task)
-            first.add(min(place, 1))
+            duration.add(min(place, 1))
             if not brought_to(full, setpoints):
                 warn(f"the full model found no equilibrium at setpoints {setpoints}; left out")
                 continue
