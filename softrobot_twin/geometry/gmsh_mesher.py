@@ -182,8 +182,8 @@ def _mesh(gmsh) -> None:
         try:
             gmsh.model.mesh.generate(dimension)
         except Exception as error:
-            raise Refused(f"gmsh cannot mesh its {what} with this size ({error}); a smaller size "
-                          "follows thin walls and curved faces better") from None  # fmt: skip
+            raise Refused(f"gmsh cannot mesh its {what} with this size ({error}); give a smaller "
+                          "size, or export the part with fewer facets, or as STEP") from None  # fmt: skip
 
 
 def _tets(gmsh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
