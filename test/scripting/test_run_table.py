@@ -32,6 +32,11 @@ def columns_of(path) -> dict[str, list[str]]:
     return dict(zip(header, zip(*rows, strict=True), strict=True))
 
 
+def names_of(table) -> list[str]:
+    """Names of the columns of a DataFrame or a structured array."""
+    return list(table.dtype.names if isinstance(table, np.ndarray) else table)
+
+
 def text(value) -> str:
     return value if isinstance(value, str) else repr(value)
 
@@ -39,7 +44,7 @@ def text(value) -> str:
 def assert_same(table, path) -> None:
     """All columns of a table are those of a file, to the last bit; but the times they took."""
     written = columns_of(path)
-    assert list(table) == list(written)
+    assert names_of(table) == list(written)
     for name, cells in written.items():
         if name != "compute_time_s":
             assert [text(one) for one in table[name].tolist()] == list(cells), name
@@ -61,7 +66,7 @@ def test_a_run_without_commands_is_that_of_simulate_to_the_bit(finger, scene, tm
     simulate_alone(scene, 0.03, tmp_path / "run.csv", 200.0)
     table = finger.run(seconds=0.03, rate=200)
     assert_same(table, tmp_path / "run.csv")
-    assert "gravity_energy_J" in table and len(table) == 6
+    assert "gravity_energy_J" in names_of(table) and len(table) == 6
 
 
 def test_a_table_in_memory_is_a_file_of_the_same_columns(finger, tmp_path):
@@ -104,7 +109,7 @@ def test_a_list_may_mix_kinds_of_commands(finger):
     table = finger.run([st.targets(tip=[0.1, 0.01, 0.012]), st.hold(),
                         st.efforts(upper_tension_N=0.5)])
     assert list(table["driven_by"]) == ["targets", "hold", "efforts"]
-    assert "tip_target_x_m" not in list(table)
+    assert "tip_target_x_m" not in names_of(table)
 
 
 def test_a_list_with_a_wrong_command_moves_nothing(finger):
