@@ -50,7 +50,7 @@ def start(context):
               "target": is_true(given["target"])}  # fmt: skip
     nodes = [
         Node(
-            package=PACKAGE, executable=name, name=name, namespace=given["namespace"],
+            package=PACKAGE, executable=name, name=name, namespace=given["namespace"] or None,
             output="screen", parameters=[file, extra[name]] if extra[name] else [file],
         )
         for name in ("twin", "device", "target") if wanted[name]
@@ -58,7 +58,7 @@ def start(context):
     if is_true(given["rviz"]):
         frame = given["frame_id"] or "base_link"
         nodes.append(Node(
-            package="rviz2", executable="rviz2", name="rviz", namespace=given["namespace"],
+            package="rviz2", executable="rviz2", name="rviz", namespace=given["namespace"] or None,
             arguments=["-d", str(share / "config" / "rviz" / "robot.rviz"), "-f", frame],
             # A relative name is below the namespace.
             remappings=[("/twin/visualization", "twin/visualization")],

@@ -71,7 +71,7 @@ def test_the_nodes_and_the_parameter_file_of_a_robot_exist(launch, robot):
     assert {node.executable for node in nodes} <= executables()
     for node in nodes:
         assert node.package == "softrobot_twin" and node.name == node.executable
-        assert Path(node.parameters[0]).is_file() and node.namespace == ""
+        assert Path(node.parameters[0]).is_file() and node.namespace is None
 
 
 def test_every_parameter_is_known_and_has_its_type(launch):
