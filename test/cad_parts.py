@@ -58,7 +58,7 @@ def finger():
 
 
 def write_step(path: Path, *solids, cut=()) -> Path:
-    """Writes boxes, each a corner and a size [mm], as STEP; `cut` are boxes cut out of the first."""
+    """Writes boxes, each a corner and a size [mm], as STEP; `cut` are cut out of the first."""
     import gmsh
 
     gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)

@@ -166,13 +166,14 @@ def _check_file(path: Path) -> None:
     if path.suffix.lower() not in CAD_SUFFIXES:
         raise MeshError(path, f"CAD files end in {', '.join(CAD_SUFFIXES)}, not in '{path.suffix}'")
     if not path.is_file():
-        raise MeshError(path, "is a folder, not a file" if path.is_dir() else "there is no such file")
+        found = "is a folder, not a file" if path.is_dir() else "there is no such file"
+        raise MeshError(path, found)
     byte_count = path.stat().st_size
     if byte_count == 0:
         raise MeshError(path, "is empty")
     if byte_count > MOST_BYTES:
-        raise MeshError(path, f"has {byte_count / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} MB; "
-                        "export it with fewer facets")  # fmt: skip
+        raise MeshError(path, f"has {byte_count / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} "
+                        "MB; export it with fewer facets")  # fmt: skip
 
 
 # --- the surface of an STL file -------------------------------------------------------------------
@@ -205,8 +206,8 @@ def read_shells(path: Path, scale: float = 1.0) -> Shells:
     _refuse_open(path, points, triangles)
     crossing = first_crossing(points, triangles)
     if crossing is not None:
-        raise MeshError(path, f"its surface intersects itself at {_at(crossing)}; unite overlapping or "
-                        "touching bodies in the CAD program")  # fmt: skip
+        raise MeshError(path, f"its surface intersects itself at {_at(crossing)}; unite overlapping "
+                        "or touching bodies in the CAD program")  # fmt: skip
     shell_of = _shells(triangles)
     for shell in range(shell_of.max() + 1):
         own = shell_of == shell
@@ -233,7 +234,8 @@ def _check_stl(path: Path) -> None:
     expected, found = 84 + 50 * facets, path.stat().st_size
     if len(head) < 84 or found < expected:
         needed = f"{facets} triangles need {expected} bytes, " if len(head) >= 84 else ""
-        raise MeshError(path, f"is no STL file, or only a part of one: {needed}it has {found} bytes")
+        reason = f"is no STL file, or only a part of one: {needed}it has {found} bytes"
+        raise MeshError(path, reason)
 
 
 def _at(place: np.ndarray) -> str:
@@ -257,8 +259,8 @@ def _refuse_open(path: Path, points: np.ndarray, triangles: np.ndarray) -> None:
     balance = np.bincount(place.ravel(), np.where(halves[:, 0] < halves[:, 1], 1, -1))
     if balance.any():
         middle = points[edges[np.argmax(balance != 0)]].mean(axis=0)
-        raise MeshError(path, "its triangles cannot be oriented: the surface has one side only, as a "
-                        f"Möbius strip, at {_at(middle)}")  # fmt: skip
+        raise MeshError(path, "its triangles cannot be oriented: the surface has one side only, as "
+                        f"a Möbius strip, at {_at(middle)}")  # fmt: skip
 
 
 def _shells(triangles: np.ndarray) -> np.ndarray:
@@ -351,7 +353,8 @@ def _near_pairs(corners: np.ndarray):
     levels = [padded]
     while levels[-1].shape[1] > 1:
         lows, highs = levels[-1].reshape(2, -1, 2, 3)
-        levels.append(np.stack([np.fmin(lows[:, 0], lows[:, 1]), np.fmax(highs[:, 0], highs[:, 1])]))
+        bounds = np.fmin(lows[:, 0], lows[:, 1]), np.fmax(highs[:, 0], highs[:, 1])
+        levels.append(np.stack(bounds))
     stack = [(len(levels) - 1, np.zeros((1, 2), np.int64))]
     while stack:
         level, pairs = stack.pop()
@@ -362,7 +365,8 @@ def _near_pairs(corners: np.ndarray):
             if len(pairs):
                 yield pairs[:, 0], pairs[:, 1]
             continue
-        children = (2 * pairs[:, None, :] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])).reshape(-1, 2)
+        halves = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+        children = (2 * pairs[:, None, :] + halves).reshape(-1, 2)
         children = children[children[:, 0] <= children[:, 1]]
         # Many pairs at once are compared in portions, so that memory does not grow with the file.
         for first in range(0, len(children), 200_000):
@@ -442,11 +446,12 @@ def _made(path: Path, made: dict, notes: list[str]) -> CadMesh:
     try:
         mesh = TetMesh(nodes.node_positions, nodes.tets)
     except MeshError as error:
-        raise MeshError(path, f"its mesh cannot be used: {error.reason}; try another size") from None
+        reason = f"its mesh cannot be used: {error.reason}; try another size"
+        raise MeshError(path, reason) from None
     differs = 1e9 * mesh.volume / float(made["volume"]) - 1.0
     if abs(differs) > VOLUME_TOLERANCE:
-        notes = [*notes, f"the volume of the mesh differs by {100.0 * differs:+.1f} % from the part's: "
-                 "a smaller size follows its curved faces better"]  # fmt: skip
+        notes = [*notes, f"the volume of the mesh differs by {100.0 * differs:+.1f} % from the "
+                 "part's: a smaller size follows its curved faces better"]  # fmt: skip
     names = made["names"].tolist()
     regions = {}
     if len(names) > 1:

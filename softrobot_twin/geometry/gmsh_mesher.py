@@ -2,7 +2,7 @@
 
 A process of its own keeps gmsh, its threads and its libraries of windows out of a running twin, can
 be stopped at any time, and an abort of gmsh on a bad file ends only it. `cad_meshing` writes
-``job.json`` and, of surfaces, ``shells.npz`` to the folder, and reads ``mesh.npz`` or ``error.json``.
+``job.json`` and, of surfaces, ``shells.npz`` to the folder; ``mesh.npz`` or ``error.json`` is read.
 All lengths are in millimetres here, in which gmsh's tolerances suit parts of robots. Only numpy and
 gmsh are imported.
 """
@@ -183,7 +183,8 @@ def _mesh(gmsh) -> None:
             gmsh.model.mesh.generate(dimension)
         except Exception as error:
             raise Refused(f"gmsh cannot mesh its {what} with this size ({error}); give a smaller "
-                          "size, or export the part with fewer facets, or as STEP") from None  # fmt: skip
+                          "size, or export the part with fewer facets, or as STEP",
+                          ) from None  # fmt: skip
 
 
 def _tets(gmsh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -78,8 +78,8 @@ class Mesh(Entry):
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path | None = None
-    """Mesh file, relative to the scene file; or a CAD file (.stl, .step, .stp) that gmsh meshes with
-    tetrahedra of the given `size`, once: the mesh is kept in the user's cache folder."""
+    """Mesh file, relative to the scene file; or a CAD file (.stl, .step, .stp) that gmsh meshes
+    with tetrahedra of the given `size`, once: the mesh is kept in the user's cache folder."""
     box: BoxMesh | None = None
     """A box in place of a file."""
     size: Annotated[float | None, unit("m", gt=0.0)] = None

@@ -211,7 +211,7 @@ def _cable(mesh, points, tets, axis: int, at_high: bool, side: float) -> np.ndar
 
 
 _ELEMENTS = {
-    False: "  element: quadratic                   # linear is faster, but much too stiff in bending",
+    False: "  element: quadratic                   # linear is faster, but far too stiff in bending",
     True: "  element: hexahedral                  # as the cells of the file",
 }
 
@@ -233,8 +233,8 @@ def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
         mesh.append(f"scale: {_number(source.scale)}")
     low, high = found.fixed
     lines = [
-        f"# First scene of {Path(file).name}, written by `python -m softrobot_twin init`. All values",
-        "# are SI. What is marked as guessed fits the shape of the mesh only: check it.",
+        f"# First scene of {Path(file).name}, written by `softrobot_twin init`. All values are SI.",
+        "# What is marked as guessed fits the shape of the mesh only: check it.",
         f"name: {name}",
         "gravity: [0.0, 0.0, -9.81]             # m/s²",
         "# integration: dynamic                 # motion with inertia; by default equilibria",
@@ -283,7 +283,8 @@ def _cavity_lines(found: Guess) -> list[str]:
 def _example_lines(found: Guess) -> list[str]:
     """Cables and markers as comments, at places inside this body."""
     lines = ["# Examples at places of this part; remove the # in front of what it has.", "",
-             "# cables:                             # from the pull point to the last point"]  # fmt: skip
+             "# cables:                             # from the pull point to the last point",
+             ]  # fmt: skip
     for name, points in zip(("first", "second"), found.cables, strict=True):
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         path = [_vector(point) for point in points[1:]]
@@ -291,17 +292,18 @@ def _example_lines(found: Guess) -> list[str]:
             f"#   - name: {name}",
             f"#     pull_point: {_vector(points[0])}  # m, fixed in the world",
             f"#     points: [{', '.join(path[:2])},",
-            *(f"#              {', '.join(path[start : start + 2])}{']' if start + 2 >= len(path) else ','}"
-              for start in range(2, len(path), 2)),
-            f"#     hold_radius: {_number(found.hold_radius)}      # m, the material that takes the force",
+            *(f"#              {', '.join(path[start : start + 2])},"
+              for start in range(2, len(path) - 2, 2)),
+            f"#              {', '.join(path[(len(path) - 1) // 2 * 2 :])}]  # m, at rest",
+            f"#     hold_radius: {_number(found.hold_radius)}      # m, material that takes the force",
             f"#     shortening: [0.0, {_number(0.2 * length)}]  # m",
             "#     rate: 0.05                      # m/s",
             "#     tension: [0.0, 20.0]            # N",
         ]
     lines += [
         "#",
-        "# markers:                            # points that a motion-capture system sees; an effector",
-        "#   - {id: 0, point: " + _vector(found.tip) + "}  # takes measured_by: [0]",
+        "# markers:                            # points that a motion-capture system sees",
+        "#   - {id: 0, point: " + _vector(found.tip) + "}  # m; the effector: measured_by: [0]",
     ]
     return lines
 
@@ -356,7 +358,8 @@ def source_of(
             reading = read_solid_mesh(path, scale=scale)
         return MeshSource(path, scale, None, reason), reading
     if suffix == ".stl":
-        reason = "STL files have no unit: " + ("guessed: millimetres" if scale is None else "as given")
+        word = "guessed: millimetres" if scale is None else "as given"
+        reason = f"STL files have no unit: {word}"
         scale = 1e-3 if scale is None else scale
     else:
         if scale is not None:
@@ -443,7 +446,8 @@ def _print_guesses(output: Path, source: MeshSource, reading: MeshReading, found
     if source.size is not None:
         made.add_row("size", f"{1e3 * source.size:.4g} mm")
     made.add_row("fixed", f"{found.end}, {found.fixed_nodes} nodes")
-    made.add_row("effector", "tip at " + ", ".join(f"{1e3 * value:.4g}" for value in found.tip) + " mm")
+    tip = ", ".join(f"{1e3 * value:.4g}" for value in found.tip)
+    made.add_row("effector", f"tip at {tip} mm")
     made.add_row("material", f"{PRESET}")
     made.add_row("cavities", ", ".join(found.cavities) or "none: the mesh names no closed surface")
     if found.left_out:

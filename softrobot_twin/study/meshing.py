@@ -40,8 +40,8 @@ TRIALS = 5
 """Most meshes that are tried for a wanted time of a step."""
 # A mesh is fine enough if its step takes this share of the wanted time.
 _NEAR = 0.6
-# The time of a step grows with the number of nodes to the power 4/3, before it is measured; what two
-# disturbed measurements tell is kept within bounds.
+# The time of a step grows with the number of nodes to the power 4/3, before it is measured; what
+# two disturbed measurements tell is kept within bounds.
 _EXPONENT, _EXPONENTS = -4.0, (-5.0, -2.0)
 # Tetrahedra of the first mesh of a search, about.
 _FIRST_TETS = 1000.0
@@ -147,8 +147,8 @@ def size_for(
     if not fast:
         coarsest = max(found)
         raise MeshingError(f"no size was found whose step takes at most {_time(wanted)}: one of "
-                           f"{1e3 * coarsest:.3g} mm takes {_time(found[coarsest])} on this machine; "
-                           "linear elements (--element linear) are faster, and less accurate")
+                           f"{1e3 * coarsest:.3g} mm takes {_time(found[coarsest])} on this "
+                           "machine; linear elements (--element linear) are faster, and less accurate")
     return min(fast)
 
 
@@ -192,7 +192,8 @@ def mesh_part(
         _print_mesh_error(trial.scene)
     with output_file(output) as partial:
         write_msh(partial, trial.made)
-    console().print(f"\n{output} is in metres. A scene for it: python -m softrobot_twin init {output}")
+    console().print(f"\n{output} is in metres. A scene for it: "
+                    f"python -m softrobot_twin init {output}")  # fmt: skip
     return 0
 
 
@@ -220,18 +221,19 @@ def _searched(
 ) -> Trial:  # fmt: skip
     """The finest mesh whose step takes a wanted time."""
     part, trials = part_size(path, scale), {}
-    console().print(f"searching the size for a step of {_time(wanted)}: at most {TRIALS} meshes are "
-                    "made and measured")  # fmt: skip
+    console().print(f"searching the size for a step of {_time(wanted)}: at most {TRIALS} meshes "
+                    "are made and measured")  # fmt: skip
 
     def measure(size: float) -> float:
         trials[size] = tried(size)
         mesh, step = trials[size].made.mesh, trials[size].step
-        console().print(f"{1e3 * size:8.3g} mm {mesh.node_count:8d} nodes   step {_time(step.median)}")
+        console().print(f"{1e3 * size:8.3g} mm {mesh.node_count:8d} nodes   step "
+                        f"{_time(step.median)}")  # fmt: skip
         return step.median
 
     try:
-        size = size_for(wanted, part.size_for(_FIRST_TETS), 0.5 * float(part.extents.max()), measure)
-        return trials[size]
+        largest = 0.5 * float(part.extents.max())
+        return trials[size_for(wanted, part.size_for(_FIRST_TETS), largest, measure)]
     finally:
         slowdown = float(np.median([trial.step.slowdown for trial in trials.values()] or [1.0]))
         if slowdown > BUSY:
@@ -253,8 +255,8 @@ def _print(path: Path, trial: Trial, element: str) -> None:
     shown.add_row("extents", " × ".join(f"{extent:.4g}" for extent in extents) + " mm")
     shown.add_row("volume", f"{1e9 * mesh.volume:.6g} mm³")
     shown.add_row("nodes, tetrahedra", f"{mesh.node_count}, {mesh.cell_count}")
-    shown.add_row("radius ratio", f"worst {ratios.min():.2f}, mean {ratios.mean():.2f} (1: regular, "
-                  f"0: flat)")  # fmt: skip
+    shown.add_row("radius ratio", f"worst {ratios.min():.2f}, mean {ratios.mean():.2f} (1: "
+                  "regular, 0: flat)")  # fmt: skip
     shown.add_row("thinnest part", f"{1e3 * thin.thickness:.3g} mm, {thin.elements:.1f} elements "
                   f"across, at {_place(thin.place)}")  # fmt: skip
     for name in made.cavities:
@@ -273,8 +275,8 @@ def _print(path: Path, trial: Trial, element: str) -> None:
     if slivers:
         warn(f"{slivers} tetrahedra have a radius ratio below {SLIVER_RATIO:g}")
     if element == "linear" and thin.elements < LEAST_ACROSS:
-        warn(f"only {thin.elements:.1f} linear elements lie across {1e3 * thin.thickness:.3g} mm at "
-             f"{_place(thin.place)}: it bends far too stiffly; give a smaller size")
+        warn(f"only {thin.elements:.1f} linear elements lie across {1e3 * thin.thickness:.3g} mm "
+             f"at {_place(thin.place)}: it bends far too stiffly; give a smaller size")
 
 
 def _place(place: np.ndarray) -> str:

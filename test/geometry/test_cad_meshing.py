@@ -150,7 +150,8 @@ def test_a_smooth_closed_surface_does_not_cross_itself():
     a = np.arange(24 * 24).reshape(24, 24)
     b, d = np.roll(a, -1, 0), np.roll(a, -1, 1)
     c = np.roll(b, -1, 1)
-    triangles = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    halves = [np.stack(half, axis=-1).reshape(-1, 3) for half in ((a, b, c), (a, c, d))]
+    triangles = np.concatenate(halves)
     assert first_crossing(points, triangles) is None
     shifted = joined((points, triangles), (points + [3.3, 0.1, 0.0], triangles))
     assert first_crossing(*shifted) is not None

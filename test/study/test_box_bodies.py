@@ -58,7 +58,7 @@ def test_a_box_sags_as_the_same_mesh_from_a_file(path):
 
 
 def test_a_box_sags_straight_down(path):
-    """Its mesh is its own image in the mirror y: a load along z moves no node of that plane aside."""
+    """Its mesh is its own image in the mirror y: weight moves no node of that plane aside."""
     moved = sagged(load_scene(path)) - Simulation(load_scene(path)).state.positions
     middle = np.isclose(Simulation(load_scene(path)).state.positions[:, 1], 0.01)
     assert moved[:, 2].min() < -1e-3
@@ -67,7 +67,8 @@ def test_a_box_sags_straight_down(path):
 
 def test_a_box_is_made_of_what_the_element_asks_for(path):
     scene = load_scene(path)
-    for element, tets, hexahedra in (("linear", 96, 0), ("quadratic", 96, 0), ("hexahedral", 0, 16)):
+    counts = {"linear": (96, 0), "quadratic": (96, 0), "hexahedral": (0, 16)}
+    for element, (tets, hexahedra) in counts.items():
         simulation = Simulation(with_element(scene, element))
         assert (simulation.tet_count, simulation.hexahedron_count) == (tets, hexahedra)
 
@@ -101,7 +102,8 @@ def test_files_that_are_made_from_it_lie_beside_its_scene(path):
         for name, low in (("root", -0.001), ("tip", 0.081))]}}}  # fmt: skip
     path.write_text(yaml.safe_dump(mapping))
     scene = load_scene(path)
-    assert reduction_path(SimpleNamespace(entry=scene.body), scene) == path.parent / "body_vertebrae.npz"
+    made = reduction_path(SimpleNamespace(entry=scene.body), scene)
+    assert made == path.parent / "body_vertebrae.npz"
 
 
 def test_explain_names_its_size_and_cells(path):

@@ -1,4 +1,4 @@
-"""``init``: a first scene that loads and runs as it is, whose guesses are told, and which asks nothing."""
+"""``init``: a first scene that loads and runs as it is; guesses are told, nothing is asked."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ def folder(tmp_path_factory):
     """The mesh of a finger with a chamber, and the scene that init wrote for it."""
     need_gmsh()
     folder = tmp_path_factory.mktemp("first")
-    write_msh(folder / "finger.msh", mesh_cad(write_stl(folder / "finger.stl", finger()), 8 * MM, MM))
+    part = write_stl(folder / "finger.stl", finger())
+    write_msh(folder / "finger.msh", mesh_cad(part, 8 * MM, MM))
     assert main(["init", str(folder / "finger.msh")]) == 0
     return folder
 
@@ -182,7 +183,8 @@ def test_what_cannot_be_done_is_one_error_and_writes_nothing(
 
 
 @pytest.mark.parametrize(
-    "stem, name", [("finger", "finger"), ("My part-2", "My_part_2"), ("3d", "robot_3d"), ("é", "robot")]
-)
+    "stem, name",
+    [("finger", "finger"), ("My part-2", "My_part_2"), ("3d", "robot_3d"), ("é", "robot")],
+)  # fmt: skip
 def test_the_name_of_a_robot_is_that_of_its_file_in_letters_of_topics(stem, name):
     assert robot_name(stem) == name
