@@ -8,6 +8,7 @@ stiffness the Stifface renders, and `accuracy` draws the pictures of accuracy.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import shlex
 import sys
 import tempfile
@@ -59,13 +60,13 @@ def arguments_of(name: str, folder: Path, tables: Path) -> list[str]:
     words = shlex.split(PICTURES[name]) + ["--picture", str(folder / f"{name}.png")]
     if words[0] != "explain":
         words += ["--output", str(tables / f"{name}.csv")]
-    return [str(ROOT / word) if word.startswith("config/") else word for word in words]
+    return words
 
 
 def draw(names: list[str], folder: Path) -> int:
     """Draws pictures; returns 1 if a command failed, else 0."""
-    failed = False
-    with tempfile.TemporaryDirectory() as tables:
+    failed, folder = False, folder.resolve()
+    with tempfile.TemporaryDirectory() as tables, contextlib.chdir(ROOT):
         for name in names:
             words = arguments_of(name, folder, Path(tables))
             print(f"softrobot_twin {shlex.join(words)}", flush=True)
