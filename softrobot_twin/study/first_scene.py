@@ -92,6 +92,7 @@ class Guess(NamedTuple):
         cables: Points of two cables inside it, pull point first [m], each of shape (n, 3).
         hold_radius: Radius for their points [m].
         of_hexahedra: Whether its cells are hexahedra.
+        regions: Names of parts of the body, such as the solids of a STEP file.
     """
 
     axis: int
@@ -104,6 +105,7 @@ class Guess(NamedTuple):
     cables: tuple[np.ndarray, np.ndarray]
     hold_radius: float
     of_hexahedra: bool
+    regions: tuple[str, ...]
 
 
 def guess(reading: MeshReading) -> Guess:
@@ -140,7 +142,7 @@ def guess(reading: MeshReading) -> Guess:
     across = np.delete(extents, axis).min()
     return Guess(axis, fixed, fixed_nodes, end, _tip(mesh, points, axis, at_high),
                  tuple(cavities), tuple(left_out), cables, 0.15 * float(across),
-                 isinstance(mesh, HexahedralMesh))  # fmt: skip
+                 isinstance(mesh, HexahedralMesh), tuple(reading.parts.regions))  # fmt: skip
 
 
 def _flat_area(points, triangles, axis: int, end: float, length: float) -> float:
@@ -248,6 +250,7 @@ def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
         f"    preset: {PRESET}             # guessed: law {preset.law}, {preset.density:g} kg/m³",
         *_remarks("others: " + ", ".join(name for name in MATERIAL_PRESETS if name != PRESET),
                   "or law, young_modulus [Pa], poisson_ratio, density [kg/m³]"),
+        *_region_lines(found),
         f"  fixed:                               # guessed: {found.end}, {found.fixed_nodes} nodes",
         f"    - box: {{minimum: {_vector(low)}, maximum: {_vector(high)}}}  # m",
         "",
@@ -264,6 +267,15 @@ def _remarks(*remarks: str) -> list[str]:
     """Comments on lines of their own, at the column of the others."""
     space = " " * 39
     return [space + "# " + line for remark in remarks for line in wrap(remark, 58)]
+
+
+def _region_lines(found: Guess) -> list[str]:
+    """An example of materials of parts, as a comment."""
+    if not found.regions:
+        return []
+    other = next(name for name in MATERIAL_PRESETS if name != PRESET)
+    return ["  # materials:                         # of the regions that the mesh names",
+            *(f"  #   - {{region: {name}, preset: {other}}}" for name in found.regions)]  # fmt: skip
 
 
 def _cavity_lines(found: Guess) -> list[str]:
@@ -450,6 +462,8 @@ def _print_guesses(output: Path, source: MeshSource, reading: MeshReading, found
     made.add_row("effector", f"tip at {tip} mm")
     made.add_row("material", f"{PRESET}")
     made.add_row("cavities", ", ".join(found.cavities) or "none: the mesh names no closed surface")
+    if found.regions:
+        made.add_row("regions", f"{', '.join(found.regions)}: all of the same material")
     if found.left_out:
         made.add_row("left out", f"{', '.join(found.left_out)}: not closed, or no name for a topic")
     made.add_row("gravity", "along -z")

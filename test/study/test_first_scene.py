@@ -123,6 +123,19 @@ def test_a_file_of_hexahedra_gets_their_element(tmp_path):
     Simulation(scene).step(Hold(0.02))
 
 
+def test_named_regions_are_examples_of_materials(tmp_path):
+    mesh = read_box((0.1, 0.02, 0.02), (5, 2, 2)).mesh
+    is_root = mesh.node_positions[mesh.cells].mean(axis=1)[:, 0] < 0.04
+    regions = {"root": np.flatnonzero(is_root), "soft": np.flatnonzero(~is_root)}
+    write_msh(tmp_path / "bar.msh", CadMesh(mesh, regions, {}, (), ""))
+    assert main(["init", str(tmp_path / "bar.msh")]) == 0
+    text = (tmp_path / "bar.yaml").read_text()
+    whole = re.sub(r"^  # (materials:|  - \{region)", r"  \1", text, flags=re.M)
+    scene = scene_from_mapping(read_yaml(whole), tmp_path / "bar.yaml")
+    assert [part.region for part in scene.body.materials] == ["root", "soft"]
+    Simulation(scene).step(Hold(0.02))
+
+
 def test_a_given_unit_is_taken(tmp_path):
     path = write_bar(tmp_path / "bar.msh")
     assert main(["init", str(path), "--unit", "cm"]) == 0
