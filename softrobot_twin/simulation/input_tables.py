@@ -2,8 +2,9 @@
 
 A targets file has one row per step, with targets of effectors, setpoints or efforts of actuators. A
 commands file has rows at increasing times, with commands of actuators and guided bodies that are
-interpolated. A table may mix lengths of cables with pressures of cavities: all columns are setpoints
-if each is what that actuator's setpoint holds, and efforts if each is that actuator's effort.
+interpolated. A table may mix lengths of cables with pressures of cavities: all columns are
+setpoints if each is what that actuator's setpoint holds, and efforts if each is that actuator's
+effort.
 
 Both have the columns of `table_columns`. What a run wrote can be given back as either: the columns
 that drove it are read, the others are results and are left out. Targets files with the names of
@@ -660,8 +661,8 @@ class Pose:
 class TouchColumns:
     """Forces or displacements of a touch over time.
 
-    A displacement is counted from where the point is when the touch begins; a force or a displacement
-    of zero is no touch.
+    A displacement is counted from where the point is when the touch begins; a force or a
+    displacement of zero is no touch.
     """
 
     def __init__(self, times: np.ndarray, values: np.ndarray, are_forces: bool):
@@ -756,8 +757,8 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes setpoints with
-            efforts, drives an actuator twice or not at all, or contains a value that is not a finite
-            number, a time that does not increase, or a quaternion that is not of unit length.
+            efforts, drives an actuator twice or not at all, or contains a value that is not a
+            finite number, a time that does not increase, or a quaternion that is not of unit length.
     """
     columns = open_columns(source, _EXAMPLE)
     if TIME in columns and len(columns) < 2:

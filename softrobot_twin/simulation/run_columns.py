@@ -76,8 +76,8 @@ def actuator_columns(actuators: Actuators) -> list[tuple[str, Quantity]]:
 
     Of a cable: its length [m], its tension [N], its shortening [m] and its length at rest [m]. Of a
     cavity whose pressure is commanded: its pressure [Pa], its growth [m³] and its volume [m³]. Of a
-    motor of a hinge: its angle [rad] and its torque [N m]. Last, of each pulley, its angle [rad] and
-    its torque [N m].
+    motor of a hinge: its angle [rad] and its torque [N m]. Last, of each pulley, its angle [rad]
+    and its torque [N m].
 
     Args:
         actuators: The actuators of the scene.
@@ -279,7 +279,8 @@ class RunColumns:
         cells: list[int | float | str] = [row.step, row.time, *map(float, numbers)]
         if self._pairs:
             forces = np.column_stack([row.pair_resultants, row.pair_magnitude_sums])
-            cells += [report.contact_count, *forces.ravel().tolist(), float(report.contact_residual)]
+            cells += [report.contact_count, *forces.ravel().tolist()]
+            cells.append(float(report.contact_residual))
         cells.append(float(report.residual))
         if self._effectors:
             cells.append(float(report.linearization_error))

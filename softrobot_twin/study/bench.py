@@ -451,7 +451,8 @@ def _measure_all(cases: Iterable[BenchCase], steps: int) -> list[SizeMeasurement
     sizes, begin, listed = [], time.monotonic(), list(cases)
     for number, case in enumerate(listed, start=1):
         # One line instead of a progress bar, whose thread would disturb the timing.
-        print(f"{case.name}, {number} of {len(listed)}: {steps} steps …", file=sys.stderr, flush=True)
+        print(f"{case.name}, {number} of {len(listed)}: {steps} steps …", file=sys.stderr,
+              flush=True)
         sizes.append(measure(case, steps))
         if number == 1:
             announce((len(listed) - 1) * (time.monotonic() - begin),

@@ -1,7 +1,7 @@
 """Writes the samples of a demo with the columns of all runs, one file for each of its runs.
 
-Such a file has a row for each command of the twin. Times count from its first row; what is published
-at other times is interpolated.
+Such a file has a row for each command of the twin. Times count from its first row; what is
+published at other times is interpolated.
 """
 
 from __future__ import annotations

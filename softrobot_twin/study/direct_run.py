@@ -17,7 +17,14 @@ from softrobot_twin.study.offline_run import run_file
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import FirstSteps, console, progress, table, terminal_status, warn
+from softrobot_twin.study.terminal import (
+    FirstSteps,
+    console,
+    progress,
+    table,
+    terminal_status,
+    warn,
+)
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:

@@ -17,7 +17,14 @@ from softrobot_twin.study.explain import print_mesh_error, print_reduction_error
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import FirstSteps, console, progress, table, terminal_status, warn
+from softrobot_twin.study.terminal import (
+    FirstSteps,
+    console,
+    progress,
+    table,
+    terminal_status,
+    warn,
+)
 
 
 def run(simulation: Simulation, table: TargetTable, settle: int = 0,

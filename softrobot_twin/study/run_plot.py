@@ -142,8 +142,8 @@ _WITHOUT_OWNER = {
 }
 """Columns that belong to the step and not to a named thing, and their quantities."""
 
-_FEW = ("position", "body position", "error", "orientation error", "stiffness", "shortening", "angle", "growth",
-        "expansion", "displacement", "length", "pressure", "tension", "torque", "effort",
+_FEW = ("position", "body position", "error", "orientation error", "stiffness", "shortening",
+        "angle", "growth", "expansion", "displacement", "length", "pressure", "tension", "torque",
         "touch force", "moved", "energy", "pressing", "reduction error", "residual")
 """Quantities that are drawn where no columns are named, in this order."""
 

@@ -148,8 +148,8 @@ class RunSummary:
                               f"{form.format(np.nanmax(every))} of {worst}"))
                 continue
             lines += [(f"{name}, {word}", f"mean {form.format(np.nanmean(errors))}, max "
-                       f"{form.format(np.nanmax(errors))} at {times[int(np.nanargmax(errors))]:g} s")
-                      for name, errors in told]
+                       f"{form.format(np.nanmax(errors))} at "
+                       f"{times[int(np.nanargmax(errors))]:g} s") for name, errors in told]
         if lines or len(self._effectors) > _SHOWN:
             return lines
         places = 1e3 * self._series("effector_positions")[-1] if self._effectors else ()

@@ -125,7 +125,8 @@ class PipedProgress:
         self._note = self._note if note is None else note
         since = time.monotonic() - self._printed_at
         is_more = self._done - self._printed >= _TENTH * self._total
-        if since >= _NEXT_LINE or since >= _FIRST_LINE and (is_more or self._printed == self._first):
+        is_first = self._printed == self._first
+        if since >= _NEXT_LINE or since >= _FIRST_LINE and (is_more or is_first):
             self._print()
 
     def _print(self) -> None:
@@ -140,7 +141,7 @@ class PipedProgress:
 
 
 def terminal_status(text: str) -> AbstractContextManager:
-    """Shows an activity on standard error while it lasts; through a pipe a line if it takes long."""
+    """Shows an activity on standard error while it lasts; through a pipe a line if it is long."""
     if sys.stderr.isatty():
         return Console(stderr=True).status(text)
     return _piped_status(text, sys.stderr)

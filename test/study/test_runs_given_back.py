@@ -111,7 +111,7 @@ def test_all_columns_of_a_run_have_different_names_and_known_units(robot):
     quaternions = {name for name in names if name[-3:] in ("_qx", "_qy", "_qz", "_qw")}
     for name in set(names) - plain - quaternions:
         assert unit_of(name) in UNITS, name
-    assert not {"contact_count", "sampled_range"} & set(names), "nothing touches, nothing is reduced"
+    assert not {"contact_count", "sampled_range"} & set(names), "no contact, no reduced body"
 
 
 def test_one_row_of_a_run_is_too_few_for_commands(tmp_path, robot):

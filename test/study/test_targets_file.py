@@ -92,9 +92,11 @@ def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
     ("time_s,tip_x_m,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0,0\n", 1, "tip_x_m", "twice"),
     ("time_s,tip_q\n0,0\n", 1, "tip_q", "not a valid column"),
     ("time_s,tip\n0,0\n", 1, "tip", "not a valid column"),
-    ("time_s,nose_x_m,nose_y_m,nose_z_m\n0,0,0,0\n", 1, "nose_x_m", "no effector 'nose'; its effectors: tip"),
+    ("time_s,nose_x_m,nose_y_m,nose_z_m\n0,0,0,0\n", 1, "nose_x_m",
+     "no effector 'nose'; its effectors: tip"),
     ("time_s,north_length_m,up_length_m\n0,1,1\n", 1, "up_length_m", "no actuator 'up'"),
-    ("time_s,tip_x_m,tip_y_m,tip_z_m,north_length_m\n0,0,0,0,1\n", 1, "north_length_m", "only one of these"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m,north_length_m\n0,0,0,0,1\n", 1, "north_length_m",
+     "only one of these"),
     ("time_s,north_length_m,south_tension_N\n0,1,1\n", 1, "south_tension_N", "all in the same way"),
     ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0\n", 2, "", "3 cells"),
     ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,left,0\n", 2, "tip_y_m", "a number"),
@@ -102,7 +104,8 @@ def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
     ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,nan,0\n", 2, "tip_y_m", "finite"),
     ("time_s,tip_x_m,tip_y_m,tip_z_m\ninf,0,0,0\n", 2, "time_s", "finite"),
     ("time_s,tip_x_m,tip_y_m,tip_z_m\n\n0,0,0,0\n0,0,0,0\n", 4, "time_s", "later than 0.0 s"),
-    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "time_s", "later than 1.0 s"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "time_s",
+     "later than 1.0 s"),
     ("time_s,north_tension_N,south_tension_N\n0,1,-2\n", 2, "south_tension_N", "cannot push"),
 ])
 def test_an_invalid_targets_file_is_refused_with_row_and_column(tmp_path, text, row, column, words):
@@ -171,12 +174,15 @@ def test_wrong_orientations_of_a_targets_file_are_refused(tmp_path, text, orient
         read_posed(tmp_path, text, oriented)
 
 
+STIFF = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m"
+
+
 def read_stiff(tmp_path, text, stiff=(True, False)):
     return read(tmp_path, text, robot(stiff=stiff))
 
 
 def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
-    table = read_stiff(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,300\n1,1,2,3,350\n")
+    table = read_stiff(tmp_path, f"{STIFF}\n0,1,2,3,300\n1,1,2,3,350\n")
     np.testing.assert_array_equal(table.stiffness[:, 0], [[np.nan, np.nan, 300.0],
                                                           [np.nan, np.nan, 350.0]])
     assert np.isnan(table.stiffness[:, 1]).all() and table.orientations is None
@@ -188,10 +194,10 @@ def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
 @pytest.mark.parametrize(
     ("text", "stiff", "reason"),
     [
-        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
-        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,0\n", (True, False), "tip_kz_N_per_m.*0.*N/m.*positive"),
-        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,-5\n", (True, False), "tip_kz_N_per_m.*-5.*N/m.*positive"),
-        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m\n0,1,2,3,nan\n", (True, False), "tip_kz_N_per_m"),
+        (f"{STIFF}\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
+        (f"{STIFF}\n0,1,2,3,0\n", (True, False), "tip_kz_N_per_m.*0.*N/m.*positive"),
+        (f"{STIFF}\n0,1,2,3,-5\n", (True, False), "tip_kz_N_per_m.*-5.*N/m.*positive"),
+        (f"{STIFF}\n0,1,2,3,nan\n", (True, False), "tip_kz_N_per_m"),
         ("time_s,tip_kz_N_per_m\n0,300\n", (True, False), "lacks this column"),
     ],
 )
