@@ -3,7 +3,8 @@
     python hardware_node.py --ros-args --params-file PARAMETERS -p servos_file:=servos.yaml
 
 All that it shares with the simulated device is the package's: topics, checks of messages, clocks,
-the watch over the ROS graph. New are the servos, and that a measurement that fails is not published.
+the watch over the ROS graph. New are the servos, and that a measurement that fails is not
+published.
 """
 
 from __future__ import annotations

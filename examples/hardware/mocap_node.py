@@ -72,8 +72,8 @@ class MocapFrame:
             raise ParameterError("mocap_pose", tuple(pose), "m", "must be seven finite numbers")
         size = float(np.linalg.norm(numbers[3:]))
         if not abs(size - 1.0) < 0.01:
-            raise ParameterError("mocap_pose", tuple(pose), "",
-                                 f"its quaternion has the length {size:.3g}, must be 1")  # fmt: skip
+            reason = f"its quaternion has the length {size:.3g}, must be 1"
+            raise ParameterError("mocap_pose", tuple(pose), "", reason)
         self._scale, self._origin = UNITS[unit], numbers[:3]
         self._rotation = rotation_of(numbers[3:] / size)
 

@@ -1,6 +1,8 @@
-"""A bus of servos that speak the Dynamixel protocol 2.0: packets, their check sums, and a serial port.
+"""A bus of servos that speak the Dynamixel protocol 2.0: packets, check sums, and a serial port.
 
-Written from the public description of the protocol, https://emanual.robotis.com/docs/en/dxl/protocol2
+Written from the public description of the protocol,
+https://emanual.robotis.com/docs/en/dxl/protocol2
+
 A packet is FF FF FD 00, id, length (2 bytes), instruction, parameters, CRC (2 bytes); all numbers
 have their lowest byte first. Where FF FF FD occurs in the content, another FD follows it.
 """

@@ -103,8 +103,8 @@ class ServosFile(NamedTuple):
         greatest_tension: Above this tension the servos stop [N].
         largest_jump: A command further than this from the measured length is refused [m].
         command_timeout: After this time without a command the servos stop [s].
-        answer_time: Longest time until servos and the adapter of the bus answer, besides that of the
-            bytes [s].
+        answer_time: Longest time until servos and the adapter of the bus answer, besides that of
+            the bytes [s].
     """
 
     servos: tuple[Servo, ...]
@@ -267,8 +267,9 @@ class ServoDevice:
                         f"{servo.least_length:g} to {servo.greatest_length:g} m")  # fmt: skip
             # Written so that a NaN is refused too.
             if not abs(length - measured) <= self._description.largest_jump:
+                most = self._description.largest_jump
                 return (f"command refused: {servo.name} would jump from {measured:.4f} to "
-                        f"{length:.4f} m, more than {self._description.largest_jump:g} m")  # fmt: skip
+                        f"{length:.4f} m, more than {most:g} m")  # fmt: skip
         return ""
 
     def read(self, now: float) -> DeviceReading:
@@ -313,9 +314,11 @@ class ServoDevice:
     def _stop(self, reason: str) -> None:
         """Makes the present lengths the goal, once."""
         if not self._is_stopped:
-            inside = [np.clip(length, servo.least_length, servo.greatest_length)
-                      for servo, length in zip(self._servos.values(), self._lengths, strict=True)]  # fmt: skip
-            self._goal, self._is_stopped, self.trouble = np.array(inside), True, reason
+            servos = self._servos.values()
+            least = [servo.least_length for servo in servos]
+            greatest = [servo.greatest_length for servo in servos]
+            self._goal = np.clip(self._lengths, least, greatest)
+            self._is_stopped, self.trouble = True, reason
 
     def _switch_on(self) -> None:
         """Switches the torque on; the goal is where the servos are, so nothing moves by that."""

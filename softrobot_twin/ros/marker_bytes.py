@@ -1,8 +1,8 @@
 """Arrays of markers as serialized messages, without a Python object for each point.
 
-A `geometry_msgs/Point` takes 2 µs to make and to convert, and a surface of 2000 triangles has 6000 of
-them: as long as a step of the simulation. rclpy also publishes bytes that are serialized already, and
-the points of a message are then the bytes of an array.
+A `geometry_msgs/Point` takes 2 µs to make and to convert, and a surface of 2000 triangles has 6000
+of them: as long as a step of the simulation. rclpy also publishes bytes that are serialized
+already, and the points of a message are then the bytes of an array.
 """
 
 from __future__ import annotations

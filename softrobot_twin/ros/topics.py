@@ -1,7 +1,7 @@
 """The topics and services of the three nodes: each is declared once, with its type, its quality of
 service, its unit and its meaning.
 
-The nodes open topics by these tables only, and ``docs/topics.md`` and ``--help`` are made from them.
+The nodes open topics by these tables only; ``docs/topics.md`` and ``--help`` are made from them.
 """
 
 from __future__ import annotations
@@ -163,17 +163,17 @@ TWIN_TOPICS = _by_name(
           "integrated, limited in speed, stopped after `velocity_timeout`, limited to the "
           "workspace"),
     Topic("~/touch_force/<touch>", IN, WrenchStamped, STREAM, "N",
-          "force on the robot; torques are not used. Zero or NaN ends the touch. Refused: infinite, "
-          "above `force_limit`, stale, out of order, in another frame"),
+          "force on the robot; torques are not used. Zero or NaN ends the touch. Refused: "
+          "infinite, above `force_limit`, stale, out of order, in another frame"),
     Topic("~/touch_position/<touch>", IN, PointStamped, STREAM, "m",
-          "place of the touched point: it is held there. NaN ends the touch. Refused: infinite, far "
-          "from the robot, stale, out of order, in another frame"),
+          "place of the touched point: it is held there. NaN ends the touch. Refused: infinite, "
+          "far from the robot, stale, out of order, in another frame"),
     Topic("~/markers", IN, PointCloud2, STREAM, "m",
           "x y z float32, id uint32; NaN = hidden; implausible markers are left out and reported"),
     Topic("~/measured_cables", IN, JointState, STREAM, "m, N",
-          "what the hardware measures, cavities as in `~/cables`; setpoints that no actuator of the "
-          "scene can have are refused; cavities with `control: pressure` and cables with pulleys "
-          "may be omitted"),
+          "what the hardware measures, cavities as in `~/cables`; setpoints that no actuator of "
+          "the scene can have are refused; cavities with `control: pressure` and cables with "
+          "pulleys may be omitted"),
     Topic("~/measured_angles", IN, JointState, STREAM, "rad, N m",
           "angle in `position`, torque in `effort` (optional); of pulleys, by the names of their "
           "cables or motors, any of them; in place of lengths in `~/measured_cables` or in "
@@ -183,14 +183,14 @@ TWIN_TOPICS = _by_name(
           "`~/measured_cables` or in addition; `frame_id` names the sensor and is not checked, "
           "`variance` is not used"),
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
-          "m in `position`, or N in `effort`, of motors of hinges rad or N m; `mode: direct`. Names "
-          "are cables, slides or motors, and each cable is named once; a motor's position is the "
-          "length of its first cable [m], and its other cables are shortened by the same length; "
-          "its effort is the tension of each cable. Of a cavity `position` is the gauge pressure "
-          "[Pa] or, with `control: volume`, the volume [m³], and `effort` the gauge pressure [Pa]; "
-          "a cavity with `control: pressure` may be omitted and stays as it is. In `mode: inverse` "
-          "the message commands some actuators by length, pressure or volume, and the others are "
-          "optimised; an empty message commands none"),
+          "m in `position`, or N in `effort`, of motors of hinges rad or N m; `mode: direct`. "
+          "Names are cables, slides or motors, and each cable is named once; a motor's position is "
+          "the length of its first cable [m], and its other cables are shortened by the same "
+          "length; its effort is the tension of each cable. Of a cavity `position` is the gauge "
+          "pressure [Pa] or, with `control: volume`, the volume [m³], and `effort` the gauge "
+          "pressure [Pa]; a cavity with `control: pressure` may be omitted and stays as it is. In "
+          "`mode: inverse` the message commands some actuators by length, pressure or volume, and "
+          "the others are optimised; an empty message commands none"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
           "in `position`; of any pulleys, by the names of their cables or motors. The other "
           "actuators stay as they are: in `mode: direct` at their setpoints, in `mode: inverse` "
@@ -216,9 +216,9 @@ TWIN_TOPICS = _by_name(
           "in the positive sense; of each pulley, by the name of its cable or motor, with the same "
           "stamp as `~/cables`; only in scenes with pulleys"),
     Topic("~/pressures/<cavity>", OUT, FluidPressure, NEWEST, "Pa, absolute",
-          "gauge plus `ambient_pressure`; commanded or, with `control: volume`, predicted pressure, "
-          "with the same stamp as `~/cables`; of a sealed cavity its predicted pressure; `variance` "
-          "0 (unknown)"),
+          "gauge plus `ambient_pressure`; commanded or, with `control: volume`, predicted "
+          "pressure, with the same stamp as `~/cables`; of a sealed cavity its predicted pressure; "
+          "`variance` 0 (unknown)"),
     Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m", "predicted position"),
     Topic("~/effector_poses/<effector>", OUT, PoseStamped, NEWEST, "m",
           "of effectors with `orientation`: predicted position, and turn from the rest shape"),
@@ -233,9 +233,9 @@ TWIN_TOPICS = _by_name(
           "what they hold; computed only while somebody receives it"),
     Topic("~/jacobian/<effector>", OUT, Float64MultiArray, NEWEST, "m per unit of the actuator",
           "3 × actuators, in the order of `~/cables`: motion [m] of the effector by each actuator, "
-          "the others held. The label of the second dimension names each column with its unit, such "
-          "as `north_shortening_m` (m/m), `air_pressure_Pa` (m/Pa); by a shortening, not by the "
-          "length, which has the other sign. Computed only while somebody receives it"),
+          "the others held. The label of the second dimension names each column with its unit, "
+          "such as `north_shortening_m` (m/m), `air_pressure_Pa` (m/Pa); by a shortening, not by "
+          "the length, which has the other sign. Computed only while somebody receives it"),
     Topic("~/predicted_markers", OUT, PointCloud2, NEWEST, "m",
           "markers of the model, as in `~/markers`; only while somebody receives it"),
     Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
@@ -291,8 +291,8 @@ DEVICE_TOPICS = _by_name(
     Topic("<twin>/markers", OUT, PointCloud2, NEWEST, "m",
           "measured markers: x y z float32, id uint32; NaN = hidden"),
     Topic("<twin>/touch_position/<touch>", OUT, PointStamped, NEWEST, "m",
-          "with `device_touch` and `device_touch_sends: position`: the touched point, NaN without a "
-          "touch"),
+          "with `device_touch` and `device_touch_sends: position`: the touched point, NaN without "
+          "a touch"),
     Topic("<twin>/touch_force/<touch>", OUT, WrenchStamped, NEWEST, "N",
           "with `device_touch` and `device_touch_sends: force`: the force on the robot, zero "
           "without a touch"),

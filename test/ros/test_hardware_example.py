@@ -189,7 +189,8 @@ def test_markers_of_a_tracker_arrive_in_metres_in_the_robots_frame(world, make_m
         message = PoseStamped(header=header, pose=pose_at(tracked[0]))
     else:
         # A marker that the scene does not have is left out.
-        message = markers_message(np.array([70, 71, 72, 99]), np.vstack([tracked, [0, 0, 1]]), header)
+        places = np.vstack([tracked, [0, 0, 1]])
+        message = markers_message(np.array([70, 71, 72, 99]), places, header)
     speaker = world.speaker(type(message), "/mocap")
     speaker.publish(message)
     world.until(lambda: heard)

@@ -1,4 +1,4 @@
-"""Markers for RViz and Foxglove: only for those who listen, where the twin is, as rerun shows it."""
+"""Markers for RViz and Foxglove: only for who listens, where the twin is, as rerun shows it."""
 
 import numpy as np
 import pytest
