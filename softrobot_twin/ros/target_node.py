@@ -74,7 +74,7 @@ class TargetNode(TickingNode):
         self.watch_topics((), tuple(one for one in published if one is not None))
         group = "effector_poses" if self._turns else "effectors"
         topic = TOPICS[f"<twin>/{group}/<effector>"]
-        self._topic = topic.full_name(self._effector, self._twin)
+        self._topic = self.resolve_topic_name(topic.full_name(self._effector, self._twin))
         take = self._take_start_pose if self._turns else self._take_start
         self._listener = open_subscription(self, topic, take, self._effector, self._twin)
         self.get_logger().info(f"ready: {what}")
