@@ -473,10 +473,12 @@ def _target_positions(columns: Columns, given: Mapping[str, list[str]]) -> np.nd
             needed += turns
         for one in needed:
             if one not in columns:
+                others = [left for left in columns.left
+                          if not any(left in _columns_of_targets(effector) for effector in given)]
                 raise TableFileError(
                     columns.source, "the header lacks this column: an effector's target needs x, y "
-                    "and z" + (", an orientation qx, qy, qz and qw too" if one in turns else ""),
-                    1, columns.given(one))
+                    "and z" + (", an orientation qx, qy, qz and qw too" if one in turns else "")
+                    + nearest(one, others), 1, columns.given(one))
         for axis, one in enumerate(position_columns(name)):
             values[:, place, axis] = columns.pop(one)
     return values

@@ -272,3 +272,5 @@ def test_results_are_refused_in_a_file_that_no_run_wrote(tmp_path):
 def test_the_nearest_column_is_named(tmp_path):
     error = refusal(tmp_path, "time_s,north_lenght_m,south_length_m\n0,1,1\n")
     assert error.column == "north_lenght_m" and str(error).endswith("is north_length_m meant?")
+    error = refusal(tmp_path, "time_s,tip_x_mm,tip_y_m,tip_z_m\n0,1,1,1\n")
+    assert error.column == "tip_x_m" and str(error).endswith("is tip_x_mm meant?")
