@@ -1,13 +1,14 @@
 """``python -m softrobot_twin replay``: runs a recorded run again and says where it differs.
 
 This module connects `record`, which reads and repeats a run, with `study`, which prints and writes
-results. Neither of the two imports the other.
+results, and with `view`. None of the three imports another.
 """
 
 from __future__ import annotations
 
 import csv
 import math
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import datetime, timezone
@@ -16,19 +17,26 @@ from pathlib import Path
 from rich.markup import escape
 
 from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.record.replay import Comparison, Difference, Replay
 from softrobot_twin.record.run_description import machine
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.tick_table import TickTable
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
+from softrobot_twin.view import RerunMirror
+from softrobot_twin.view.simulation_frames import SimulationFrames
 
 DIFFERS = 1
+Taker = Callable[[TickOutcome, int, float], None]
+# How long a frame may take to be drawn, and how often that is looked for [s].
+_LONGEST_DRAWING, _POLL = 10.0, 0.0005
 
 
 def replay(
-    run: Path, scene: Path | None = None, changes: tuple[str, ...] = (), output: Path | None = None
-) -> int:
+    run: Path, scene: Path | None = None, changes: tuple[str, ...] = (), output: Path | None = None,
+    view_file: Path | None = None,
+) -> int:  # fmt: skip
     """Replays a run, prints whether all is equal to the bit, and where it is not.
 
     Args:
@@ -36,6 +44,7 @@ def replay(
         scene: Another scene in place of the recorded one.
         changes: Other values of entries of the recorded scene, each as KEY=VALUE.
         output: CSV file of what the replay gave, one row per tick; None for none.
+        view_file: File of pictures of the replay, .rrd, for rerun; None for none.
 
     Returns:
         Exit code: 0; 1 when the run with its own scene differs, or entries of it were dropped.
@@ -48,32 +57,60 @@ def replay(
     with ExitStack() as stack:
         with terminal_status("building and compiling"):
             again = Replay(file, scene, changes)
-        take = _ignore
+        takers: list[Taker] = []
         if output is not None:
-            take = _writer(again, stack.enter_context(output_file(output)), stack)
+            takers.append(_writer(again, stack.enter_context(output_file(output)), stack))
+        if view_file is not None:
+            takers.append(_drawer(again, view_file, stack))
+
+        def take(*tick) -> None:
+            for taker in takers:
+                taker(*tick)
+
         with terminal_status("replaying"):
             found = again.all_ticks(take)
     _print_result(again, found)
-    if output is not None:
-        print(f"wrote {output}")
+    for path in filter(None, (output, view_file)):
+        print(f"wrote {path}")
     is_whole = not file.lost and found.is_equal
     return 0 if is_whole or not again.is_of_its_scene else DIFFERS
 
 
-def _ignore(*tick) -> None:
-    pass
-
-
-def _writer(again: Replay, path: Path, stack: ExitStack) -> Callable:
+def _writer(again: Replay, path: Path, stack: ExitStack) -> Taker:
     """A function that writes a tick as a row."""
     file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
     rows, ticks = csv.writer(file), TickTable(again.loop)
     rows.writerow(ticks.header)
 
-    def write(outcome, ros_time: int, seconds: float) -> None:
+    def write(outcome: TickOutcome, ros_time: int, seconds: float) -> None:
         rows.writerow(ticks.texts(outcome, again.comparison.ticks - 1, seconds))
 
     return write
+
+
+def _drawer(again: Replay, path: Path, stack: ExitStack) -> Taker:
+    """A function that draws a tick, and waits for the thread that does it: none is left out."""
+    frames = SimulationFrames(again.loop.simulation)
+    mirror = stack.enter_context(RerunMirror(frames.stage, serve=False, record=path))
+    (thread,) = mirror.drawing_threads
+
+    def draw(outcome: TickOutcome, ros_time: int, seconds: float) -> None:
+        mirror.offer(frames.frame(
+            again.comparison.ticks, ros_time, outcome.result,
+            targets=outcome.reading.targets,
+            target_orientations=outcome.reading.orientations,
+            errors=outcome.tracking_errors,
+            predicted_markers=outcome.predicted_markers,
+            measured_markers=outcome.measured_markers,
+            status=f"{outcome.activity.value}: {outcome.result.status.value}",
+        ))  # fmt: skip
+        end = time.monotonic() + _LONGEST_DRAWING
+        while thread.logged_count + thread.failed_count < mirror.frames_offered:
+            if time.monotonic() > end:
+                break
+            time.sleep(_POLL)
+
+    return draw
 
 
 def _print_head(file: RunFile) -> None:
@@ -118,7 +155,8 @@ def _print_differences(found: Comparison) -> None:
         largest = differences.largest
         shown.add_row(
             name, str(differences.ticks), escape(largest.place), _size(largest),
-            escape(_brief(largest.recorded)), escape(_brief(largest.replayed)), f"{largest.time:.3f}",
+            escape(_brief(largest.recorded)), escape(_brief(largest.replayed)),
+            f"{largest.time:.3f}",
         )  # fmt: skip
     console().print(shown)
 

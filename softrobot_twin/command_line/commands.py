@@ -499,14 +499,18 @@ def add_replay(commands) -> None:
                        "body.material.young_modulus=1.5e5 or cables[0].tension=[0,5]")
     parser.add_argument("--output", metavar="FILE.csv", type=Path,
                         help="file to write, one row per tick of the replay")
+    parser.add_argument("--record-view", metavar="FILE.rrd", type=Path,
+                        help="file of pictures of the replay, for rerun")
 
 
 def _replay(chosen: argparse.Namespace) -> int:
-    if chosen.output is not None and chosen.output.resolve() == chosen.recorded.resolve():
-        raise OptionError("--output", f"{chosen.output} would overwrite the run")
+    for option, path in (("--output", chosen.output), ("--record-view", chosen.record_view)):
+        if path is not None and path.resolve() == chosen.recorded.resolve():
+            raise OptionError(option, f"{path} would overwrite the run")
     # The loop is loaded only for a run of it.
     from softrobot_twin.replay_command import replay
-    return replay(chosen.recorded, chosen.scene, tuple(chosen.changes), chosen.output)
+    return replay(chosen.recorded, chosen.scene, tuple(chosen.changes), chosen.output,
+                  chosen.record_view)
 
 
 def add_demo(commands) -> None:

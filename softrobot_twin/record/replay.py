@@ -73,8 +73,8 @@ class Difference:
         """The difference as a sentence."""
         of = "" if self.place.startswith("[") else "of "
         where = f"{self.quantity} {of}{self.place}" if self.place else self.quantity
-        return (f"tick {self.tick} at {self.time:.3f} s: {where}: recorded {_short(self.recorded)}, "
-                f"replayed {_short(self.replayed)}")  # fmt: skip
+        return (f"tick {self.tick} at {self.time:.3f} s: {where}: recorded "
+                f"{_short(self.recorded)}, replayed {_short(self.replayed)}")  # fmt: skip
 
 
 @dataclass
@@ -425,7 +425,7 @@ class Replay:
 
 
 def _check_names(run: RunFile, simulation: Simulation) -> None:
-    """Refuses a scene with other actuators, effectors or touches: calls give them by their order."""
+    """Refuses a scene with other actuators, effectors or touches: calls name them or count them."""
     has = names_of(simulation)
     for rows in (ACTUATORS, EFFECTORS, TOUCHES):
         recorded, own = run.description.names[rows], has[rows]

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
+from softrobot_twin import replay_command
 from softrobot_twin.__main__ import main
 from softrobot_twin.record.replay import ChangeError, Replay, change_entry
 from softrobot_twin.record.run_clock import PlayedClock
@@ -173,6 +174,30 @@ def test_what_a_replay_gave_is_written_in_the_columns_of_all_runs(recorded, tmp_
         given = outcome.reading.targets[0, 0], outcome.tracking_errors[0]
         assert np.array_equal(wanted, given, equal_nan=True)
         assert row["status"] == outcome.result.status.value
+
+
+def test_pictures_of_a_replay_have_each_tick(recorded, tmp_path, monkeypatch, capsys):
+    mirrors, opened = [], replay_command.RerunMirror
+
+    def open_mirror(*arguments, **options):
+        mirrors.append(opened(*arguments, **options))
+        return mirrors[-1]
+
+    monkeypatch.setattr(replay_command, "RerunMirror", open_mirror)
+    view = tmp_path / "run.rrd"
+    assert main(["replay", str(recorded.path), "--record-view", str(view)]) == 0
+    assert f"wrote {view}" in capsys.readouterr().out
+    (mirror,) = mirrors
+    assert mirror.frames_logged == TICKS and mirror.failure is None
+    assert view.read_bytes()[:3] == b"RRF"
+
+
+@pytest.mark.parametrize("option", ["--output", "--record-view"])
+def test_a_replay_never_replaces_its_run(recorded, option, capsys):
+    before = recorded.path.read_bytes()
+    assert main(["replay", str(recorded.path), option, str(recorded.path)]) == 2
+    assert f"{option}: {recorded.path} would overwrite the run" in capsys.readouterr().err
+    assert recorded.path.read_bytes() == before
 
 
 # --- files ---------------------------------------------------------------------------------------
