@@ -476,6 +476,8 @@ class Robot:
             commanded = read_commands(source, self.simulation)
             columns = RunColumns(self.simulation)
             rows = run_commands(self.simulation, commanded, _rate(rate, DEFAULT_RATE), columns)
+            end = commanded.times[-1]
+            self._aims |= {name: pose.at(end) for name, pose in commanded.poses.items()}
             return self._collected(columns, rows)
         _refuse("targets, of which each row is a step,", rate=rate)
         table = read_targets(source, self.simulation)

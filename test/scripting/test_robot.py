@@ -81,6 +81,15 @@ def test_a_copy_goes_on_in_the_same_way_and_by_itself(held, copied):
     assert held.time == 0.04
 
 
+def test_a_copy_knows_where_a_table_sent_guided_bodies(held):
+    held.run({"time_s": [0.0, 0.04], "palm_x_m": [0.01, 0.01], "palm_y_m": [0.01, 0.01],
+              "palm_z_m": [0.01, 0.01], "upper_shortening_m": [0.0, 0.0],
+              "lower_shortening_m": [0.0, 0.0]}, rate=50)
+    other = held.copy()
+    there, here = other.step().poses["palm"].position, held.step().poses["palm"].position
+    assert np.array_equal(there, here) and here[0] == pytest.approx(-0.004)
+
+
 def test_a_result_is_pickled_without_its_robot(held):
     result = held.step(poses={"palm": [0.01, 0.01, 0.01]})
     dumped = pickle.dumps(result)
