@@ -86,7 +86,7 @@ def load(path: Path | str) -> Robot:
     """Reads a scene file and builds its robot, at rest.
 
     Args:
-        path: YAML file; see docs/scene.md.
+        path: YAML file; see docs/scene_reference.md.
 
     Raises:
         SceneError: The file cannot be read, or an entry is not valid.
