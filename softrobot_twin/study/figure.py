@@ -107,7 +107,7 @@ def _with_few_colours(picture):
     # One number for each colour sorts faster than three.
     codes, places = np.unique(pixels @ np.array([65536, 256, 1]), return_inverse=True)
     colours = np.column_stack([codes >> 16, codes >> 8 & 255, codes & 255])
-    few = picture.quantize(_COMMON, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few = picture.quantize(_COMMON, method=Image.MEDIANCUT, dither=Image.NONE)
     common = np.array(few.getpalette()[: 3 * _COMMON]).reshape(-1, 3)
     palette = list(np.vstack([[255, 255, 255], common]))
     off = cKDTree(np.array(palette)).query(colours)[0]
