@@ -17,7 +17,8 @@ from servos import ServoDevice, read_servos
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.ros.device_node import DeviceNode
-from softrobot_twin.ros.parameters import Entry
+from softrobot_twin.ros.node_help import help_text
+from softrobot_twin.ros.parameters import DEVICE, Entry
 from softrobot_twin.ros.process import run_node
 
 _WARN_EVERY = 2.0
@@ -86,4 +87,6 @@ class HardwareNode(DeviceNode):
 
 
 if __name__ == "__main__":
-    sys.exit(run_node("hardware", lambda: HardwareNode))
+    table = (*DEVICE, *HardwareNode.own_parameters)
+    sys.exit(run_node("hardware_node.py", lambda: HardwareNode,
+                      about=lambda: help_text("hardware_node.py", [__doc__], table)))  # fmt: skip

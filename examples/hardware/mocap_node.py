@@ -21,6 +21,7 @@ from std_msgs.msg import Header
 from softrobot_twin.control.arrival import Refusal, RefusalCounts
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.messages import markers_message, read_markers, stamp_of
+from softrobot_twin.ros.node_help import help_text
 from softrobot_twin.ros.parameters import Entry, declare
 from softrobot_twin.ros.process import run_node
 from softrobot_twin.ros.ticking_node import TickingNode
@@ -238,4 +239,5 @@ class MocapNode(TickingNode):
 
 
 if __name__ == "__main__":
-    sys.exit(run_node("mocap", lambda: MocapNode))
+    sys.exit(run_node("mocap_node.py", lambda: MocapNode,
+                      about=lambda: help_text("mocap_node.py", [__doc__], PARAMETERS)))  # fmt: skip

@@ -39,8 +39,8 @@ class ServosError(SoftRobotTwinError):
 
     def __init__(self, file: Path, key: str, value: object, unit: str, reason: str):
         self.file, self.key, self.value, self.unit = file, key, value, unit
-        shown = f"{value!r} {unit}".rstrip()
-        super().__init__(f"{file}: {key} = {shown}: {reason}")
+        shown = f"{key} = {value!r} {unit}".rstrip() + ": " if key else ""
+        super().__init__(f"{file}: {shown}{reason}")
 
 
 class Servo(NamedTuple):

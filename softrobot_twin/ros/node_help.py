@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import fill
 
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN, Entry
@@ -44,11 +45,22 @@ def help_of(name: str) -> str:
     Args:
         name: ``twin``, ``device`` or ``target``.
     """
+    return help_text(name, [_ABOUT[name], "", *_topics_of(name)], _TABLES[name])
+
+
+def help_text(name: str, about: Sequence[str], table: Sequence[Entry]) -> str:
+    """Usage, lines about a node and its parameters, for any node.
+
+    Args:
+        name: Its executable.
+        about: Lines that say what it does.
+        table: Its parameters.
+    """
     usage = (f"usage: {name} [-h] [--ros-args [--params-file FILE] [-p NAME:=VALUE ...]"
              " [-r FROM:=TO ...]]")
-    lines = [usage, "", _ABOUT[name], "", *_topics_of(name), "",
+    lines = [usage, "", *about, "",
              "Parameters (-p NAME:=VALUE; * can be set while it runs):"]
-    for entry in _TABLES[name]:
+    for entry in table:
         unit = f" {entry.unit}" if entry.unit else ""
         star = "" if entry.read_only else " *"
         choices = f" One of {', '.join(entry.choices)}." if entry.choices else ""

@@ -43,7 +43,8 @@ class ArgumentsError(SoftRobotTwinError):
 
 
 def run_node(
-    name: str, load: Callable[[], type[TickingNode]], arguments: Sequence[str] | None = None
+    name: str, load: Callable[[], type[TickingNode]], arguments: Sequence[str] | None = None,
+    about: Callable[[], str] | None = None,
 ) -> int:
     """Runs a node until a signal ends it.
 
@@ -51,6 +52,7 @@ def run_node(
         name: Name of the node, for errors.
         load: Imports the node's class.
         arguments: Command line, or None for the process's own.
+        about: Text of ``--help``; None for a node of this package.
 
     Returns:
         Exit code: 0 after a signal, 2 when the node cannot start.
@@ -58,7 +60,7 @@ def run_node(
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     stop = _StopRequest()
     try:
-        _run(name, load, arguments, stop)
+        _run(name, load, arguments, stop, about)
     except SoftRobotTwinError as error:
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return REFUSED
@@ -125,7 +127,8 @@ class _StopRequest:
 
 
 def _run(
-    name: str, load: Callable[[], type[TickingNode]], arguments: list[str], stop: _StopRequest
+    name: str, load: Callable[[], type[TickingNode]], arguments: list[str], stop: _StopRequest,
+    about: Callable[[], str] | None,
 ) -> None:
     """Runs the node from the command line to its end.
 
@@ -141,7 +144,7 @@ def _run(
     if _asks_for_help(arguments):
         from softrobot_twin.ros.node_help import help_of
 
-        print(help_of(name))
+        print(help_of(name) if about is None else about())
         return
     node_class, node = load(), None
     stop.raise_on_signal()

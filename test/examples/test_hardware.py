@@ -1,5 +1,6 @@
 """The bus of servos of the hardware example: packets, units, and what is safe."""
 
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -419,3 +420,16 @@ def test_the_page_names_every_key_of_the_file_and_every_parameter_of_the_tracker
 
     assert {entry.name for entry in PARAMETERS} <= told
     assert told <= {*given, *own, *(entry.name for entry in PARAMETERS)}
+
+
+@pytest.mark.parametrize("script", ["hardware_node.py", "mocap_node.py"])
+def test_the_nodes_tell_what_they_take(script):
+    done = subprocess.run([sys.executable, str(FOLDER / script), "--help"], text=True,
+                          capture_output=True, timeout=120)  # fmt: skip
+    assert done.returncode == 0 and done.stdout.startswith(f"usage: {script}"), done.stderr
+    assert ("servos_file" if script == "hardware_node.py" else "mocap_pose") in done.stdout
+
+
+def test_a_file_that_is_missing_is_named():
+    with pytest.raises(ServosError, match=r"^none\.yaml: cannot be read"):
+        read_servos("none.yaml")
