@@ -182,7 +182,8 @@ def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise CommandError(name, f"must be a number or a list of numbers, not {_kind(value)}") from None
+        reason = f"must be a number or a list of numbers, not {_kind(value)}"
+        raise CommandError(name, reason) from None
     if array.ndim > 1 or isinstance(value, str | bytes | bool):
         raise CommandError(name, f"must be a number or a list of numbers, not {_kind(value)}")
     numbers = tuple(float(number) for number in np.atleast_1d(array))
@@ -519,7 +520,8 @@ def _handles(simulation: Simulation) -> Iterator[tuple[str, Handle]]:
         own = (place,)
         if kind.is_effort_driven:
             quantity = kind.setpoint
-            yield f"{name}_{quantity.word}_{quantity.unit}", Handle(own, "drive", 1.0, quantity.unit)
+            yield (f"{name}_{quantity.word}_{quantity.unit}",
+                   Handle(own, "drive", 1.0, quantity.unit))
             continue
         meanings = {kind.displacement: "displacement", kind.setpoint: "setpoint"}
         if kind.takes_efforts:

@@ -119,9 +119,10 @@ class RobotView:
         self.close()
 
     def __repr__(self) -> str:
-        places = [f"at {self.address}" if self.address else "", f"in {self.path}" if self.path else ""]
+        places = [f"{word} {place}" for word, place in (("at", self.address), ("in", self.path))
+                  if place]
         state = "" if self.is_open else ", closed"
-        return f"<View of {self._name} {' and '.join(filter(None, places))}{state}>"
+        return f"<View of {self._name} {' and '.join(places)}{state}>"
 
 
 def _standing(simulation: Simulation) -> StepResult:

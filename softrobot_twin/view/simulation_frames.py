@@ -1,4 +1,4 @@
-"""What is shown of a simulation: its surfaces, the ends of colour scales, its stage and its frames."""
+"""What is shown of a simulation: surfaces, ends of colour scales, its stage and its frames."""
 
 from __future__ import annotations
 
