@@ -334,13 +334,12 @@ def print_reduction_errors(simulation: Simulation, largest_range: float) -> None
 
 def _by_load(error: MeshError) -> Table:
     forces, lengths = (f"{words} given" for words in error.given)
-    made = table("Estimated error of the effectors' motion due to the mesh", "load",
-                 f"{error.own.element}, {forces}", lengths, f"quadratic, {forces}", lengths)
-    better = {load.load: load for load in error.quadratic.loads}
-    for own in error.own.loads:
-        fine = better[own.load]
-        made.add_row(own.load, *(_percent(share) for share in
-                                 (own.forces, own.lengths, fine.forces, fine.lengths)))
+    compared = {one.element: one for one in (error.own, error.quadratic)}
+    columns = [f"{element}, {given}" for element in compared for given in (forces, lengths)]
+    made = table("Estimated error of the effectors' motion due to the mesh", "load", *columns)
+    for loads in zip(*(one.loads for one in compared.values()), strict=True):
+        shares = [share for load in loads for share in (load.forces, load.lengths)]
+        made.add_row(loads[0].load, *map(_percent, shares))
     return made
 
 
