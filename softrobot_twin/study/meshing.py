@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import MeshError, SoftRobotTwinError
 from softrobot_twin.geometry.cad_meshing import CadMesh, mesh_cad, part_size, write_msh
 from softrobot_twin.geometry.mesh_reading import SLIVER_RATIO, read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
@@ -43,6 +43,8 @@ _NEAR = 0.6
 # The time of a step grows with the number of nodes to the power 4/3, before it is measured; what
 # two disturbed measurements tell is kept within bounds.
 _EXPONENT, _EXPONENTS = -4.0, (-5.0, -2.0)
+# Largest size that is tried after one that cannot be meshed, by that.
+_BELOW_FAILED = 0.95
 # Tetrahedra of the first mesh of a search, about.
 _FIRST_TETS = 1000.0
 # Steps that are not measured; rounds of measured steps, and steps of a round. The round with the
@@ -117,6 +119,8 @@ def size_for(
 ) -> float:
     """The least size whose step takes at most a wanted time.
 
+    A size that cannot be meshed is too large for the part: smaller ones are tried.
+
     Args:
         wanted: Time of a step [s].
         first: Size that is tried first [m].
@@ -128,11 +132,19 @@ def size_for(
 
     Raises:
         MeshingError: Even the largest size is too slow.
+        MeshError: No size that was tried can be meshed.
     """
     found: dict[float, float] = {}
+    fast: dict[float, float] = {}
     size, exponent = min(first, largest), _EXPONENT
+    failure: MeshError | None = None
     for _ in range(TRIALS):
-        found[size] = measure(size)
+        try:
+            found[size] = measure(size)
+        except MeshError as error:
+            failure, largest = error, _BELOW_FAILED * size
+            size = math.sqrt(size * max(found)) if found else 0.7 * size
+            continue
         fast = {one: taken for one, taken in found.items() if taken <= wanted}
         if fast and max(fast.values()) >= _NEAR * wanted:
             break
@@ -144,6 +156,8 @@ def size_for(
         size = min(largest, size * (0.8 * wanted / found[size]) ** (1.0 / exponent))
         if any(abs(size / one - 1.0) < 0.02 for one in found):
             break
+    if failure is not None and not found:
+        raise failure
     if not fast:
         coarsest = max(found)
         raise MeshingError(f"no size was found whose step takes at most {_time(wanted)}: one of "

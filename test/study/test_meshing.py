@@ -8,6 +8,7 @@ import pytest
 
 from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import length, step_time
+from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.study import meshing
 from softrobot_twin.study.meshing import MeshingError, StepTime, size_for
@@ -60,6 +61,20 @@ def test_a_step_time_that_no_size_keeps_is_refused_with_the_fastest():
     measure, _ = power_law(-3.0)
     with pytest.raises(MeshingError, match="one of 20 mm takes 0.156 ms on this machine"):
         size_for(1e-5, 0.008, 0.02, measure)
+
+
+def test_a_size_that_cannot_be_meshed_is_too_large():
+    measure, tried = power_law(-3.0)
+
+    def measure_small(size: float) -> float:
+        if size > 0.012:
+            raise MeshError("part.stl", "cannot be meshed")
+        return measure(size)
+
+    wanted = 0.01 * (0.011 / 0.005) ** -3.0
+    assert size_for(wanted, 0.02, 0.05, measure_small) in tried
+    with pytest.raises(MeshError, match="cannot be meshed"):
+        size_for(wanted, 0.2, 0.5, measure_small)
 
 
 def test_a_part_is_meshed_and_its_quality_told(tmp_path, capsys):
