@@ -329,7 +329,7 @@ def add_plot(commands) -> None:
     parser.add_argument("--columns", nargs="+", default=(), metavar="GLOB",
                         help="draw all columns that match, in place of those that tell the most")
     parser.add_argument("--output", metavar="FILE.png", type=Path,
-                        help="picture to write (default: beside the file)")
+                        help="picture to write (default RUN_plot.png beside the file)")
 
 
 def _plot(chosen: argparse.Namespace) -> int:

@@ -414,7 +414,7 @@ def plot(run: Path, globs: Sequence[str] = (), output: Path | None = None) -> in
     Args:
         run: File of ``simulate`` or ``workspace``, or a table of targets or commands.
         globs: Patterns of the columns that are drawn; empty for those that tell the most.
-        output: Picture to write; None for one beside the file.
+        output: Picture to write; None for ``<run>_plot.png`` beside the file.
 
     Returns:
         Exit code, always 0.
@@ -431,7 +431,7 @@ def plot(run: Path, globs: Sequence[str] = (), output: Path | None = None) -> in
         any(fnmatchcase(name, glob) for glob in globs) if globs else name != DRIVEN_BY)]
     if not panels and not bands:
         raise TableFileError(run, "has no column with a number to draw")
-    path = run.with_suffix(".png") if output is None else output
+    path = run.with_name(f"{run.stem}_plot.png") if output is None else output
     foot = f"{len(series.at)} rows of {run.name}"
     with figure_file(path, (9.5, 4.0), run.stem, foot) as figure:
         draw_run(series, panels, bands, figure)
