@@ -39,7 +39,7 @@ MOST_BYTES, MOST_FACETS = 500_000_000, 1_000_000
 """Greatest CAD file, and greatest number of triangles of an STL file."""
 VOLUME_TOLERANCE = 0.01
 """A mesh whose volume differs from the part's by a greater share is told."""
-INSTALL = "pip install 'softrobot_twin[mesh]'"
+INSTALL = "pip install gmsh"
 """Installs gmsh."""
 LIBRARIES = ("libglu1-mesa libgl1 libgomp1 libxrender1 libxcursor1 libxfixes3 libxext6 libxft2 "
              "libxinerama1 libfontconfig1")  # fmt: skip

@@ -24,7 +24,7 @@ RUN, CALL, TICK, END = "run", "call", "tick", "end"
 """Kinds of entries of the JSON channel."""
 CHUNK_SIZE = 256 * 1024
 """Bytes of a chunk before it is compressed."""
-INSTALL = "mcap is not installed: pip install 'softrobot_twin[record]'"
+INSTALL = "mcap is not installed: pip install mcap"
 
 _JSON_SCHEMA = {
     "type": "object",

@@ -194,7 +194,7 @@ def test_text_is_no_step_file(tmp_path):
 @pytest.mark.parametrize(
     "raised, words",
     [
-        ("ModuleNotFoundError('No module named gmsh')", ("softrobot_twin[mesh]", "not installed")),
+        ("ModuleNotFoundError('No module named gmsh')", ("pip install gmsh", "not installed")),
         ("OSError('libGLU.so.1: cannot open shared object file')",
          ("libGLU.so.1", "sudo apt install libglu1-mesa")),
     ],
