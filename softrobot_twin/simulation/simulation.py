@@ -45,7 +45,7 @@ from softrobot_twin.simulation.stiffness_targets import (
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.touches import Touched, Touches, touch_term
-from softrobot_twin.simulation.warm_up import run_every_path
+from softrobot_twin.simulation.warm_up import run_every_path, tell_of_compilation
 from softrobot_twin.solvers.factorization import Factorization
 
 # Shares of a move towards targets that are tried, where a whole one folds the body or leads away
@@ -107,6 +107,7 @@ class Simulation(Readouts):
             SceneError: An entry does not fit the mesh.
             MeshError: The mesh cannot be used.
         """
+        tell_of_compilation()
         self.model = build_model(scene, factorization_type, with_warnings)
         self.now = now
         self._time_budget = TimeBudget()

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+import os
+from functools import cache
+from itertools import islice
+from pathlib import Path
+
 import numpy as np
 
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
@@ -10,6 +16,18 @@ from softrobot_twin.simulation.touches import Touched
 
 # Positive, and short enough to change the state little [s].
 TIME_STEP = 1.0e-3
+
+# A simulation needs more compiled kernels than these.
+_FEW_KERNELS = 50
+
+
+@cache
+def tell_of_compilation() -> None:
+    """Say once, before a long silence, that this machine has no compiled kernels yet."""
+    kept = Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi")
+    if sum(1 for _ in islice(kept, _FEW_KERNELS)) < _FEW_KERNELS:
+        logging.getLogger("softrobot_twin").warning(
+            "softrobot_twin: kernels are compiled for this machine, once: about a minute")
 
 
 def run_every_path(simulation) -> None:
