@@ -120,10 +120,16 @@ def test_no_shipped_parameter_file_binds_its_nodes_to_a_namespace(pytestconfig):
 
 def test_measured_cables_of_the_other_side_do_not_arrive(world, two_robots):
     heard = world.hear(JointState, "/lab/left/twin/measured_cables", 10)
+    left, right = two_robots["left", "twin"], two_robots["right", "twin"]
+
+    def is_lost(twin):
+        return twin.loop.device_is_lost(twin.monotonic())
+
+    world.until(lambda: heard and not is_lost(left) and not is_lost(right))
     two_robots["left", "device"].stop()
-    world.run(0.3)
-    before, twin = len(heard), two_robots["right", "twin"]
-    count = twin.tick_clock.ticks
-    world.until(lambda: twin.tick_clock.ticks > count + 5)
-    assert len(heard) == before
-    assert not twin.loop.device_is_lost(twin.monotonic())
+    world.until(lambda: is_lost(left))
+    before, count = len(heard), right.tick_clock.ticks
+    world.until(lambda: right.tick_clock.ticks > count + 5)
+    assert len(heard) == before and is_lost(left)
+    # On a busy machine the other device may be late, but its messages go on.
+    world.until(lambda: not is_lost(right))
