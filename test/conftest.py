@@ -21,25 +21,35 @@ os.environ["RERUN_STRICT"] = "1"
 # library changes them, and what these files use of the libraries other files use too. They are
 # marked `method`; the oldest versions run without them.
 METHOD = {
+    "": ("layering",),
+    "constraints": ("cable_friction", "contact_curvature", "effector_orientation"),
+    "geometry": ("closed_surface", "round_axes"),
+    "mechanics": (
+        "force_curvature", "hexahedra", "patch_volumes", "point_law", "reduced_elements",
+        "softening", "superelements", "viscosity",
+    ),
+    "tools": ("compare_solvers",),
     "simulation": (
         "arch", "augmented_tangent", "beam_contact", "buckling", "cable_friction", "capstan",
         "collapse", "compressed", "cone", "contact_balance", "contact_forces", "contact_rest",
         "contact_surface", "curling", "drag", "edge_of_reach", "energy", "equality_actuators",
-        "floating", "force_limit", "free_fall", "generalized_alpha", "hertz", "hostile_cavities",
+        "fibres", "floating", "force_limit", "free_fall", "generalized_alpha", "hertz", "hostile_cavities",
         "incline", "inflation", "inverse_contact", "inverse_limits", "inverse_obstacles",
         "inverse_trunk", "long_run", "many_contacts", "mesh_error", "momentum", "obstacles",
         "overlap", "overload", "pendulum", "redundancy", "resting", "rolling", "sag", "scales",
-        "snap_through", "stacks", "target_trust", "time_step", "tunnelling", "vibration",
-        "viscous_motion", "wedge",
+        "rubber_stays_upright", "snap_through", "stacks", "target_trust", "time_step",
+        "triangulated_floor", "trunk_scene", "tunnelling", "vibration", "viscous_motion", "wedge",
     ),
     "control": (
-        "device_returns", "grasping", "hostile_input", "long_run", "loop_safety", "loop_timing",
-        "marker_checks", "mesh_error_watch", "target_correction", "target_path", "trunk",
+        "cavities", "closed_loop", "device_returns", "flexo", "grasping", "hostile_input",
+        "long_run", "loop_safety", "loop_timing", "marker_checks", "mesh_error_watch",
+        "reduction_error_watch", "target_correction", "target_path", "trunk",
     ),
     "ros": (
         "grasping", "graph_watch", "hostile_messages", "node_process", "pressures", "target_pose",
         "thread_priority", "trunk", "twin_diagnostics",
     ),
+    "study": ("hexahedral_accuracy", "rubber_references", "vertebrae_reduction"),
     "docs": (
         "commands_of_the_pages", "files_page", "reference_pages", "scenes_of_the_pages", "site",
         "statuses_page",
