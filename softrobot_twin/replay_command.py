@@ -6,7 +6,6 @@ results, and with `view`. None of the three imports another.
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from softrobot_twin.record.replay import Comparison, Difference, Replay
 from softrobot_twin.record.run_description import machine
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.tick_table import TickTable
-from softrobot_twin.study.output_file import output_file
+from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.view import RerunMirror
 from softrobot_twin.view.simulation_frames import SimulationFrames
@@ -59,7 +58,7 @@ def replay(
             again = Replay(file, scene, changes)
         takers: list[Taker] = []
         if output is not None:
-            takers.append(_writer(again, stack.enter_context(output_file(output)), stack))
+            takers.append(_writer(again, output, stack))
         if view_file is not None:
             takers.append(_drawer(again, view_file, stack))
 
@@ -78,12 +77,11 @@ def replay(
 
 def _writer(again: Replay, path: Path, stack: ExitStack) -> Taker:
     """A function that writes a tick as a row."""
-    file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
-    rows, ticks = csv.writer(file), TickTable(again.loop)
-    rows.writerow(ticks.header)
+    ticks = TickTable(again.loop)
+    append = stack.enter_context(csv_output(path, ticks.header))
 
     def write(outcome: TickOutcome, ros_time: int, seconds: float) -> None:
-        rows.writerow(ticks.texts(outcome, again.comparison.ticks - 1, seconds))
+        append(ticks.texts(outcome, again.comparison.ticks - 1, seconds))
 
     return write
 
@@ -96,13 +94,7 @@ def _drawer(again: Replay, path: Path, stack: ExitStack) -> Taker:
 
     def draw(outcome: TickOutcome, ros_time: int, seconds: float) -> None:
         mirror.offer(frames.frame(
-            again.comparison.ticks, ros_time, outcome.result,
-            targets=outcome.reading.targets,
-            target_orientations=outcome.reading.orientations,
-            errors=outcome.tracking_errors,
-            predicted_markers=outcome.predicted_markers,
-            measured_markers=outcome.measured_markers,
-            status=f"{outcome.activity.value}: {outcome.result.status.value}",
+            again.comparison.ticks, ros_time, outcome.result, **outcome.shown()
         ))  # fmt: skip
         end = time.monotonic() + _LONGEST_DRAWING
         while thread.logged_count + thread.failed_count < mirror.frames_offered:

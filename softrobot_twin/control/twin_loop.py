@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -134,6 +134,17 @@ class TickOutcome(NamedTuple):
     left_out: tuple[int, ...] = ()
     is_approaching: bool = False
     orientation_errors: np.ndarray | None = None
+
+    def shown(self) -> dict[str, Any]:
+        """What a viewer shows of it beside its result, by the arguments of `SimulationFrames`."""
+        return {
+            "targets": self.reading.targets,
+            "target_orientations": self.reading.orientations,
+            "errors": self.tracking_errors,
+            "predicted_markers": self.predicted_markers,
+            "measured_markers": self.measured_markers,
+            "status": f"{self.activity.value}: {self.result.status.value}",
+        }
 
 
 class TwinLoop:

@@ -57,13 +57,7 @@ class ViewFeed:
             return
         self.mirror.offer(
             self._frames.frame(
-                self._ticks, time_ns, outcome.result,
-                targets=outcome.reading.targets,
-                target_orientations=outcome.reading.orientations,
-                errors=outcome.tracking_errors,
-                predicted_markers=outcome.predicted_markers,
-                measured_markers=outcome.measured_markers,
-                status=f"{outcome.activity.value}: {outcome.result.status.value}",
+                self._ticks, time_ns, outcome.result, **outcome.shown(),
                 discretization_error=discretization_error,
             )
         )

@@ -24,7 +24,14 @@ from softrobot_twin.simulation import (
     Simulation,
     Touched,
 )
+from softrobot_twin.simulation.input_tables import NOT_UNIT
 from softrobot_twin.simulation.pulleys import ANGLE
+from softrobot_twin.simulation.table_columns import (
+    column,
+    position_columns,
+    quaternion_columns,
+    stiffness_columns,
+)
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]
@@ -36,12 +43,10 @@ _MOST_NAMES = 16
 _AXES = ("x", "y", "z")
 # Ends of the names that targets take for an effector: all numbers at once, and one by one.
 _PARTS: dict[str, tuple[str, ...]] = {
-    "": ("_x_m", "_y_m", "_z_m"),
-    "_quaternion": ("_qx", "_qy", "_qz", "_qw"),
-    "_stiffness_N_per_m": ("_kx_N_per_m", "_ky_N_per_m", "_kz_N_per_m"),
+    "": position_columns(""),
+    "_quaternion": quaternion_columns(""),
+    "_stiffness_N_per_m": stiffness_columns(""),
 }
-# A quaternion whose length differs more from one is no rounding but a mistake.
-_NOT_UNIT = 1.0e-2
 
 
 @dataclass(frozen=True, repr=False)
@@ -341,11 +346,11 @@ class CommandReader:
         if name in simulation.guided_names:
             return CommandError(name, f"is a guided body: use poses={{{name!r}: [x, y, z]}}")
         for actuator, kind in simulation.actuators.kind_of.items():
-            follows = f"{actuator}_{kind.displacement.word}_{kind.displacement.unit}"
+            follows = column(actuator, kind.displacement)
             if kind.is_effort_driven and name == follows:
                 return CommandError(name, f"follows from the {kind.effort.word}: use "
-                                    f"{actuator}_{kind.setpoint.word}_{kind.setpoint.unit}")
-            if name == f"{actuator}_{kind.effort.word}_{kind.effort.unit}":
+                                    f"{column(actuator, kind.setpoint)}")
+            if name == column(actuator, kind.effort):
                 return CommandError(name, f"a {kind.noun} is not driven by its {kind.effort.word}")
         return unknown(name, f"{simulation.scene.name} takes", allowed)
 
@@ -362,7 +367,7 @@ class CommandReader:
                 raise CommandError(name, f"must be {len(_PARTS[part])} numbers, not {len(numbers)}")
             if part == "_quaternion":
                 self._needs(simulation.oriented_effectors, place, name, "orientation")
-                if abs(np.linalg.norm(wanted) - 1.0) > _NOT_UNIT:
+                if abs(np.linalg.norm(wanted) - 1.0) > NOT_UNIT:
                     raise CommandError(name, f"{_shown(numbers)} is not of unit length")
                 turns[place] = wanted / np.linalg.norm(wanted)
             elif part:
@@ -449,7 +454,7 @@ class CommandReader:
             turn = None
             if quaternion is not None:
                 turn = np.array(finite_numbers(name, quaternion))
-                if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > _NOT_UNIT:
+                if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > NOT_UNIT:
                     raise CommandError(name, f"{_shown(tuple(turn))} is no quaternion (qx, qy, qz, "
                                        "qw) of unit length")
             read[name] = point, turn
@@ -520,21 +525,18 @@ def _handles(simulation: Simulation) -> Iterator[tuple[str, Handle]]:
         own = (place,)
         if kind.is_effort_driven:
             quantity = kind.setpoint
-            yield (f"{name}_{quantity.word}_{quantity.unit}",
-                   Handle(own, "drive", 1.0, quantity.unit))
+            yield column(name, quantity), Handle(own, "drive", 1.0, quantity.unit)
             continue
         meanings = {kind.displacement: "displacement", kind.setpoint: "setpoint"}
         if kind.takes_efforts:
             meanings[kind.effort] = "effort"
         for quantity, meaning in meanings.items():
-            yield (f"{name}_{quantity.word}_{quantity.unit}",
-                   Handle(own, meaning, 1.0, quantity.unit))
+            yield column(name, quantity), Handle(own, meaning, 1.0, quantity.unit)
     for motor, cables in simulation.motors.items():
         places = tuple(names.index(cable) for cable in cables)
         quantity = actuators.kinds[places[0]].displacement
-        yield (f"{motor}_{quantity.word}_{quantity.unit}",
-               Handle(places, "displacement", 1.0, quantity.unit))
+        yield column(motor, quantity), Handle(places, "displacement", 1.0, quantity.unit)
     pulleys = actuators.pulleys
     for name, driven, wound in zip(pulleys.names, pulleys.driven, pulleys.wound, strict=True):
-        yield (f"{name}_{ANGLE.word}_{ANGLE.unit}",
-               Handle(tuple(map(int, driven)), "displacement", float(wound), ANGLE.unit))
+        places = tuple(map(int, driven))
+        yield column(name, ANGLE), Handle(places, "displacement", float(wound), ANGLE.unit)

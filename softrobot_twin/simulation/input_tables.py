@@ -280,8 +280,8 @@ def open_columns(source: Path | str | Mapping, example: str) -> Columns:
 SINGLE_ROW_TIME_STEP = 0.02
 """Time step of a file with only one row [s]."""
 
-# A larger deviation from unit length is not rounding but a mistake.
-_NOT_UNIT = 1.0e-2
+NOT_UNIT = 1.0e-2
+"""A quaternion that is off unit length by more is not rounded but a mistake."""
 TARGETS_EXAMPLE = ",".join((TIME, *position_columns("tip")))
 
 
@@ -582,7 +582,7 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
 def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[int]) -> None:
     """Refuses quaternions that are not of unit length."""
     off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
-    if off.max() > _NOT_UNIT:
+    if off.max() > NOT_UNIT:
         raise TableFileError(path, f"{name}'s quaternion is not of unit length",
                              lines[int(off.argmax())])
 

@@ -6,7 +6,6 @@ published at other times is interpolated.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from softrobot_twin.simulation.table_columns import (
     position_columns,
     target_name,
 )
-from softrobot_twin.study.output_file import output_file
+from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.tracking import TrackingRecord
 
 
@@ -77,8 +76,6 @@ def write_demo_table(
     """
     columns = demo_columns(record, effector, kind_of)
     driver = SETPOINTS if record.target is None else TARGETS
-    with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*columns, DRIVEN_BY])
+    with csv_output(path, [*columns, DRIVEN_BY]) as write:
         for row in zip(*(values.tolist() for values in columns.values()), strict=True):
-            writer.writerow([*map(repr, row), driver])
+            write([*map(repr, row), driver])

@@ -12,19 +12,11 @@ import numpy as np
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.input_tables import CommandTable, read_commands
 from softrobot_twin.simulation.run_columns import RunColumns, RunRow
-from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
-from softrobot_twin.study.offline_run import run_file
+from softrobot_twin.study.offline_run import load_with_notes, print_run, run_file
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import (
-    FirstSteps,
-    console,
-    progress,
-    table,
-    terminal_status,
-    warn,
-)
+from softrobot_twin.study.terminal import FirstSteps, progress, terminal_status, warn
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
@@ -101,7 +93,7 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
     Raises:
         SoftRobotTwinError: The scene, its mesh, the commands or an output cannot be used.
     """
-    simulation = _load_with_notes(scene)
+    simulation = load_with_notes(scene)
     commanded = read_commands(commands, simulation)
     summary = RunSummary(simulation, commanded.longest_hold)
     return _run_and_report(simulation, commanded, output, rate, summary, picture)
@@ -124,18 +116,10 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
     Raises:
         SoftRobotTwinError: The scene, its mesh or an output cannot be used.
     """
-    simulation = _load_with_notes(scene)
+    simulation = load_with_notes(scene)
     summary = RunSummary(simulation)
     return _run_and_report(simulation, no_commands(simulation, seconds), output, rate, summary,
                          picture, BodyReadouts(simulation))
-
-
-def _load_with_notes(scene: Path) -> Simulation:
-    """Builds a scene's simulation and prints its notes."""
-    simulation = Simulation.from_scene_file(scene)
-    for note in simulation.notes:
-        warn(note)
-    return simulation
 
 
 def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
@@ -145,16 +129,8 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
         simulation.warm_up()
     _run(simulation, commanded, output, rate, summary, picture, body_readouts)
     how = "direct" if body_readouts is None else "no commands"
-    made = table(f"{simulation.scene.name}, {how}, {rate:g} Hz", "what", "value")
     lines = summary.lines() + ([] if body_readouts is None else body_readouts.lines())
-    for line in lines:
-        made.add_row(*line)
-    made.add_row("run", str(output))
-    if picture is not None:
-        made.add_row("picture", str(picture.path))
-    console().print(made)
-    print_mesh_error(simulation.scene)
-    print_reduction_errors(simulation, summary.sampled_range)
+    print_run(simulation, f"{how}, {rate:g} Hz", summary, lines, output, picture and picture.path)
     if summary.failed:
         warn(f"{summary.failed} steps found no solution; their rows contain the last safe "
              f"state, see column status of {output}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +13,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.input_tables import TargetTable, read_targets
 from softrobot_twin.simulation.run_columns import RunColumns, RunRow
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
-from softrobot_twin.study.output_file import output_file
+from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import (
@@ -74,7 +73,7 @@ def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None
 def run_file(path: Path | str, columns: RunColumns) -> Iterator[Callable[[RunRow], None]]:
     """Opens the file of a run, however it is driven, and returns a function that appends a row.
 
-    An older file is replaced when the run has ended; see `output_file`.
+    An older file is replaced when the run has ended; see `csv_output`.
 
     Args:
         path: The file.
@@ -83,11 +82,16 @@ def run_file(path: Path | str, columns: RunColumns) -> Iterator[Callable[[RunRow
     Raises:
         OutputError: The file cannot be written.
     """
-    with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns.names)
-        yield lambda row: writer.writerow(columns.texts(row))
-        file.close()
+    with csv_output(path, columns.names) as write:
+        yield lambda row: write(columns.texts(row))
+
+
+def load_with_notes(scene: Path) -> Simulation:
+    """Builds the simulation of a scene file and prints its notes."""
+    simulation = Simulation.from_scene_file(scene)
+    for note in simulation.notes:
+        warn(note)
+    return simulation
 
 
 def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
@@ -107,9 +111,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     Raises:
         SoftRobotTwinError: The scene, its mesh, the targets or an output cannot be used.
     """
-    simulation = Simulation.from_scene_file(scene)
-    for note in simulation.notes:
-        warn(note)
+    simulation = load_with_notes(scene)
     rows = read_targets(targets, simulation)
     for note in rows.notes:
         warn(note)
@@ -121,9 +123,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
         simulation.warm_up()
     summary = RunSummary(simulation, unit="rows")
     _run_and_write(simulation, rows, output, settle, picture, summary)
-    _print_summary(simulation.scene.name, summary, output, picture)
-    print_mesh_error(simulation.scene)
-    print_reduction_errors(simulation, summary.sampled_range)
+    print_run(simulation, "offline", summary, summary.lines(), output, picture)
     if summary.failed:
         warn(f"{summary.failed} of {len(rows.times)} rows found no solution and contain the last "
              f"safe command, see column status of {output}")
@@ -158,11 +158,24 @@ def _draw(
     draw_snapshots([take_snapshot(simulation, None, name, goal, effector_path)], picture, name)
 
 
-def _print_summary(name: str, summary: RunSummary, output: Path, picture: Path | None) -> None:
-    made = table(f"{name}, offline", "what", "value")
-    for line in summary.lines():
+def print_run(simulation: Simulation, how: str, summary: RunSummary,
+              lines: list[tuple[str, str]], output: Path, picture: Path | None) -> None:
+    """Prints what a run gave, and the errors that its model is estimated to have.
+
+    Args:
+        simulation: Where the run ended.
+        how: How it was driven, for the title.
+        summary: Summary of the run.
+        lines: Names and values to print.
+        output: The file that was written.
+        picture: The picture that was written, or None.
+    """
+    made = table(f"{simulation.scene.name}, {how}", "what", "value")
+    for line in lines:
         made.add_row(*line)
     made.add_row("run", str(output))
     if picture is not None:
         made.add_row("picture", str(picture))
     console().print(made)
+    print_mesh_error(simulation.scene)
+    print_reduction_errors(simulation, summary.sampled_range)

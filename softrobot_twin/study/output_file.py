@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -73,3 +74,21 @@ def output_file(path: Path | str) -> Iterator[Path]:
     finally:
         if partial is not None:
             partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def csv_output(path: Path | str, header: Sequence[str]) -> Iterator[Callable[[Iterable], None]]:
+    """Opens a CSV file of results, see `output_file`, and returns a function that appends a row.
+
+    Args:
+        path: The requested file.
+        header: Its columns.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        yield writer.writerow
+        file.close()

@@ -40,7 +40,7 @@ from softrobot_twin.simulation.run_columns import (
 from softrobot_twin.simulation.table_columns import STATUS, column, position_columns
 from softrobot_twin.study.equilibrium import WAY, Rest, bring_to_rest
 from softrobot_twin.study.figure import figure_file, legend_below, load_pyplot
-from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
+from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, csv_output
 from softrobot_twin.study.sample_workers import (
     DaskWorkers,
     Job,
@@ -393,10 +393,9 @@ class UnfinishedFile:
     def finish(self, output: Path) -> None:
         """Write the rows in their order to the file of the run, and remove this one."""
         self.close()
-        with output_file(output) as partial, open(partial, "w", encoding="utf-8", newline="") as f:
-            writer = csv.writer(f, lineterminator="\n")
-            writer.writerow(self.header)
-            writer.writerows(self.rows[index] for index in sorted(self.rows))
+        with csv_output(output, self.header) as write:
+            for index in sorted(self.rows):
+                write(self.rows[index])
         self.path.unlink(missing_ok=True)
 
 
