@@ -14,6 +14,7 @@ cover, which by König's theorem follows from a maximum matching.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,6 +26,7 @@ from softrobot_twin.solvers.multifrontal.symbolic import (
     Elimination,
     analyse,
     inverse,
+    renumbered,
     subgraph,
     with_longer_runs,
 )
@@ -40,6 +42,10 @@ _AXES = np.array([
     [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0], [1, 0, 1], [1, 0, -1],
 ])  # fmt: skip
 PIVOTS = 12
+# A search takes half of the time to build a scene, and a scene is often built more than once: for
+# its error, its fallback, its samples. So the last eliminations are kept; nobody writes to them.
+_REMEMBERED = 32
+_RECENT: dict[bytes, Elimination] = {}
 
 
 def best_elimination(
@@ -61,9 +67,24 @@ def best_elimination(
         if not np.array_equal(np.sort(order), np.arange(node_count)):
             raise ValueError(f"the order is not a permutation of 0..{node_count - 1}")
         return with_longer_runs(graph, analyse(graph, order))
-    eliminations = (analyse(graph, o) for o in candidate_orders(graph, coordinates))
-    best = min(eliminations, key=lambda elimination: elimination.cost)
-    return with_longer_runs(graph, best)
+    key = _fingerprint(graph, coordinates)
+    found = _RECENT.get(key)
+    if found is None:
+        eliminations = (analyse(graph, o) for o in candidate_orders(graph, coordinates))
+        best = min(eliminations, key=lambda elimination: elimination.cost)
+        found = with_longer_runs(graph, best)
+        while len(_RECENT) >= _REMEMBERED:
+            _RECENT.pop(next(iter(_RECENT)), None)
+        _RECENT[key] = found
+    return found
+
+
+def _fingerprint(graph: sp.csr_array, coordinates: np.ndarray | None) -> bytes:
+    """The same for graphs whose search gives the same order."""
+    digest = hashlib.blake2b()
+    for array in (graph.indptr, graph.indices, coordinates):
+        digest.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
+    return digest.digest()
 
 
 def candidate_orders(
@@ -75,7 +96,7 @@ def candidate_orders(
     random = np.random.default_rng(0)
     for _ in range(MINIMUM_DEGREE_STARTS - 1):
         start = random.permutation(node_count)
-        yield start[minimum_degree(subgraph(graph, start))]
+        yield start[_minimum_degree(*renumbered(graph, start))]
     level = dissection_levels(graph, coordinates)
     for depth in range(1, int(level.max(initial=0)) + 1):
         yield _dissected(graph, np.where(level < depth, level, depth))
@@ -92,11 +113,24 @@ def _dissected(graph: sp.csr_array, level: np.ndarray) -> np.ndarray:
 
 def minimum_degree(graph: sp.csr_array) -> np.ndarray:
     """Multiple minimum degree, by the implementation inside SuperLU, shape (node_count,)."""
-    node_count = graph.shape[0]
+    return _minimum_degree(graph.indptr, graph.indices)
+
+
+def _minimum_degree(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
+    """The same of a graph given by its neighbours, in any order; see `renumbered`."""
+    node_count = len(indptr) - 1
     if node_count < 2:
         return np.arange(node_count)
     # An incomplete factorization that drops everything takes no longer than its ordering.
-    dominant = sp.csc_matrix(graph + sp.identity(node_count) * (2.0 * node_count))
+    ends, diagonal = indptr[1:], 2.0 * node_count
+    dominant = sp.csc_matrix(
+        (
+            np.insert(np.ones(len(indices)), ends, diagonal),
+            np.insert(indices, ends, np.arange(node_count)).astype(np.int32),
+            (indptr + np.arange(node_count + 1)).astype(np.int32),
+        ),
+        shape=(node_count, node_count),
+    )
     factors = spilu(
         dominant, drop_tol=1.0, fill_factor=1.0, drop_rule="basic",
         permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True},
