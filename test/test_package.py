@@ -144,14 +144,38 @@ def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_do
     # The commands below must not use the sources.
     shutil.rmtree(source)
 
-    prefix = install / "softrobot_twin"
+    prefix, kernels = install / "softrobot_twin", tmp_path / "kernels"
+    (package,) = prefix.glob("lib/python*/site-packages/softrobot_twin")
+    share_kernels(package, kernels)
     log = run_until_ready(
         ["bash", "-c", f'. "{install}/setup.bash" && exec "$@"', "start",
          prefix / "lib/softrobot_twin/twin", "--ros-args",
          "--params-file", prefix / "share/softrobot_twin/config/diamond.yaml"],
         {**os.environ, "ROS_DOMAIN_ID": str(ros_domain_id),
-         "NUMBA_CACHE_DIR": str(tmp_path / "numba")}, tmp_path)
+         "NUMBA_CACHE_DIR": str(kernels)}, tmp_path)
     assert str(prefix / "share/softrobot_twin/config/scenes") in log
+
+
+def share_kernels(package: Path, folder: Path) -> None:
+    """Makes a folder of kernels for an installed package from links to those of its sources.
+
+    numba keeps the kernels of a module in a folder named after the module's place, and compiles
+    them anew when its time differs.
+    """
+    from numba.core.caching import _CacheLocator as Locator
+
+    for module in package.rglob("*.py"):
+        source = PACKAGE / module.relative_to(package)
+        times = source.stat()
+        os.utime(module, ns=(times.st_atime_ns, times.st_mtime_ns))
+        compiled, link = (
+            Path(place, Locator.get_suitable_cache_subpath(str(file)))
+            for place, file in ((os.environ["NUMBA_CACHE_DIR"], source), (folder, module))
+        )
+        if not link.is_symlink():
+            compiled.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(exist_ok=True)
+            link.symlink_to(compiled)
 
 
 def run_until_ready(command: list, environment: dict[str, str], folder: Path) -> str:
@@ -161,7 +185,7 @@ def run_until_ready(command: list, environment: dict[str, str], folder: Path) ->
         node = subprocess.Popen(command, env=environment, cwd=folder, stdout=stream,
                                 stderr=subprocess.STDOUT, start_new_session=True)
     try:
-        # It compiles all kernels of a twin anew, perhaps on a busy machine.
+        # It compiles the kernels of a twin that no test has used yet, perhaps on a busy machine.
         deadline = time.monotonic() + 600
         while "ready" not in path.read_text():
             assert node.poll() is None, path.read_text()
