@@ -267,7 +267,7 @@ def half_trained(tmp_path_factory) -> Path:
         reduction_fingerprints,
         write_body_reduction,
     )
-    from softrobot_twin.study.body_training import TrainingOptions, reduction_of, train
+    from softrobot_twin.study.body_training import reduction_of, train
     from softrobot_twin.study.reduction_basis import rest_stiffness
     from softrobot_twin.study.reduction_states import (
         Sampling,
@@ -278,6 +278,7 @@ def half_trained(tmp_path_factory) -> Path:
         spread_of,
         training_scene,
     )
+    from softrobot_twin.study.training_options import TrainingOptions
     from softrobot_twin.study.workspace import sampled_axes
 
     root, folder = Path(__file__).parents[1], tmp_path_factory.mktemp("half_trained")

@@ -1,4 +1,8 @@
-"""The commands of ``python -m softrobot_twin`` and the arguments that each takes."""
+"""The commands of ``python -m softrobot_twin`` and the arguments that each takes.
+
+A command imports its study when it runs: the simulation loads in a second or more, which neither a
+help text nor a mistyped argument has to wait for, and no command needs the studies of the others.
+"""
 
 from __future__ import annotations
 
@@ -14,39 +18,19 @@ from textwrap import fill
 import shtab
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.study.accuracy import accuracy
-from softrobot_twin.study.accuracy_study import Limits
-from softrobot_twin.study.bench import bench
-from softrobot_twin.study.body_training import (
+from softrobot_twin.study.length_units import UNITS
+from softrobot_twin.study.training_options import (
     AROUND,
     ENERGY,
     FIRST_SNAPSHOTS,
     FRESH_STATES,
     SNAPSHOTS,
     SPARE_MODES,
+    TEST_STATES,
     TOLERANCE,
+    TargetBox,
     TrainingOptions,
-    reduce,
 )
-from softrobot_twin.study.choice import choose
-from softrobot_twin.study.contact_growth import bench_contacts
-from softrobot_twin.study.controller_export import reduce_and_export
-from softrobot_twin.study.direct_run import (
-    DEFAULT_RATE,
-    Picture,
-    simulate_alone,
-    simulate_commands,
-)
-from softrobot_twin.study.explain import explain
-from softrobot_twin.study.first_scene import init
-from softrobot_twin.study.meshing import UNITS, mesh_part, rate_step
-from softrobot_twin.study.offline_run import simulate
-from softrobot_twin.study.reduced_models import STUDY
-from softrobot_twin.study.reduction_states import TargetBox
-from softrobot_twin.study.run_plot import plot
-from softrobot_twin.study.stiffness import print_stiffness
-from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
-from softrobot_twin.study.workspace import workspace
 
 TEXT_WIDTH = 78
 """Columns of the texts of a command's help."""
@@ -222,6 +206,9 @@ def add_explain(commands) -> None:
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.direct_run import DEFAULT_RATE, Picture, simulate_alone, simulate_commands
+    from softrobot_twin.study.offline_run import simulate
+
     _check_outputs(chosen)
     if chosen.targets is not None:
         refuse(chosen, "--commands", "rate", "picture_at", "picture_view")
@@ -264,6 +251,9 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
 
 
 def _explain(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.explain import explain
+    from softrobot_twin.study.stiffness import print_stiffness
+
     if chosen.stiffness:
         if chosen.picture is not None:
             raise OptionError("--picture", "cannot be combined with --stiffness")
@@ -303,6 +293,9 @@ def add_bench(commands) -> None:
 
 
 def _bench(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.bench import bench
+    from softrobot_twin.study.contact_growth import bench_contacts
+
     if not chosen.scenes or chosen.contacts:
         refuse(chosen, "a scene to time", "commands")
     if chosen.contacts:
@@ -333,6 +326,8 @@ def add_plot(commands) -> None:
 
 
 def _plot(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.run_plot import plot
+
     return plot(chosen.file, chosen.columns, chosen.output)
 
 
@@ -372,6 +367,8 @@ def add_workspace(commands) -> None:
 
 
 def _workspace(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.workspace import workspace
+
     _check_outputs(chosen)
     if chosen.scheduler is not None and chosen.workers is not None:
         raise OptionError("--workers", "has no effect with --scheduler")
@@ -452,6 +449,9 @@ def add_choose(commands) -> None:
 
 
 def _accuracy(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.accuracy import accuracy
+    from softrobot_twin.study.accuracy_study import Limits
+
     if chosen.train is not None:
         enable_interrupts()
     return accuracy(chosen.scene, chosen.output, Limits(chosen.timed_dof, chosen.reference_dof),
@@ -459,6 +459,9 @@ def _accuracy(chosen: argparse.Namespace) -> int:
 
 
 def _choose(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.choice import choose
+    from softrobot_twin.study.reduced_models import STUDY
+
     if chosen.train:
         enable_interrupts()
     if chosen.targets and chosen.ranges:
@@ -607,6 +610,8 @@ def add_mesh(commands) -> None:
 
 
 def _mesh(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.meshing import mesh_part, rate_step
+
     step = chosen.step_time if chosen.rate is None else rate_step(chosen.rate)
     return mesh_part(chosen.part, chosen.output or Path(f"{chosen.part.stem}.msh"),
                      size=chosen.size, step=step, unit=chosen.unit, element=chosen.element)
@@ -634,6 +639,8 @@ def add_init(commands) -> None:
 
 
 def _init(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.first_scene import init
+
     scale = None if chosen.unit is None else UNITS[chosen.unit]
     return init(chosen.mesh, chosen.output, size=chosen.size, scale=scale, replace=chosen.force)
 
@@ -658,6 +665,8 @@ def add_reduce_vertebrae(commands) -> None:
 
 
 def _reduce_vertebrae(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.vertebrae_reduction import reduce_vertebrae
+
     return reduce_vertebrae(chosen.scene, chosen.seed, chosen.states, chosen.again)
 
 
@@ -805,6 +814,9 @@ def target_box(text: str) -> TargetBox:
 
 
 def _reduce(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.body_training import reduce
+    from softrobot_twin.study.controller_export import reduce_and_export
+
     if chosen.scheduler is not None and chosen.workers is not None:
         raise OptionError("--workers", "has no effect with --scheduler")
     if not chosen.loads:

@@ -53,7 +53,6 @@ from softrobot_twin.study.reduction_states import (
     StateFinder,
     States,
     StateStore,
-    TargetBox,
     TargetWay,
     TrainingError,
     chains,
@@ -76,31 +75,26 @@ from softrobot_twin.study.sample_workers import (
     core_count,
 )
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
+from softrobot_twin.study.training_options import (
+    SNAPSHOTS,
+    FIRST_SNAPSHOTS,
+    TrainingOptions,
+)
 from softrobot_twin.study.workspace import Axis, sampled_axes, scene_fingerprint
 
-# Share of the energy of all displacements that the modes in use leave out.
-ENERGY = 3.0e-6
 # Most modes by energy: more make a step slower than many a full model.
 MOST_MODES = 96
-# Modes beyond those in use, for the estimate of the error.
-SPARE_MODES = 24
-# Error of the virtual work that the sampled points leave, as a share.
-TOLERANCE = 3.0e-3
-# The same of the points with the spare modes, as a share of it. What these modes add is small: points
+# Error of the virtual work of the points with the spare modes, as a share of that of the others. What these modes add is small: points
 # as coarse as the others gave errors of 0.7 to 4.7 of the true ones at twice the training range.
 SPARE_SHARE = 1.0 / 3.0
-# States of a training without a wanted error, and fresh ones that it is judged at.
-SNAPSHOTS, FRESH_STATES = 300, 40
-# Greatest shift of a pass of a path of targets [m].
-AROUND = 0.005
 # Fresh states have seeds of their own: those of the last judgement, and of the rounds.
 FRESH_SEED, ROUND_SEED = 1000, 2000
 # Boxes of targets are this share of their width wider at each side in the training: at the border
 # of what was seen a reduced model is least accurate.
 MARGIN = 0.08
-# With a wanted error: states to begin with, candidates of a round, how many of the worst are added,
-# fresh ones that judge it, and most rounds.
-FIRST_SNAPSHOTS, CANDIDATES, ADDED, JUDGES, MOST_ROUNDS = 120, 192, 48, 40, 8
+# With a wanted error: candidates of a round, how many of the worst are added, fresh ones that judge
+# it, and most rounds.
+CANDIDATES, ADDED, JUDGES, MOST_ROUNDS = 192, 48, 40, 8
 # Where the spare modes take this share of the error away, a round adds so many modes in use.
 MODES_HELP, MORE_MODES = 0.4, 6
 # Else it lowers the tolerance of the sampling by this factor.
@@ -109,56 +103,6 @@ FINER_SAMPLING = 0.6
 LEAST_DISPLACEMENT = 0.1
 # Of all states but few: this quantile.
 ALL_BUT_FEW = 0.97
-
-
-@dataclass(frozen=True)
-class TrainingOptions:
-    """What is asked of a training.
-
-    Attributes:
-        body: The body; None for the only one.
-        output: File to write; None for one beside the mesh.
-        snapshots: Number of states, that at rest included; None for the default.
-        ranges: Bounds in place of the scene's; see `sampled_axes`.
-        targets: Boxes of targets; none for the box of the actuators.
-        along: File with a path of targets in place of both; the scene keeps its contact then.
-        around: Greatest shift of a pass of this path along each axis [m].
-        load: Greatest force at a point [N].
-        load_points: Loaded points [m]; none for the effectors.
-        spread_loads: Number of further loaded points, spread over the surface.
-        tilt: Greatest tilt of gravity [rad].
-        energy: Share of the energy that the modes in use leave out.
-        modes: Number of modes in place of that; None for the energy.
-        spare: Number of spare modes.
-        tolerance: Error of the virtual work that sampled points leave.
-        error: Wanted error at fresh states, as a share of the effectors' displacement; None for a
-            training of a given number of states.
-        states: Fresh states that the result is judged at.
-        seed: Seed of all samples.
-        workers: Processes on this machine; None for one on each core.
-        scheduler: Address of a Dask scheduler in place of these.
-    """
-
-    body: str | None = None
-    output: Path | None = None
-    snapshots: int | None = None
-    ranges: tuple[str, ...] = ()
-    targets: tuple[TargetBox, ...] = ()
-    load: float = 0.0
-    load_points: tuple[tuple[float, float, float], ...] = ()
-    spread_loads: int = 0
-    tilt: float = 0.0
-    energy: float = ENERGY
-    modes: int | None = None
-    spare: int = SPARE_MODES
-    tolerance: float = TOLERANCE
-    error: float | None = None
-    states: int = FRESH_STATES
-    seed: int = 0
-    workers: int | None = None
-    scheduler: str | None = None
-    along: Path | None = None
-    around: float = AROUND
 
 
 class Judgement(NamedTuple):

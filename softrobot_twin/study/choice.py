@@ -57,7 +57,7 @@ from softrobot_twin.study.accuracy_study import (
     write_rows,
     write_scene_copy,
 )
-from softrobot_twin.study.body_training import TrainingOptions, reduce
+from softrobot_twin.study.body_training import reduce
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.reduced_models import (
     STUDY,
@@ -71,8 +71,8 @@ from softrobot_twin.study.reduced_models import (
     reduced_row,
     with_ranges,
 )
-from softrobot_twin.study.reduction_states import TargetBox
 from softrobot_twin.study.terminal import console, table, warn
+from softrobot_twin.study.training_options import TargetBox, TrainingOptions
 
 STEPS = 120
 FIRST_ROUNDS, LAST_ROUNDS = 3, 4

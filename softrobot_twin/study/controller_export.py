@@ -32,14 +32,10 @@ from softrobot_twin.simulation.reduced_body import COMMAND, ReducedNodes, withou
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
-from softrobot_twin.study.body_training import (
-    TrainingOptions,
-    output_path,
-    reduce,
-    reduced_scene,
-)
+from softrobot_twin.study.body_training import output_path, reduce, reduced_scene
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.terminal import console
+from softrobot_twin.study.training_options import TrainingOptions
 
 # Version of the file; it grows where lines of numpy for the one before would step it wrongly.
 FORMAT = 1

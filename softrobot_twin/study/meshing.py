@@ -29,11 +29,10 @@ from softrobot_twin.study.accuracy_study import with_element, with_law
 from softrobot_twin.study.choice import MARGIN
 from softrobot_twin.study.explain import LEAST_ACROSS
 from softrobot_twin.study.first_scene import MeshSource, first_scene
+from softrobot_twin.study.length_units import UNITS
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
-"""Metres in the units that lengths are given in."""
 BUSY = 1.3
 """A machine on which steps take this many times as long as they compute is called busy."""
 TRIALS = 5

@@ -44,9 +44,7 @@ from softrobot_twin.study.accuracy_study import (
 from softrobot_twin.study.body_training import (
     FRESH_SEED,
     MARGIN,
-    SNAPSHOTS,
     Training,
-    TrainingOptions,
     begin_training,
     point_count,
     reduce,
@@ -55,6 +53,7 @@ from softrobot_twin.study.body_training import (
 )
 from softrobot_twin.study.reduction_states import States, columns_of
 from softrobot_twin.study.sample_workers import core_count
+from softrobot_twin.study.training_options import SNAPSHOTS, TrainingOptions
 
 SUFFIX = "_reduced.npz"
 """End of the names of files of reduced models, by which they are found beside meshes."""

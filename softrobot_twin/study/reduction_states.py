@@ -38,6 +38,7 @@ from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.study.equilibrium import ANY_TIME
 from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
 from softrobot_twin.study.sample_workers import Job, SampleWorkers
+from softrobot_twin.study.training_options import TargetBox
 from softrobot_twin.study.vertebrae_reduction import full_scene
 from softrobot_twin.study.workspace import (
     LOST,
@@ -66,26 +67,6 @@ class TrainingError(SoftRobotTwinError):
 
 
 # --- what is sampled -----------------------------------------------------------------------------
-
-
-class TargetBox(NamedTuple):
-    """Where the targets of an effector lie.
-
-    Attributes:
-        effector: Its name.
-        low: Least coordinates [m].
-        high: Greatest [m].
-    """
-
-    effector: str
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-
-    def widened(self, share: float) -> TargetBox:
-        """The box, wider at each side by a share of its width."""
-        low, high = np.array(self.low), np.array(self.high)
-        wider = share * (high - low)
-        return TargetBox(self.effector, tuple(low - wider), tuple(high + wider))
 
 
 class Sampling(NamedTuple):

@@ -17,7 +17,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
 
 from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.geometry.cell_mesh import SomeCells
@@ -384,6 +383,8 @@ def sample(model: SoftPartModel, within: SampledRange, count: int, seed: int):
     Returns:
         The samples, and the number of points that were not reached.
     """
+    from scipy.stats import qmc  # it loads slowly
+
     exponent = int(np.ceil(np.log2(count)))
     points = qmc.Sobol(model.variable_count, seed=seed).random_base2(exponent)[:count]
     samples, lost = [model.at_rest()], 0

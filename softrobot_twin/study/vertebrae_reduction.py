@@ -18,7 +18,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
@@ -45,11 +44,10 @@ from softrobot_twin.study.superelement_fit import (
     sample_count,
 )
 from softrobot_twin.study.terminal import FirstSteps, console, progress, table, warn
+from softrobot_twin.study.training_options import TEST_STATES
 
 # States of the full model that show which deformations occur.
 RANGE_STATES = 32
-# Fresh states that the reduced model is compared at.
-TEST_STATES = 32
 # Steps from rest to a state, and linearizations of each.
 WAY, MOST_ITERATIONS = 3, 60
 # Residual of an equilibrium, as a share of the scene's tolerance.
@@ -119,6 +117,8 @@ def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarra
     Raises:
         ReductionError: An actuator has no limits.
     """
+    from scipy.stats import qmc  # it loads slowly
+
     low, high = simulation.limits.setpoint_range(simulation.rest_setpoints)
     for name, least, most in zip(simulation.actuator_names, low, high, strict=True):
         if not (np.isfinite(least) and np.isfinite(most)):

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import NamedTuple, TextIO
 
 import numpy as np
-from scipy.stats import qmc
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene
@@ -178,6 +177,8 @@ def shifted_sobol(dimension: int, count: int, seed: int) -> np.ndarray:
     Returns:
         Points of the unit cube, shape (count, dimension).
     """
+    from scipy.stats import qmc  # it loads slowly
+
     shift = np.random.default_rng(seed).random(dimension)
     exponent = max(1, math.ceil(math.log2(count + 1)))
     points = qmc.Sobol(dimension, scramble=False).random_base2(exponent)

@@ -94,6 +94,19 @@ def test_bash_completes_commands_options_and_files(typed, tmp_path, typed_so_far
     assert expected in done.stdout.split(), done.stderr
 
 
+@pytest.mark.parametrize("arguments", [["plot", "--help"], ["simulate", "none.yaml"]])
+def test_help_and_a_mistyped_argument_do_not_wait_for_the_simulation(arguments):
+    code = ("import sys\n"
+            "from softrobot_twin.__main__ import main\n"
+            "try: main(sys.argv[1:])\n"
+            "finally: print('loaded', *sys.modules, file=sys.stderr)")
+    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True,
+                          text=True, timeout=120)
+    loaded = set(done.stderr.partition("loaded ")[2].split())
+    assert "softrobot_twin.command_line.commands" in loaded
+    assert not loaded & {"numpy", "numba", "pydantic", "softrobot_twin.simulation"}
+
+
 def test_the_version_is_printed(typed):
     assert typed("--version").stdout.startswith("softrobot_twin ")
 
@@ -148,7 +161,7 @@ def test_one_blas_thread_is_chosen_before_numpy_is_imported():
             "    def find_spec(self, name, path=None, target=None):\n"
             "        if name == 'numpy': print(os.environ.get('OPENBLAS_NUM_THREADS'))\n"
             "sys.meta_path.insert(0, Watch())\n"
-            "import softrobot_twin.__main__")
+            "import softrobot_twin.mechanics.gravity")
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
                           capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["1"]

@@ -20,7 +20,8 @@ from softrobot_twin.study.accuracy_study import (
     with_element,
     write_scene_copy,
 )
-from softrobot_twin.study.body_training import TrainingOptions, output_path
+from softrobot_twin.study.body_training import output_path
+from softrobot_twin.study.training_options import TrainingOptions
 from softrobot_twin.study.explain import describe_mesh
 
 SCENE = {
