@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -185,11 +186,60 @@ def expanded(model: type[BaseModel], entry: Any) -> Any:
         return {"file": entry}
     if not isinstance(entry, Mapping):
         return entry
-    fields = model.model_fields
-    return {
-        key: _value(fields[key].annotation, value) if key in fields else value
-        for key, value in entry.items()
-    }
+    forms = forms_of(model)
+    return {key: _value(forms[key], value) if key in forms else value
+            for key, value in entry.items()}  # fmt: skip
+
+
+class Form(NamedTuple):
+    """What the value of a key may look like in a scene file.
+
+    Attributes:
+        kind: Its type, without limits, unit, and the alternative None.
+        item: The type of the items of a list of any length; None where it is no such list.
+        may_be_none: Whether None is allowed.
+        numbers: Where numbers are in the value, or in an item of the list: True for a number, a
+            list with a place for each part of a fixed number of values, None without numbers.
+    """
+
+    kind: Any
+    item: Any
+    may_be_none: bool
+    numbers: Any
+
+    @property
+    def section(self) -> Any:
+        """The type of the entry that the value is; None for other values."""
+        return self.kind if is_entry(self.kind) else None
+
+    @property
+    def entries(self) -> Any:
+        """The type of the entries of a list; None for other values."""
+        return self.item if is_entry(self.item) else None
+
+
+@cache
+def forms_of(model: type[BaseModel]) -> dict[str, Form]:
+    """The form of each key of an entry.
+
+    Args:
+        model: The type of the entry.
+    """
+    forms = {}
+    for key, field in model.model_fields.items():
+        kind, item = plain(field.annotation), item_of_list(field.annotation)
+        numbers = _places_of_numbers(kind if item is None else item)
+        forms[key] = Form(kind, item, may_be_none(field.annotation), numbers)
+    return forms
+
+
+def _places_of_numbers(kind: Any) -> Any:
+    if kind in (float, int):
+        return True
+    if get_origin(kind) is not tuple or Ellipsis in get_args(kind):
+        return None
+    places = [_places_of_numbers(plain(part)) for part in get_args(kind)]
+    return places if any(places) else None
 
 
 def plain(annotation: Any) -> Any:
@@ -221,16 +271,15 @@ def is_entry(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _value(annotation: Any, value: Any) -> Any:
-    item = item_of_list(annotation)
-    if item is None:
-        return _without_truth_values(plain(annotation), value)
+def _value(form: Form, value: Any) -> Any:
+    if form.item is None:
+        return _without_truth_values(form.numbers, value)
     if value is None:
-        return value if may_be_none(annotation) else ()
-    if _is_one(item, value):
-        value = _letters(item, value) or [value]
-    if isinstance(value, list | tuple):
-        return [_without_truth_values(item, one) for one in value]
+        return value if form.may_be_none else ()
+    if _is_one(form.item, value):
+        value = _letters(form.item, value) or [value]
+    if form.numbers is not None and isinstance(value, list | tuple):
+        return [_without_truth_values(form.numbers, one) for one in value]
     return value
 
 
@@ -253,12 +302,10 @@ def _letters(item: Any, value: Any) -> list[str] | None:
     return letters if letters and all(letter in words for letter in letters) else None
 
 
-def _without_truth_values(annotation: Any, value: Any) -> Any:
+def _without_truth_values(numbers: Any, value: Any) -> Any:
     """Replaces truth values by words where a number is required, so that they are refused."""
-    if annotation in (float, int):
+    if numbers is True:
         return str(value).lower() if isinstance(value, bool) else value
-    if get_origin(annotation) is tuple and isinstance(value, list | tuple):
-        inner = [plain(part) for part in get_args(annotation)]
-        if len(inner) == len(value):
-            return [_without_truth_values(*pair) for pair in zip(inner, value, strict=True)]
+    if numbers is not None and isinstance(value, list | tuple) and len(numbers) == len(value):
+        return [_without_truth_values(*pair) for pair in zip(numbers, value, strict=True)]
     return value

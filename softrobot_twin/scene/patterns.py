@@ -21,10 +21,10 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.helix import across
 from softrobot_twin.scene.entry import (
     Entry,
+    Form,
     Vector,
     expanded,
-    is_entry,
-    item_of_list,
+    forms_of,
     plain,
     refusal,
     unit,
@@ -185,19 +185,21 @@ class Motion(NamedTuple):
     def point(self, place: tuple[float, ...]) -> tuple[float, ...]:
         """A point [m] moved."""
         if self.rows is not None:
-            arm = tuple(p - c for p, c in zip(place, self.centre, strict=True))
-            place = tuple(p + c for p, c in zip(self.direction(arm), self.centre, strict=True))
+            (x, y, z), (a, b, c) = place, self.centre
+            x, y, z = self.direction((x - a, y - b, z - c))
+            place = (x + a, y + b, z + c)
         if any(self.shift):
-            place = tuple(p + s for p, s in zip(place, self.shift, strict=True))
+            (x, y, z), (a, b, c) = place, self.shift
+            place = (x + a, y + b, z + c)
         return place
 
     def direction(self, vector: tuple[float, ...]) -> tuple[float, ...]:
         """A vector turned."""
         if self.rows is None:
             return vector
+        x, y, z = vector
         # Adding 0 makes 0 of -0, as one writes it by hand.
-        return tuple(sum(r * v for r, v in zip(row, vector, strict=True)) + 0.0
-                     for row in self.rows)  # fmt: skip
+        return tuple([sum((a * x, b * y, c * z)) + 0.0 for a, b, c in self.rows])
 
     def angles(self, angles: tuple[float, ...]) -> tuple[float, ...]:
         """Angles [rad] about the world's x, y and z axes in this order, of something turned."""
@@ -343,17 +345,17 @@ def _moved(model: type[Entry], entry: dict, motion: Motion, above: str = "") -> 
         elif kind == "letters":
             moved[key] = _letters(value, motion, above + key)
         elif kind == "helix":
-            moved[key] = _helix(value, motion, _model_of(field.annotation))
+            moved[key] = _helix(value, motion, _model_of(forms_of(model)[key]))
         elif kind in ("inside", "regions") and key in entry:
-            moved[key] = _moved_inside(field.annotation, value, motion, above + key)
+            moved[key] = _moved_inside(_model_of(forms_of(model)[key]), value, motion,
+                                       above + key)  # fmt: skip
     return moved
 
 
-def _moved_inside(annotation: Any, value: Any, motion: Motion, key: str) -> Any:
+def _moved_inside(model: type[Entry], value: Any, motion: Motion, key: str) -> Any:
     """An entry inside another one, or a list of them, moved."""
-    model = _model_of(annotation)
     if isinstance(value, list | tuple):
-        return _like(value, [_moved_inside(annotation, one, motion, f"{key}[{index}]")
+        return _like(value, [_moved_inside(model, one, motion, f"{key}[{index}]")
                              for index, one in enumerate(value)])  # fmt: skip
     value = expanded(model, value)
     if not isinstance(value, Mapping):
@@ -364,11 +366,9 @@ def _moved_inside(annotation: Any, value: Any, motion: Motion, key: str) -> Any:
     return _moved(model, dict(value), motion, f"{key}.")
 
 
-def _model_of(annotation: Any) -> type[Entry]:
+def _model_of(form: Form) -> type[Entry]:
     """The type of an entry, of the entries of a list, or of both ends of a pair."""
-    item = item_of_list(annotation)
-    found = plain(annotation) if item is None else item
-    return found if is_entry(found) else plain(found.__args__[0])
+    return form.entries or form.section or plain(form.kind.__args__[0])
 
 
 def _named(value: Any, words: tuple[str, ...], key: str = "") -> Any:
@@ -400,9 +400,9 @@ def _has_mark(value: Any) -> bool:
     return isinstance(value, str) and "#" in value
 
 
-def _copy(model: type[Entry], entry: dict, words: tuple[str, ...], number: int,
+def _copy(model: type[Entry], entry: dict, marked: list[str], words: tuple[str, ...], number: int,
           motions: list[Motion]) -> dict:  # fmt: skip
-    """One copy of an entry, with its own name and place."""
+    """One copy of an entry, with its own name and place; `marked` are its keys with a mark."""
     copy = dict(entry)
     if "name" in model.model_fields:
         field = model.model_fields["name"]
@@ -412,7 +412,8 @@ def _copy(model: type[Entry], entry: dict, words: tuple[str, ...], number: int,
                 copy["name"] = "_".join(words)
         elif isinstance(name, str) and "#" not in name:
             copy["name"] = f"{name}_{'_'.join(words)}"
-    copy = _named(copy, words)
+    for key in marked:
+        copy[key] = _named(copy[key], words, f".{key}")
     for key, kind in (model.placed or {}).items():
         if kind == "numbers" and key in copy:
             copy[key] = _counted(copy[key], number)
@@ -504,13 +505,15 @@ class _Expansion:
         if not isinstance(section, Mapping):
             return section
         made = {}
+        forms = forms_of(model)
         for key, value in section.items():
-            field = model.model_fields.get(key)
-            item = item_of_list(field.annotation) if field is not None else None
-            if item is not None and is_entry(item) and isinstance(value, list | tuple):
-                value = self._list(item, list(value), (*place, key))
-            elif field is not None and is_entry(plain(field.annotation)):
-                value = self.section(plain(field.annotation), value, (*place, key))
+            form = forms.get(key)
+            if form is None:
+                pass
+            elif form.entries is not None and isinstance(value, list | tuple):
+                value = self._list(form.entries, list(value), (*place, key))
+            elif form.section is not None:
+                value = self.section(form.section, value, (*place, key))
             made[key] = value
         return made
 
@@ -541,13 +544,16 @@ class _Expansion:
                                 f"they would be alike: give {needed}")
         # The first pattern runs fastest: each further one repeats what those before it made.
         ranges = [range(pattern.copy_count) for pattern in reversed(patterns)]
+        marked = [key for key, value in entry.items() if _has_mark(value)]
         words_of = [pattern.words for pattern in patterns]
+        motions_of = [[pattern.motion(one) for one in range(pattern.copy_count)]
+                      for pattern in patterns]  # fmt: skip
         for number, chosen in enumerate(product(*ranges)):
             turns = chosen[::-1]
             words = tuple(words[one] for words, one in zip(words_of, turns, strict=True))
-            motions = [pattern.motion(one) for pattern, one in zip(patterns, turns, strict=True)]
+            motions = [moved[one] for moved, one in zip(motions_of, turns, strict=True)]
             try:
-                yield _copy(model, entry, words, number, motions)
+                yield _copy(model, entry, marked, words, number, motions)
             except _CannotMove as error:
                 reason = f"{error.reason} (copy {number + 1} of {count})"
                 raise self._refused((*place, error.key), error.value, reason) from None
