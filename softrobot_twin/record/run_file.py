@@ -1,14 +1,16 @@
 """The file of a run: MCAP with a channel for each topic, and one of JSON for everything else.
 
-Each message of a topic is in CDR, as ROS sends it, with its definition: Foxglove and other tools
-show them. The JSON channel holds what a replay needs, numbered without gaps: the description of the
-run, each call of the loop, and each tick with its results. A file that ends in the middle, because
-the process was killed, is read up to its last complete chunk.
+Each message of a topic is in CDR, as ROS sends it, with its definition: Foxglove, ``ros2 bag`` and
+other tools read them. The JSON channel holds what a replay needs, numbered without gaps: the
+description of the run, each call of the loop, and each tick with its results. Its JSON is the text
+of a `std_msgs/String`, because ``ros2 bag`` refuses a file in which any channel is not in CDR. A
+file that ends in the middle, because the process was killed, is read up to its last complete chunk.
 """
 
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -17,13 +19,18 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.record.run_description import RunDescription
 
 SUFFIX = ".mcap"
-FORMAT = 1
+FORMAT = 2
 """Number of the format of the JSON channel; a file of another one is refused."""
 SCHEMA = "softrobot_twin.RunEntry"
+"""What the metadata of the JSON channel say that its texts are."""
+TEXT, TEXT_DEFINITION = "std_msgs/msg/String", b"string data\n"
+"""Type of the messages of the JSON channel, and its definition."""
 RUN, CALL, TICK, END = "run", "call", "tick", "end"
 """Kinds of entries of the JSON channel."""
 CHUNK_SIZE = 256 * 1024
 """Bytes of a chunk before it is compressed."""
+_ENCAPSULATION = b"\x00\x01\x00\x00"
+"""Begin of a message in CDR of version 1, little-endian, without options."""
 INSTALL = "mcap is not installed: pip install mcap"
 
 _JSON_SCHEMA = {
@@ -54,6 +61,17 @@ class RunFileError(SoftRobotTwinError):
     def __init__(self, path: Path | str, reason: str):
         self.path, self.reason = Path(path), reason
         super().__init__(f"{path}: {reason}")
+
+
+def text_to_cdr(text: str) -> bytes:
+    """A text as a serialized `std_msgs/String`."""
+    content = text.encode() + b"\0"
+    return _ENCAPSULATION + struct.pack("<I", len(content)) + content
+
+
+def text_of_cdr(data: bytes) -> str:
+    """The text of a serialized `std_msgs/String`, the inverse of `text_to_cdr`."""
+    return data[len(_ENCAPSULATION) + 4 : -1].decode()
 
 
 class Topic(NamedTuple):
@@ -100,11 +118,11 @@ class RunWriter:
             raise RunFileError(path, f"cannot be written: {reason}") from None
         self._writer = Writer(self._file, chunk_size=CHUNK_SIZE)
         self._writer.start(profile="ros2", library="softrobot_twin")
-        schema = self._writer.register_schema(
-            SCHEMA, "jsonschema", json.dumps(_JSON_SCHEMA).encode()
+        schema = self._writer.register_schema(TEXT, "ros2msg", TEXT_DEFINITION)
+        self._entries = self._writer.register_channel(
+            channel, "cdr", schema, {"content": SCHEMA, "jsonschema": json.dumps(_JSON_SCHEMA)}
         )
-        self._entries = self._writer.register_channel(channel, "json", schema)
-        self._schemas: dict[str, int] = {}
+        self._schemas = {TEXT: schema}
         self._channels: dict[str, tuple[int, int]] = {}
 
     def begin(self, description: RunDescription) -> None:
@@ -129,7 +147,7 @@ class RunWriter:
             content: It.
         """
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-        self._writer.add_message(self._entries, time, text.encode(), time, sequence)
+        self._writer.add_message(self._entries, time, text_to_cdr(text), time, sequence)
 
     def add_message(self, topic: Topic, time: int, data: bytes) -> None:
         """Writes a message.
@@ -244,7 +262,7 @@ class RunFile:
 
     def _read(self) -> Iterator[Entry]:
         try:
-            from mcap.records import Channel, Message, Schema
+            from mcap.records import Channel, Message
             from mcap.stream_reader import StreamReader
         except ImportError:
             raise RunFileError(self.path, INSTALL) from None
@@ -253,16 +271,15 @@ class RunFile:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise RunFileError(self.path, f"cannot be read: {reason}") from None
-        schemas, channels = set(), set()
+        channels = set()
         with file:
             try:
                 for record in StreamReader(file, validate_crcs=True).records:
-                    if isinstance(record, Schema) and record.name == SCHEMA:
-                        schemas.add(record.id)
-                    elif isinstance(record, Channel) and record.schema_id in schemas:
+                    if isinstance(record, Channel) and record.metadata.get("content") == SCHEMA:
                         channels.add(record.id)
                     elif isinstance(record, Message) and record.channel_id in channels:
-                        yield Entry(record.sequence, record.log_time, json.loads(record.data))
+                        content = json.loads(text_of_cdr(record.data))
+                        yield Entry(record.sequence, record.log_time, content)
             except Exception as error:  # noqa: BLE001 - a damaged file raises anything
                 words = " ".join(str(error).split())
                 self.damage = f"{type(error).__name__} {words}".strip()

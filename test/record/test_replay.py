@@ -17,7 +17,18 @@ from softrobot_twin.__main__ import main
 from softrobot_twin.record.replay import ChangeError, Replay, change_entry
 from softrobot_twin.record.run_clock import PlayedClock
 from softrobot_twin.record.run_description import describe, scene_text
-from softrobot_twin.record.run_file import CALL, FORMAT, SCHEMA, TICK, RunFile, RunFileError
+from softrobot_twin.record.run_file import (
+    CALL,
+    FORMAT,
+    SCHEMA,
+    TEXT,
+    TEXT_DEFINITION,
+    TICK,
+    RunFile,
+    RunFileError,
+    text_of_cdr,
+    text_to_cdr,
+)
 from softrobot_twin.record.run_recorder import BoundedQueue
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation.table_columns import is_output
@@ -89,15 +100,15 @@ def rewritten(recorded, path, change):
     with recorded.path.open("rb") as source, path.open("wb") as target:
         writer = Writer(target)
         writer.start()
-        schema = writer.register_schema(SCHEMA, "jsonschema", b"{}")
-        channel = writer.register_channel("/twin/record", "json", schema)
-        for schema_of, _, message in make_reader(source).iter_messages():
-            if schema_of.name != SCHEMA:
+        schema = writer.register_schema(TEXT, "ros2msg", TEXT_DEFINITION)
+        channel = writer.register_channel("/twin/record", "cdr", schema, {"content": SCHEMA})
+        for _, channel_of, message in make_reader(source).iter_messages():
+            if channel_of.metadata.get("content") != SCHEMA:
                 continue
-            content = json.loads(message.data)
+            content = json.loads(text_of_cdr(message.data))
             change(content)
             writer.add_message(
-                channel, message.log_time, json.dumps(content).encode(), message.publish_time,
+                channel, message.log_time, text_to_cdr(json.dumps(content)), message.publish_time,
                 message.sequence,
             )  # fmt: skip
         writer.finish()
@@ -301,7 +312,9 @@ def test_other_tools_find_scene_parameters_and_topics_in_the_file(recorded):
         reader = make_reader(file)
         summary = reader.get_summary()
         topics = {channel.topic: channel.message_encoding for channel in summary.channels.values()}
-        assert topics == {"/twin/record": "json", TOPIC.name: "cdr"}
+        # Else ``ros2 bag`` refuses the whole file.
+        assert topics == {"/twin/record": "cdr", TOPIC.name: "cdr"}
+        assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
         texts = [message.data for _, _, message in reader.iter_messages([TOPIC.name])]
         assert texts == [f"tick {number}".encode() for number in range(TICKS)]
         (scene,) = reader.iter_attachments()

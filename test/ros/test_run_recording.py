@@ -1,5 +1,6 @@
 """A live twin records its run, and a replay without ROS repeats it to the bit."""
 
+import json
 import re
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -114,7 +115,9 @@ def _check_topics(path, entries):
                 effectors.append([heard.point.x, heard.point.y, heard.point.z])
             elif channel.topic == "/twin/cables":
                 commands.append(list(deserialize_message(message.data, JointState).position))
-    assert kinds.pop("/twin/record")[1] == "json"
+            elif channel.topic == "/twin/record":
+                json.loads(deserialize_message(message.data, String).data)
+    assert kinds.pop("/twin/record")[0] == "std_msgs/msg/String"
     assert {encoding for _, encoding in kinds.values()} == {"cdr"}
     assert {"/diagnostics", "/twin/measured_cables", "/twin/markers", "/twin/target/tip",
             "/twin/cables"} <= kinds.keys()  # fmt: skip
