@@ -208,25 +208,32 @@ def _deepest_tets(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For each point, the tetrahedron with the largest smallest weight, its weights, that weight.
 
-    The smallest weight is −∞ for points far from all tetrahedra.
+    The smallest weight is −∞ for points outside the boxes of all tetrahedra.
     """
     corners = node_positions[cells]
     centroids = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
-    tree = cKDTree(centroids)
-    inverse_edges = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
+    reaches = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1) * (1.0 + 1e-6)
+    lowest_corner, highest_corner = corners.min(axis=1), corners.max(axis=1)
+    middles = 0.5 * (lowest_corner + highest_corner)
+    diagonals = np.linalg.norm(highest_corner - lowest_corner, axis=1, keepdims=True)
+    halves = 0.5 * (highest_corner - lowest_corner) + 1e-6 * diagonals
 
     best_tets = np.zeros(len(points), dtype=np.int64)
     best_weights = np.zeros((len(points), 4))
     lowest = np.full(len(points), -np.inf)
     for start in range(0, len(points), _CHUNK):
         chunk = points[start : start + _CHUNK]
-        owner, tets = _pairs(tree.query_ball_point(chunk, reach))
+        # Each tetrahedron asks for the points around it: few, where tetrahedra differ in size.
+        tets, owner = _pairs(cKDTree(chunk).query_ball_point(centroids, reaches))
+        is_near = (np.abs(chunk[owner] - middles[tets]) <= halves[tets]).all(axis=1)
+        owner, tets = owner[is_near], tets[is_near]
         if len(owner) == 0:
             continue
         offsets = chunk[owner] - corners[tets, 0]
+        used, of_used = np.unique(tets, return_inverse=True)
+        edges = (corners[used, 1:] - corners[used, :1]).transpose(0, 2, 1)
         weights = np.empty((len(owner), 4))
-        weights[:, 1:] = np.einsum("pij,pj->pi", inverse_edges[tets], offsets)
+        weights[:, 1:] = np.einsum("pij,pj->pi", np.linalg.inv(edges)[of_used], offsets)
         weights[:, 0] = 1.0 - weights[:, 1:].sum(axis=1)
         smallest = weights.min(axis=1)
         winners = _first_best(owner, tets, -smallest)

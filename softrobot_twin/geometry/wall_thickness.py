@@ -101,16 +101,18 @@ def _depths(
 ) -> np.ndarray:
     """Length of each ray into the body until it leaves through a face that looks away; infinite
     where it leaves through a face beside it."""
-    first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # About the middle of the body: the products below are differences.
+    middle = corners[:, 0].mean(axis=0)
+    starts, first = starts - middle, corners[:, 0] - middle
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     along = -outward
-    across = np.cross(along[:, None], other[None])
-    slope = np.einsum("rti,ti->rt", across, one)
+    # The triple products of Möller and Trumbore for all pairs, as products of matrices.
+    face, moment = np.cross(one, other), np.cross(starts, along)
+    slope = -along @ face.T
     safe = np.where(np.abs(slope) > 1e-30, slope, np.inf)
-    away = starts[:, None] - first[None]
-    u = np.einsum("rti,rti->rt", away, across) / safe
-    turned = np.cross(away, one[None])
-    v = np.einsum("ri,rti->rt", along, turned) / safe
-    depth = np.einsum("ti,rti->rt", other, turned) / safe
+    u = (moment @ other.T - along @ np.cross(other, first).T) / safe
+    v = (-moment @ one.T - along @ np.cross(first, one).T) / safe
+    depth = (starts @ face.T - (first * face).sum(axis=1)) / safe
     size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (depth > 1e-9 * size)
     depth = np.where(hit, depth, np.inf)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Set
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -101,7 +101,7 @@ class Body:
         """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
         return locate_points(self.mesh.corner_mesh, np.asarray(points, float)).distances
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Diagonal of its bounding box [m]."""
         low, high = self.mesh.bounding_box
