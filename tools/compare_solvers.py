@@ -273,12 +273,12 @@ class QPFigures(NamedTuple):
 def compare_qp_solvers(sets: Sequence[ProblemSet]) -> list[QPFigures]:
     """Solves all problems with all solvers."""
     figures = []
-    for problems in sets:
-        exact = [[exact_multipliers(problem) for problem in sequence]
-                 for sequence in problems.sequences]
-        for name, make in QP_SOLVERS.items():
-            with without_garbage_collection():
-                figures.append(_qp_figures(problems, name, make, exact))
+    with without_garbage_collection():
+        for problems in sets:
+            exact = [[exact_multipliers(problem) for problem in sequence]
+                     for sequence in problems.sequences]
+            figures += [_qp_figures(problems, name, make, exact)
+                        for name, make in QP_SOLVERS.items()]
     return figures
 
 
