@@ -76,7 +76,9 @@ def trunk():
 def area(mesh, z):
     """Of the mesh's section at a height [m²]."""
     total = 0.0
-    for corners in mesh.node_positions[mesh.cells[:, :4]]:
+    corners = mesh.node_positions[mesh.cells[:, :4]]
+    crossed = (corners[..., 2].min(axis=1) <= z) & (corners[..., 2].max(axis=1) > z)
+    for corners in corners[crossed]:
         above = corners[:, 2] > z
         cuts = [
             a + (z - a[2]) / (b[2] - a[2]) * (b - a)
