@@ -126,6 +126,19 @@ class MarkerBytes:
         return b"".join([*parts, self._end])
 
 
+def exact_bytes(message: object) -> bytes:
+    """A message of numbers, texts and sequences in CDR, without bytes after its end.
+
+    The middleware estimates the size of a message, and where an empty sequence of doubles stands in
+    it, as `velocity` in a `sensor_msgs/JointState`, bytes without a meaning follow its end. Readers
+    of bags that check the size refuse it.
+    """
+    writer = _Writer()
+    for field, kind in message.get_fields_and_field_types().items():
+        writer.value(kind, getattr(message, field))
+    return _ENCAPSULATION + writer.take()
+
+
 class _Cut(NamedTuple):
     """Constant pieces of a marker, in their order, and the prototype's pose and colour."""
 

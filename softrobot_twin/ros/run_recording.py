@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.record.run_clock import RecordedClock
 from softrobot_twin.record.run_description import describe
 from softrobot_twin.record.run_file import INSTALL, SUFFIX, RunFileError, Topic
 from softrobot_twin.record.run_recorder import RunRecorder
+from softrobot_twin.ros.marker_bytes import exact_bytes
 from softrobot_twin.ros.message_definitions import definition, type_name
 
 if TYPE_CHECKING:
@@ -72,7 +74,7 @@ class RunRecording:
         )  # fmt: skip
         try:
             self.recorder = RunRecorder(
-                self.path, node.loop, self.clock, description, self._ros_time, _serialized
+                self.path, node.loop, self.clock, description, self._ros_time, to_bytes
             )
         except RunFileError as error:
             raise ParameterError(PARAMETER, str(self.path), "", error.reason) from None
@@ -111,8 +113,10 @@ class RunRecording:
 
 
 def to_bytes(message: object) -> bytes:
-    """A message in CDR; some are published as such."""
-    return message if isinstance(message, bytes) else serialize_message(message)
+    """A message in CDR; arrays of markers are published as such."""
+    if isinstance(message, bytes):
+        return message
+    return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
 
 
 class RecordedPublisher:
@@ -129,11 +133,6 @@ class RecordedPublisher:
 
     def __getattr__(self, name: str):
         return getattr(self._publisher, name)
-
-
-def _serialized(message: object) -> bytes:
-    """A message as bytes; arrays of markers are published as such."""
-    return message if isinstance(message, bytes) else serialize_message(message)
 
 
 def _described(kind: type, name: str, direction: str) -> Topic:

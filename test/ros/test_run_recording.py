@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import time
+from array import array
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,7 @@ from softrobot_twin.record.run_file import CALL, TICK, RunFile
 from softrobot_twin.record.tick_table import TickTable
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.message_definitions import definition, type_name
+from softrobot_twin.ros.run_recording import to_bytes
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.topics import NODES
 from softrobot_twin.ros.twin_node import TwinNode
@@ -126,6 +128,18 @@ def _check_topics(path, entries):
     assert effectors == [values["effector_positions"][0] for values in ticks]
     assert commands == [values["command_setpoints"] for values in ticks
                         if "command_setpoints" in values]  # fmt: skip
+
+
+def test_no_byte_follows_the_end_of_a_recorded_message():
+    # The middleware adds some where a sequence of doubles is empty; rosbags refuses such messages.
+    message = JointState(name=["north", "é"], position=[0.1, 0.2], effort=[1.0, 2.0])
+    message.header.frame_id = "base_link"
+    data = to_bytes(message)
+    assert deserialize_message(data, JointState) == message
+    assert data.endswith(array("d", [1.0, 2.0]).tobytes())
+    message.effort = []
+    assert deserialize_message(to_bytes(message), JointState) == message
+    assert to_bytes(message).endswith(bytes(8))  # Two empty sequences.
 
 
 @pytest.mark.parametrize("robot, changes", [
