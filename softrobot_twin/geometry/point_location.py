@@ -20,6 +20,9 @@ _WEIGHT_ROUND_OFF = 1e-9
 _CONVERGED, _SINGULAR, _FURTHEST, _MOST_ITERATIONS = 1e-12, 1e-14, 2.0, 30
 # Number of points handled at once, which bounds the memory of the candidate pairs.
 _CHUNK = 1024
+# Fewer points than this share of the tetrahedra ask for those around them, by the reach of the
+# largest; many points are asked for by each tetrahedron, by its own reach.
+_FEW = 1.0 / 64.0
 
 
 class PointLocation(NamedTuple):
@@ -223,8 +226,10 @@ def _deepest_tets(
     lowest = np.full(len(points), -np.inf)
     for start in range(0, len(points), _CHUNK):
         chunk = points[start : start + _CHUNK]
-        # Each tetrahedron asks for the points around it: few, where tetrahedra differ in size.
-        tets, owner = _pairs(cKDTree(chunk).query_ball_point(centroids, reaches))
+        if len(chunk) < _FEW * len(cells):
+            owner, tets = _pairs(cKDTree(centroids).query_ball_point(chunk, reaches.max()))
+        else:
+            tets, owner = _pairs(cKDTree(chunk).query_ball_point(centroids, reaches))
         is_near = (np.abs(chunk[owner] - middles[tets]) <= halves[tets]).all(axis=1)
         owner, tets = owner[is_near], tets[is_near]
         if len(owner) == 0:
