@@ -50,6 +50,13 @@ def watch_of():
         watch.close()
 
 
+def send(watch, message):
+    """Sends at once; an offer that is due could replace what is still unsent."""
+    watch._unsent += framed(message)
+    watch._send()
+    assert not watch._unsent
+
+
 def offer_until(watch, simulation, condition, forces_given=False):
     """Offers as the node does, until something is so."""
     end = time.monotonic() + PATIENCE
@@ -59,7 +66,9 @@ def offer_until(watch, simulation, condition, forces_given=False):
         time.sleep(0.02)
 
 
-def test_the_process_estimates_the_same_error_as_the_simulation(diamond, watch_of):
+def test_the_process_estimates_the_error_that_the_simulation_does_then_tells_what_failed(
+    diamond, watch_of
+):
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
     watch = watch_of(simulation)
@@ -67,6 +76,10 @@ def test_the_process_estimates_the_same_error_as_the_simulation(diamond, watch_o
     assert watch.cause == ""
     assert 0.0 < watch.at_rest.own.lengths < watch.at_rest.own.forces
     assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
+    send(watch, "no state")
+    offer_until(watch, simulation, lambda: watch.cause)
+    assert watch.cause.startswith("it failed: AttributeError: ")
+    assert watch.at_rest is not None and np.isnan(watch.newest)
 
 
 def test_a_scene_without_an_estimate_gives_the_reason(diamond, watch_of):
@@ -116,16 +129,6 @@ def test_the_process_drops_an_inherited_priority(refused):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     policy = os.SCHED_OTHER if refused else os.SCHED_IDLE
     assert done.stdout.split() == [str(policy), "19"]
-
-
-def test_an_estimate_that_fails_is_reported_with_its_error(diamond, watch_of):
-    simulation = diamond()
-    watch = watch_of(simulation)
-    offer_until(watch, simulation, lambda: watch.at_rest)
-    watch._unsent += framed("no state")
-    offer_until(watch, simulation, lambda: watch.cause)
-    assert watch.cause.startswith("it failed: AttributeError: ")
-    assert watch.at_rest is not None and np.isnan(watch.newest)
 
 
 def test_a_large_request_does_not_block_the_sender(diamond, watch_of):

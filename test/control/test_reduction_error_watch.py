@@ -32,6 +32,13 @@ def watch(bent):
     started.close()
 
 
+def send(watch, message):
+    """Sends at once; an offer that is due could replace what is still unsent."""
+    watch._unsent += framed(message)
+    watch._send()
+    assert not watch._unsent
+
+
 def offer_until(watch, simulation, condition):
     """Offers as the node does, until something is so."""
     end = time.monotonic() + PATIENCE
@@ -51,7 +58,7 @@ def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(be
     for name, state in bent.reduction_state().items():
         assert watch.states[name] == pytest.approx(state, rel=1e-6, nan_ok=True)
     assert watch.linearizations == judge.linearizations >= 2
-    watch._unsent += framed("no state")
+    send(watch, "no state")
     offer_until(watch, bent, lambda: watch.cause)
     assert watch.cause.startswith("it failed: AttributeError: ")
     assert watch.newest == watch.states == {}
