@@ -158,12 +158,11 @@ def check_refusal(error: SceneError, path: Path) -> None:
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
-@pytest.mark.parametrize("seed", range(2))
-def test_a_mutated_scene_is_read_or_refused_by_file_and_key(scene, seed):
-    chance = random.Random(seed)
+def test_a_mutated_scene_is_read_or_refused_by_file_and_key(scene):
+    chance = random.Random(scene.stem)
     good = read_yaml(scene.read_text(encoding="utf-8"))
     refused = 0
-    for _ in range(150):
+    for _ in range(100):
         mapping = copy.deepcopy(good)
         for _ in range(chance.choice((1, 1, 1, 2, 4))):
             mutate(mapping, chance)
@@ -174,7 +173,7 @@ def test_a_mutated_scene_is_read_or_refused_by_file_and_key(scene, seed):
         except SceneError as error:
             check_refusal(error, scene)
             refused += 1
-    assert refused > 50
+    assert refused > 33
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
@@ -182,7 +181,7 @@ def test_truncated_text_is_read_or_refused_by_file_and_key(scene, tmp_path):
     chance = random.Random(scene.stem)
     content = scene.read_bytes()[:3000]
     file = tmp_path / "torn.yaml"
-    for _ in range(60):
+    for _ in range(40):
         torn = bytearray(content)
         for _ in range(chance.choice((1, 3, 20))):
             place = chance.randrange(len(torn))
@@ -202,13 +201,13 @@ def test_a_mutated_scene_is_built_or_refused_by_name(stem):
     good = read_yaml(path.read_text(encoding="utf-8"))
     for body in [good["body"]] if "body" in good else good["bodies"]:
         body["mesh"]["file"] = f"../../meshes/{COARSE[stem]}.vtk"
-    build_mutations(good, path, random.Random(stem), 25)
+    build_mutations(good, path, random.Random(stem), 15)
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_any_entry_that_is_mutated_is_built_and_steps_or_is_refused_by_name(everything, seed):
-    build_mutations(*everything, random.Random(seed), 100)
+    build_mutations(*everything, random.Random(seed), 60)
 
 
 def build_mutations(good: dict, path: Path, chance: random.Random, count: int) -> None:
