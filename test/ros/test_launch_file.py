@@ -35,7 +35,8 @@ def launch(monkeypatch):
     """What the file starts for some arguments: a function that returns the nodes."""
     contents = {
         "launch": {"LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": recorded, "OpaqueFunction": recorded},
+        "launch.actions": {"DeclareLaunchArgument": recorded, "OpaqueFunction": recorded,
+                           "Shutdown": recorded},
         "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": recorded},
@@ -76,13 +77,14 @@ def test_the_nodes_and_the_parameter_file_of_a_robot_exist(launch, robot):
 
 def test_every_parameter_is_known_and_has_its_type(launch):
     known = {entry.name: entry for table in ALL_TABLES for entry in table}
-    nodes = launch(frame_id="left/base_link", tf_prefix="left/", view="true", view_port="9880")
+    nodes = launch(frame_id="left/base_link", tf_prefix="left/", view="true", view_port="9880",
+                   record="run.mcap")  # fmt: skip
     for node in nodes:
         for name, value in node.parameters[1].items():
             assert type(value) is type(known[name].default), name
     twin = nodes[0].parameters[1]
     assert twin == {"frame_id": "left/base_link", "tf_prefix": "left/", "view": True,
-                    "view_port": 9880}  # fmt: skip
+                    "view_port": 9880, "record": "run.mcap"}  # fmt: skip
     assert nodes[1].parameters[1] == {"frame_id": "left/base_link"}
 
 
@@ -99,8 +101,32 @@ def test_device_target_and_rviz_are_started_as_asked(launch):
     assert Path(nodes[1].arguments[1]).is_file() and nodes[1].arguments[2:] == ["-f", "base_link"]
 
 
-def test_an_own_parameter_file_is_used_in_place_of_the_robots(launch):
-    assert all(node.parameters[0] == "mine.yaml" for node in launch(parameters="mine.yaml"))
+def test_an_own_parameter_file_is_used_in_place_of_the_robots(launch, tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.touch()
+    assert all(node.parameters[0] == str(mine) for node in launch(parameters=str(mine)))
+
+
+@pytest.mark.parametrize("given, words", [
+    ({"robot": "fingr"}, "robot:=fingr: must be one of diamond, .*finger"),
+    ({"parameters": "none.yaml"}, "parameters:=none.yaml: there is no such file"),
+    ({"rviz": "ture"}, "rviz:=ture: must be true or false"),
+    ({"view_port": "-1"}, "view_port:=-1: must be a whole number"),
+])  # fmt: skip
+def test_a_mistyped_argument_is_refused_before_any_node_starts(launch, given, words):
+    with pytest.raises(RuntimeError, match=words):
+        launch(**given)
+
+
+def test_simulated_time_is_that_of_all_nodes(launch):
+    for node in launch(use_sim_time="true", rviz="true"):
+        assert node.parameters[-1]["use_sim_time"] is True
+
+
+def test_all_ends_with_the_twin_and_not_with_the_others(launch):
+    twin, *others = launch()
+    assert twin.on_exit.reason == "the twin ended"
+    assert all(node.on_exit is None for node in others)
 
 
 def test_rviz_shows_the_markers_of_the_twin():
