@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -76,25 +76,31 @@ class Import(NamedTuple):
 def read_imports(path: Path) -> list[Import]:
     """All imports of a module, also those inside functions and those by name."""
     tree = ast.parse(path.read_text(), str(path))
-    for_types = {id(inner) for node in ast.walk(tree) if isinstance(node, ast.If)
+    for_types = {id(inner) for node, _ in statements(tree) if isinstance(node, ast.If)
                  and ast.unparse(node.test).endswith("TYPE_CHECKING")
                  for statement in node.body for inner in ast.walk(statement)}
     found = [Import(name, node.lineno, lazy, id(node) in for_types)
-             for node, lazy in walk(tree, lazy=False) for name in imported_names(node, path)]
+             for node, lazy in statements(tree) for name in imported_names(node, path)]
     if {"importlib", "importlib.import_module"} & {item.module for item in found}:
         # A name that is imported may come from a table: every string of its form counts.
-        found += [Import(node.value, node.lineno, lazy=True) for node, _ in walk(tree, lazy=False)
+        found += [Import(node.value, node.lineno, lazy=True) for node in ast.walk(tree)
                   if isinstance(node, ast.Constant) and isinstance(node.value, str)
                   and DOTTED_NAME.fullmatch(node.value)]
     return found
 
 
-def walk(node: ast.AST, lazy: bool) -> Iterator[tuple[ast.AST, bool]]:
-    """Every node below, and whether it is inside a function."""
-    for child in ast.iter_child_nodes(node):
-        yield child, lazy
-        functions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
-        yield from walk(child, lazy or isinstance(child, functions))
+def statements(tree: ast.AST) -> list[tuple[ast.AST, bool]]:
+    """Every statement below, and whether it is inside a function."""
+    found, left = [], [(tree, False)]
+    while left:
+        node, lazy = left.pop()
+        lazy |= isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+            below = getattr(node, name, ())
+            if isinstance(below, list):  # a lambda's body is one expression
+                found += [(child, lazy) for child in below]
+                left += [(child, lazy) for child in below]
+    return found
 
 
 def imported_names(node: ast.AST, path: Path) -> list[str]:
@@ -210,26 +216,58 @@ def test_every_folder_of_the_package_is_a_room_of_the_table():
     assert rooms <= set(ALLOWED_ROOMS)
 
 
-def loaded_with(wanted: Callable[[Path], bool]) -> set[str]:
-    """All modules that a fresh interpreter has once it has imported some of ours."""
-    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES
-             if wanted(path) and path.name != "__init__.py"]
-    code = (f"import importlib, sys\nfor name in {names}: importlib.import_module(name)\n"
-            "print(*sys.modules, sep='\\n')")
+IMPORTS = """
+import importlib, os, sys
+
+def load(names):
+    for name in names.split():
+        importlib.import_module(name)
+
+load({both!r})
+child = os.fork()
+if child == 0:
+    load({without_ros!r})
+    print(*sys.modules)
+    sys.exit()
+if os.waitpid(child, 0)[1]:
+    sys.exit("the modules without ROS cannot be imported")
+load({without_view!r})
+print(*sys.modules)
+"""
+
+
+@cache
+def loaded_modules() -> tuple[set[str], set[str]]:
+    """All modules that a fresh interpreter has once it has imported all of ours but the nodes and
+    the commands that start them, and all but the view.
+
+    What both import is imported once, before the interpreter becomes two.
+    """
+    def names(wanted: Callable[[Path], bool]) -> str:
+        return " ".join(module_name(path) for path in MODULES
+                        if path.name != "__init__.py" and wanted(path))
+
+    def has_no_ros(path):
+        return path.name in ENTRANCE if not place_of(path) else place_of(path) != "ros"
+
+    def has_no_view(path):
+        return place_of(path) != "view"
+    code = IMPORTS.format(both=names(lambda path: has_no_ros(path) and has_no_view(path)),
+                          without_ros=names(has_no_ros), without_view=names(has_no_view))
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return set(done.stdout.split())
+    without_ros, without_view = done.stdout.splitlines()
+    return set(without_ros.split()), set(without_view.split())
 
 
 def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
-    loaded = loaded_with(lambda path: place_of(path) != "view")
+    _, loaded = loaded_modules()
     assert {"softrobot_twin.simulation", "softrobot_twin.study", "softrobot_twin.ros"} <= loaded
     assert not loaded & {"rerun", "matplotlib", "gmsh"}
 
 
 def test_only_nodes_and_the_commands_that_start_them_load_ros():
-    loaded = loaded_with(
-        lambda path: path.name in ENTRANCE if not place_of(path) else place_of(path) != "ros")
+    loaded, _ = loaded_modules()
     assert {"softrobot_twin.simulation", "softrobot_twin.study"} <= loaded
     assert not {name for name in loaded if is_ros(name.split(".")[0])}
     assert "softrobot_twin.ros" not in loaded
