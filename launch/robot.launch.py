@@ -31,7 +31,8 @@ ARGUMENTS = (
     ("target", "true", "false: no target, because targets come from elsewhere"),
     ("rviz", "false", "true: start RViz with the markers of the twin"),
 )
-YES, NO = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
+YES = ("true", "1", "yes", "on")
+NO = ("false", "0", "no", "off")
 
 
 def is_true(name, text):
