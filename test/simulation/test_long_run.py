@@ -17,17 +17,32 @@ def resident_memory() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def sideways_by_one_linearization(mapping):
-    mapping["solver"] |= {"newton_iterations": 1, "qp_solver": "daqp"}
-    mapping["effectors"][0]["directions"] = ["x", "y"]
+@pytest.fixture
+def stub(simulate, body_of, block):
+    """The smallest robot that follows a circle: a stub of one cell with three cables."""
+
+    def cable(name, x, y) -> dict:
+        return {
+            "name": name, "pull_point": [x, y, 0.0], "points": [[x, y, 0.04]],
+            "shortening": [0.0, 0.02], "rate": 0.05, "tension": [0.0, 40.0],
+        }  # fmt: skip
+
+    foot = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
+    mesh = block(size=(0.02, 0.02, 0.04), cells=(1, 1, 1))
+    return simulate(
+        gravity=[0.0, 0.0, 0.0], body=body_of(mesh, "stub", young_modulus=3e5, fixed=foot),
+        cables=[cable("east", 0.02, 0.01), cable("north", 0.005, 0.02), cable("south", 0.005, 0.0)],
+        effectors=[{"name": "tip", "points": [[0.01, 0.01, 0.04]], "directions": ["x", "y"]}],
+        solver={"newton_iterations": 1, "residual_tolerance": 1e-6, "qp_solver": "daqp"},
+    )  # fmt: skip
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_steps_drift_neither_in_state_nor_in_memory(beam):
-    simulation = beam(sideways_by_one_linearization)
+def test_a_hundred_thousand_steps_drift_neither_in_state_nor_in_memory(stub):
+    simulation = stub
     angle = np.linspace(0.0, 2.0 * np.pi, LAP, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(LAP)], axis=1)
-    targets = ([0.01, 0.01, 0.1] + 0.01 * circle)[:, None, :]
+    targets = ([0.01, 0.01, 0.04] + 0.003 * circle)[:, None, :]
     for step in range(4 * LAP):
         result = simulation.step(FollowTargets(targets[step % LAP], 0.05))
     assert result.status.is_success
