@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -81,6 +82,45 @@ def command():
             [sys.executable, "-m", "softrobot_twin", *map(str, arguments)], cwd=ROOT,
             env=dict(os.environ), capture_output=True, text=True, timeout=120)
         return Finished(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+_HELD_RUN = """
+import sys, time
+from softrobot_twin.__main__ import main
+from softrobot_twin.study.sample_workers import LocalWorkers
+
+run, held = LocalWorkers.run, int(sys.argv[1])
+
+def run_and_hold(self, job, samples):
+    for count, outcome in enumerate(run(self, job, samples)):
+        if count == held:
+            print("held", file=sys.stderr, flush=True)
+            time.sleep(600.0)
+        yield outcome
+
+LocalWorkers.run = run_and_hold
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.fixture
+def stop():
+    """Runs a command that computes samples in a process of its own, and stops it by Ctrl-C when so
+    many samples are done: the run waits there for it, on any machine.
+    """
+
+    def run(*arguments, after: int) -> Finished:
+        words = [sys.executable, "-c", _HELD_RUN, str(after), *map(str, arguments)]
+        process = subprocess.Popen(words, cwd=ROOT, env=dict(os.environ), stdout=subprocess.DEVNULL,
+                                   stderr=subprocess.PIPE, text=True)
+        told = []
+        for line in process.stderr:
+            told.append(line)
+            if line.strip() == "held":
+                process.send_signal(signal.SIGINT)
+        return Finished(process.wait(timeout=60), "", "".join(told))
 
     return run
 

@@ -1,6 +1,7 @@
 """Accuracy and choice on a column of three meshes, and on the coarse Diamonds."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import yaml
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.study import choice
+from softrobot_twin.study import accuracy_study, choice, reduced_models as reduced_models_study
 from softrobot_twin.study.accuracy import full_row, hold_radius, level_named
 from softrobot_twin.study.accuracy_study import (
     MESH,
@@ -104,7 +105,7 @@ def levels(family, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def study(levels):
-    return study_meshes(levels, Limits(3_000, 8_000, 20), lambda words: None)
+    return study_meshes(levels, Limits(3_000, 8_000, 8), lambda words: None)
 
 
 FEW = replace(STUDY, snapshots=60, states=0, workers=1)
@@ -162,8 +163,8 @@ def test_every_reference_states_its_uncertainty(study):
 def test_on_the_diamond_displacements_have_smaller_errors_than_forces(tmp_path):
     scene = load_scene(default_scene_path())
     held = with_hold_radius(scene, hold_radius(scene))
-    levels = mesh_family(held, tmp_path)[:3]
-    study = study_meshes(levels, Limits(1_500, 20_000, 20), lambda words: None)
+    levels = mesh_family(held, tmp_path)[:2]
+    study = study_meshes(levels, Limits(1_500, 20_000, 8), lambda words: None)
     coarsest = study.rows[0]
     assert coarsest.error_lengths < 0.5 * coarsest.error_tensions
 
@@ -178,7 +179,10 @@ def test_rows_are_read_as_they_were_written(study, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_table_and_a_picture(family, trained, tmp_path, call):
+def test_the_command_writes_a_table_and_a_picture(family, trained, tmp_path, call, monkeypatch):
+    # Times do not matter here, and another test trains in processes.
+    monkeypatch.setattr(accuracy_study, "Limits", partial(Limits, timed_steps=8))
+    monkeypatch.setattr(reduced_models_study, "STUDY", FEW)
     done = call("accuracy", family, "--output", tmp_path / "out", "--timed-dof", 3000,
                 "--reference-dof", 8000, "--reduced", trained, "--train", "column_10")
     assert done.code == 0, done.errors
@@ -217,7 +221,7 @@ def test_choose_writes_a_scene_that_loads_and_runs(family, study, tmp_path, caps
 
 
 def test_choose_studies_a_refined_mesh_and_keeps_its_files(lonely, tmp_path, monkeypatch):
-    monkeypatch.setattr(choice, "QUICK", Limits(1_000, 7_000, 20))
+    monkeypatch.setattr(choice, "QUICK", Limits(1_000, 2_000, 8))
     rows, written = tmp_path / "rows.csv", tmp_path / "chosen.yaml"
     assert choose(lonely, 100.0, rows, written, fake_clock) == 0
     assert len(read_rows(rows)) > 2

@@ -33,8 +33,8 @@ def measured(column):
     return measure(given_cases([column])[0], 5)
 
 
-def test_bench_runs_as_a_command_and_prints_every_stage(column, command):
-    done = command("bench", column, "--steps", 5)
+def test_bench_runs_as_a_command_and_prints_every_stage(column, call):
+    done = call("bench", column, "--steps", 5)
     assert done.code == 0, done.errors
     simulation = Simulation.from_scene_file(column)
     for words in (*simulation.stages, OUTSIDE, WHOLE_STEP, "one SuperLU factorization",

@@ -25,8 +25,8 @@ from softrobot_twin.study.terminal import listing
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
-def test_explain_lists_effects_terms_stages_and_size(column, command):
-    done = command("explain", column)
+def test_explain_lists_effects_terms_stages_and_size(column, call):
+    done = call("explain", column)
     assert done.code == 0, done.errors
     simulation = Simulation.from_scene_file(column)
     for term in simulation.terms:

@@ -151,11 +151,11 @@ def test_targets_in_millimetres_are_warned_of(column, targets):
     assert "in metres?" in far_target_warning(simulation, read_targets(slipped, simulation))
 
 
-def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, command):
+def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, call):
     def run(*rows):
         path = tmp_path / "targets.csv"
         path.write_text("\n".join(["time_s,tip_x_m,tip_y_m,tip_z_m", *rows]) + "\n")
-        done = command(
+        done = call(
             "simulate", half_trained, "--targets", path, "--output", tmp_path / "run.csv"
         )
         assert done.code == 0, done.errors

@@ -5,10 +5,7 @@ import csv
 import os
 import shutil
 import signal
-import subprocess
 import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,8 +24,6 @@ from softrobot_twin.study.workspace import (
     sampled_setpoints,
     views_of,
 )
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def rows_of(path):
@@ -121,43 +116,23 @@ def test_cables_of_one_motor_are_sampled_as_one(column, tmp_path):
     assert drives[:, 0].max() <= 0.002 and np.ptp(drives[:, 0]) > 0.001
 
 
-def stopped_run(output, column, samples, after):
-    """Start a run as a user would, and stop it by Ctrl-C after some rows; gives what it told."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "softrobot_twin", "workspace", str(column), "--output", str(output),
-         "--samples", str(samples), "--seed", "3", "--workers", "2"],
-        cwd=ROOT, env=dict(os.environ), stderr=subprocess.PIPE, text=True)  # fmt: skip
-    part = output.with_name(output.name + ".part")
-    deadline = time.monotonic() + 100.0
-    while not part.exists() or part.read_bytes().count(b"\n") < after + 2:
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    return process.returncode, errors
-
-
-@pytest.mark.slow
-def test_a_stopped_run_goes_on_where_it_was(column, sampled, call, tmp_path):
-    output = tmp_path / "w.csv"
-    code, errors = stopped_run(output, column, 300, 3)
-    part = tmp_path / "w.csv.part"
-    assert code == 130 and "the same command goes on" in errors
-    done_before = part.read_bytes().count(b"\n") - 2
-    assert 3 <= done_before < 300 and not output.exists()
+def test_a_stopped_run_goes_on_where_it_was(column, sampled, stop, call, tmp_path):
+    output, part = tmp_path / "w.csv", tmp_path / "w.csv.part"
+    arguments = ["workspace", column, "--output", output, "--samples", 12, "--seed", 3]
+    stopped = stop(*arguments, "--workers", 2, after=4)
+    assert stopped.code == 130 and "the same command goes on" in stopped.errors
+    assert part.read_bytes().count(b"\n") == 2 + 4 and not output.exists()
     # A row that was being written when the power failed is computed again.
     part.write_bytes(part.read_bytes()[:-5])
     before = part.read_bytes()
-    done = call("workspace", column, "--output", output, "--samples", 300, "--seed", 3,
-                "--range", "a_shortening_m=0:0.001", "--workers", 1)  # fmt: skip
+    done = call(*arguments, "--range", "a_shortening_m=0:0.001", "--workers", 1)
     assert done.code == 2 and "w.csv.part" in done.errors and "another range" in done.errors
     assert part.read_bytes() == before
-    again = call("workspace", column, "--output", output, "--samples", 300, "--seed", 3,
-                 "--workers", 1)  # fmt: skip
+    again = call(*arguments, "--workers", 1)
     assert again.code == 0 and not part.exists()
-    assert f"{done_before - 1}/300 samples" in again.errors
+    assert "3/12 samples" in again.errors
     lines = output.read_text().splitlines()
-    assert [line.split(",")[0] for line in lines[1:]] == [str(index) for index in range(300)]
+    assert [line.split(",")[0] for line in lines[1:]] == [str(index) for index in range(12)]
     assert lines[:8] == sampled.read_text().splitlines()
 
 
