@@ -3,6 +3,7 @@
 import fcntl
 import itertools
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import pytest
 
 import softrobot_twin  # noqa: F401  chooses threads and kernel cache; before numpy and numba
 
+# Tests start hundreds of processes, each of which would compile all sources anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 # With this, rclpy checks the types of message fields; otherwise wrong types are sent as garbage.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
