@@ -39,6 +39,8 @@ class Refusal(Enum):
 
 
 _HINTS = {
+    Refusal.STALE: "its stamp is older than message_timeout; do the clocks of both machines agree?",
+    Refusal.FROM_THE_FUTURE: "its stamp is later than now; do the clocks of both machines agree?",
     Refusal.BELOW_VACUUM: "the pressure must be absolute, in Pa, and above 0",
     Refusal.VOLUME_CONTROLLED: "the scene controls this cavity by volume: command its volume [m³] "
     "on ~/command/cables",

@@ -7,6 +7,7 @@ once, while the node is built an exception is raised, and while it runs the requ
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -28,6 +29,10 @@ _SWITCH_INTERVAL = 0.0005
 """How long another thread may hold Python's lock while a tick waits [s]. Python's default of 5 ms
 is half a tick at 100 Hz, and the view draws in threads.
 """
+
+
+_NAMESPACE = "__ns:="
+_IS_NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+").fullmatch
 
 
 class _Interrupted(BaseException):
@@ -180,6 +185,7 @@ def _start_ros(arguments: list[str]) -> None:
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
+    _check_namespace(arguments)
     # rcl would log several lines for what is reported here in one.
     set_logger_level("rcl", LoggingSeverity.FATAL)
     try:
@@ -192,6 +198,19 @@ def _start_ros(arguments: list[str]) -> None:
     if strange:
         raise ArgumentsError(f"unknown arguments {' '.join(strange)}: arguments of ROS must "
                              "follow --ros-args; see --help")
+
+
+def _check_namespace(arguments: Sequence[str]) -> None:
+    """Checks ``-r __ns:=…``, of which rcl tells only at which letter it could not go on.
+
+    Raises:
+        ArgumentsError: It is no namespace.
+    """
+    for word in arguments:
+        if word.startswith(_NAMESPACE) and not _IS_NAMESPACE(word.removeprefix(_NAMESPACE)):
+            raise ArgumentsError(f"-r {word}: a namespace is made of names of letters, digits and "
+                                 "_, each after a / and not beginning with a digit, such as "
+                                 "/lab/left")  # fmt: skip
 
 
 def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> None:

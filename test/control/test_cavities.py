@@ -128,7 +128,8 @@ def test_an_invalid_pressure_is_refused_and_changes_nothing(
 def test_only_the_refusal_of_a_volume_and_of_a_gauge_pressure_say_what_to_send():
     assert "volume [m³] on ~/command/cables" in Refusal.VOLUME_CONTROLLED.hint
     assert "absolute" in Refusal.BELOW_VACUUM.hint
-    assert Refusal.STALE.hint == ""
+    assert "clocks" in Refusal.STALE.hint and "clocks" in Refusal.FROM_THE_FUTURE.hint
+    assert Refusal.NOT_FINITE.hint == ""
 
 
 def test_a_pressure_without_a_frame_is_accepted(drive_air):
