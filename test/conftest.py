@@ -123,11 +123,18 @@ def domains_in_turn() -> Callable[[], int]:
 next_domain = domains_in_turn()
 
 
-@pytest.fixture
-def ros_domain_id():
-    """A ROS domain that no other test on this machine uses at the same time."""
+@pytest.fixture(scope="session")
+def ros_domain() -> Callable:
+    """Makes contexts that hold a ROS domain which no other test on this machine uses meanwhile."""
     from domain_coordinator import domain_id
-    with domain_id(next_domain) as number:
+
+    return lambda: domain_id(next_domain)
+
+
+@pytest.fixture
+def ros_domain_id(ros_domain):
+    """A ROS domain that no other test on this machine uses at the same time."""
+    with ros_domain() as number:
         yield number
 
 
