@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
+from softrobot_twin.ros import twin_node
 from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
@@ -185,5 +186,7 @@ def statuses(message, part):
 
 
 @pytest.fixture
-def diagnostics(world):
+def diagnostics(world, monkeypatch):
+    """The twin's diagnostics, five times a second: nobody waits a second for each."""
+    monkeypatch.setattr(twin_node, "_DIAGNOSTICS_PERIOD", 0.2)
     return Diagnostics(world)

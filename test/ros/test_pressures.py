@@ -248,7 +248,7 @@ def test_no_pressure_causes_an_unsafe_command(world, make_air, mode):
     assert len(ends) == 6
     if mode == "inverse":
         twin._take_target(0, world.target_message((0.01, 0.01, 0.101)))
-    for tick in range(400):
+    for tick in range(200):
         for _ in range(20 if tick % 50 else 500):
             pressure = AIR + draw.uniform(-1e4, 3e4)
             if draw.random() < 0.4:

@@ -42,6 +42,10 @@ def heard_from(world, position):
     return targets
 
 
+def seconds_of(stamp):
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
 def places(targets):
     return np.array([[m.point.x, m.point.y, m.point.z] for m in targets])
 
@@ -50,12 +54,15 @@ def test_the_target_starts_at_the_effector_and_reaches_its_path(world, make_targ
     make_target()
     start = (0.001, 0.002, 0.125)
     targets = heard_from(world, start)
+    began = seconds_of(world.stamp())
     world.until(lambda: len(targets) > 100)
     path = places(targets)
-    assert math.dist(path[0], start) < 1e-3
+    # On a busy machine the first one comes late.
+    late = max(0.0, seconds_of(targets[0].header.stamp) - began)
+    assert math.dist(path[0], start) < 1e-3 + 0.15 * late
     assert np.linalg.norm(path[-1] - CENTRE) == pytest.approx(0.02)
     assert targets[-1].header.frame_id == "base_link"
-    times = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in targets])
+    times = np.array([seconds_of(message.header.stamp) for message in targets])
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     assert (steps < 0.15 * np.diff(times) + 1e-3).all()
 
@@ -146,19 +153,24 @@ def test_a_table_of_commands_is_played_over_and_over_and_no_targets(world, make_
     def windings():
         return rest - np.array([message.position for message in commands]).reshape(-1, len(rest))
 
+    def pairs():
+        """Length wound and height of the palm of each command that has both."""
+        heights = {stamp_of(message): message.pose.position.z for message in poses}
+        return np.array([
+            (winding, heights[stamp_of(message)])
+            for winding, message in zip(windings()[:, 0], commands, strict=True)
+            if stamp_of(message) in heights
+        ])
+
     # No times: on a busy machine ticks are late.
-    world.until(lambda: peaks(windings()[:, 0], 0.002, 0.008) >= 2, 30.0)
+    world.until(lambda: peaks(windings()[:, 0], 0.002, 0.008) >= 2 and len(pairs()) > 20, 30.0)
     assert not [name for name, _ in target.get_publisher_names_and_types_by_node("target", "/")
                 if "/target/" in name]
     wound = windings()
     assert set(map(tuple, (message.name for message in commands))) == {
         ("cable_0", "cable_1", "cable_2")}
     assert np.ptp(wound, axis=1).max() < 1e-12, "one motor winds all three"
-    heights = {stamp_of(message): message.pose.position.z for message in poses}
-    pairs = [(wound[place, 0], heights[stamp_of(message)])
-             for place, message in enumerate(commands) if stamp_of(message) in heights]
-    assert len(pairs) > 20
-    assert np.abs(np.array(pairs) @ [2.0, -1.0]).max() < 1e-9, "both follow the same row"
+    assert np.abs(pairs() @ [2.0, -1.0]).max() < 1e-9, "both follow the same row"
     assert all(message.pose.orientation.w == 1.0 for message in poses)
 
 

@@ -78,13 +78,15 @@ def test_markers_are_the_state_of_the_twin_with_its_stamp_frame_and_colours(worl
     speaker.publish(message)
     world.until(lambda: cables and np.allclose(cables[-1].position, lengths, atol=1e-12))
     world.until(lambda: simulation.state.efforts.max() > 1.0)
-    world.run(0.5)
     twin.stop()
-    world.run(0.1)
+    for _ in range(25):
+        twin.tick()
+    before = len(heard)
+    world.until(lambda: not twin.tick() and len(heard) > before + 1)
     found = by_kind(heard[-1])
     assert list(found) == [("surfaces", 0), ("cables", 0), ("effectors", 0)]
     stamp = heard[-1].markers[0].header.stamp
-    assert any(message.header.stamp == stamp for message in cables)
+    world.until(lambda: any(message.header.stamp == stamp for message in cables))
     for marker in found.values():
         assert marker.header.frame_id == "left/base_link" and marker.header.stamp == stamp
         assert marker.action == Marker.ADD and marker.pose.orientation.w == 1.0
