@@ -89,10 +89,11 @@ def floor(cells, scale, seed):
     return flatten_regions(scale * points, triangles), triangles
 
 
-@pytest.mark.parametrize("scale", SCALES)
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("cells", [2, 8, 30])
-def test_all_contact_normals_on_a_flat_floor_equal_its_normal(cells, seed, scale):
+@pytest.mark.parametrize("cells, scale, seed", [
+    (2, 1e-3, 0), (2, 1.0, 1), (2, 10.0, 2), (8, 1e-3, 1), (8, 1.0, 2), (8, 10.0, 3),
+    (30, 1e-3, 2), (30, 1.0, 3), (30, 10.0, 0),
+])  # fmt: skip
+def test_all_contact_normals_on_a_flat_floor_equal_its_normal(cells, scale, seed):
     """A cube, a sphere, a capsule and a cylinder, above the surface and slightly inside."""
     points, triangles = floor(cells, scale, seed)
     random = np.random.default_rng(seed)

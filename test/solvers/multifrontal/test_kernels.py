@@ -256,12 +256,14 @@ print(VECTOR_WIDTH)
     ("haswell", "+sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma", 4),
     ("x86-64", "+sse,+sse2", 2),
 ])  # fmt: skip
-def test_processors_with_shorter_vectors_compute_the_same(processor, features, lanes, tmp_path):
+def test_processors_with_shorter_vectors_compute_the_same(processor, features, lanes):
     if os.uname().machine != "x86_64":
         pytest.skip("names processors of x86_64")
+    # Beside the kernels of this processor, and deleted with them when a source changes.
+    kernels = Path(os.environ["NUMBA_CACHE_DIR"], processor)
     environment = os.environ | {
         "NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": features,
-        "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[3]),
+        "NUMBA_CACHE_DIR": str(kernels), "PYTHONPATH": str(Path(__file__).parents[3]),
     }  # fmt: skip
     run = subprocess.run(
         [sys.executable, "-c", SYSTEM], env=environment, capture_output=True, text=True
