@@ -14,7 +14,6 @@ import inspect
 import math
 import re
 import sys
-import textwrap
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -150,13 +149,20 @@ def _table(model: type[BaseModel], place: str, places: dict) -> str:
 
 
 @cache
+def _classes_of(source: str) -> dict[str, ast.ClassDef]:
+    """Definitions of classes in a file, by name; `inspect` would parse it for each of them."""
+    tree = ast.parse(Path(source).read_text(encoding="utf-8"))
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+
+
+@cache
 def meanings_of(model: type[BaseModel]) -> dict[str, str]:
     """Docstrings of the keys of an entry, with those of its bases."""
     found = {}
     for part in reversed(model.__mro__):
         if not issubclass(part, BaseModel) or part is BaseModel:
             continue
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(part))).body
+        definition = _classes_of(inspect.getsourcefile(part))[part.__name__]
         for key, text in zip(definition.body, definition.body[1:], strict=False):
             is_text = isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
             if isinstance(key, ast.AnnAssign) and is_text:
