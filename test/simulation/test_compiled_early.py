@@ -9,6 +9,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -103,11 +104,13 @@ def test_the_first_grip_and_the_first_lift_compile_nothing(late):
 
 
 def test_the_first_contact_in_the_inverse_compiles_nothing(late):
-    scene = ROOT / "config" / "scenes" / "trunk_cylinders.yaml"
+    file = ROOT / "config" / "scenes" / "trunk_cylinders.yaml"
+    mapping = written_out(read_yaml(file.read_text()))
+    mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
     path = np.genfromtxt(
         ROOT / "config" / "targets" / "trunk_path.csv", delimiter=",", skip_header=1
     )
-    simulation = Simulation.from_scene_file(scene)
+    simulation = Simulation(scene_from_mapping(mapping, file))
     simulation.warm_up()
     late.clear()
     leaning = 0
