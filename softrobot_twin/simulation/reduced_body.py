@@ -8,6 +8,7 @@ the mesh as points (`asked`); surfaces for pictures are placed when they are ask
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,7 +30,7 @@ from softrobot_twin.simulation.body_reduction import (
 )
 from softrobot_twin.simulation.deformable_body import Body
 
-COMMAND = "python -m softrobot_twin reduce"
+COMMAND = "softrobot_twin reduce"
 
 
 def without_reductions(scene: Scene) -> Scene:
@@ -249,8 +250,9 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
         reason = "does not exist" if changed == ("file",) else (
             f"was made of another {', '.join(changed)}"
         )
+        command = f"{COMMAND} {shlex.quote(str(scene.path))}"
         raise SceneError(
-            scene.path, f"{key}.file", str(path), "", f"{reason}; run: {COMMAND} {scene.path}"
+            scene.path, f"{key}.file", str(path), "", f"{reason}; run: {command}"
         )
     reduction = read_body_reduction(path)
     if body.entry.reduced.spare_modes:

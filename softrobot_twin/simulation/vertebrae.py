@@ -21,6 +21,7 @@ of work that nobody expects.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -51,7 +52,7 @@ from softrobot_twin.simulation.frame_part import FramePart
 _SAVED = tuple(name for name in SuperelementFit._fields if name != "shares")
 # Version of the file; one of another version is made anew.
 FORMAT = 2
-COMMAND = "python -m softrobot_twin reduce-vertebrae"
+COMMAND = "softrobot_twin reduce-vertebrae"
 
 
 class Wall(NamedTuple):
@@ -452,8 +453,9 @@ def reduced_body(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Body:
         reason = "does not exist" if changed == ("file",) else (
             f"was made of another {', '.join(changed)}"
         )
+        command = f"{COMMAND} {shlex.quote(str(scene.path))}"
         raise SceneError(
-            scene.path, key, str(path), "", f"{reason}; run: {COMMAND} {scene.path}"
+            scene.path, key, str(path), "", f"{reason}; run: {command}"
         )
     reduction = read_reduction(path)
     parts = _vertebra_parts(division)

@@ -657,7 +657,7 @@ def _training_command(
         words += ["--loads", f"{options.load:g}"]
     if options.tilt:
         words += ["--tilts", f"{math.degrees(options.tilt):g}"]
-    return "python -m softrobot_twin " + shlex.join([*words, "--write", str(write), "--train"])
+    return "softrobot_twin " + shlex.join([*words, "--write", str(write), "--train"])
 
 
 def box_text(box: TargetBox) -> str:

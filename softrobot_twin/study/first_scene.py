@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from pathlib import Path
 from textwrap import wrap
 from typing import NamedTuple
@@ -468,6 +469,8 @@ def _print_guesses(output: Path, source: MeshSource, reading: MeshReading, found
         made.add_row("left out", f"{', '.join(found.left_out)}: not closed, or no name for a topic")
     made.add_row("gravity", "along -z")
     console().print(made)
-    console().print(f"\nLook at it: python -m softrobot_twin explain {output}\n"
-                    f"Let it sag:  python -m softrobot_twin simulate {output} --steps 5 "
-                    "--output first.csv --picture first.png")  # fmt: skip
+    scene = shlex.quote(str(output))
+    console().print(f"\nLook at it: softrobot_twin explain {scene}\n"
+                    f"Let it sag:  softrobot_twin simulate {scene} --steps 5 "
+                    "--output first.csv --picture first.png",
+                    soft_wrap=True, markup=False)  # fmt: skip

@@ -8,6 +8,7 @@ the size, whose exponent two measurements tell.
 from __future__ import annotations
 
 import math
+import shlex
 import tempfile
 import time
 from collections.abc import Callable
@@ -206,7 +207,8 @@ def mesh_part(
     with output_file(output) as partial:
         write_msh(partial, trial.made)
     console().print(f"\n{output} is in metres. A scene for it: "
-                    f"python -m softrobot_twin init {output}")  # fmt: skip
+                    f"softrobot_twin init {shlex.quote(str(output))}",
+                    soft_wrap=True, markup=False)  # fmt: skip
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -142,10 +143,13 @@ def test_a_given_unit_is_taken(tmp_path):
     assert load_scene(tmp_path / "bar.yaml").body.mesh.scale == 0.01
 
 
-def test_a_scene_may_lie_in_another_folder_than_its_mesh(tmp_path):
-    path = write_bar(tmp_path / "bar.msh")
-    assert main(["init", str(path), "--output", str(tmp_path / "scenes" / "bar.yaml")]) == 0
-    scene = load_scene(tmp_path / "scenes" / "bar.yaml")
+def test_a_scene_may_lie_in_another_folder_than_its_mesh(tmp_path, capsys):
+    path, output = write_bar(tmp_path / "bar.msh"), tmp_path / "my scenes" / "bar.yaml"
+    assert main(["init", str(path), "--output", str(output)]) == 0
+    told = capsys.readouterr().out.splitlines()[-2:]
+    assert [shlex.split(line.partition(":")[2])[:3] for line in told] == [
+        ["softrobot_twin", command, str(output)] for command in ("explain", "simulate")]
+    scene = load_scene(output)
     assert str(scene.body.mesh.file) == "../bar.msh"
     Simulation(scene).step(Hold(0.02))
 

@@ -79,7 +79,7 @@ def test_a_size_that_cannot_be_meshed_is_too_large():
 
 def test_a_part_is_meshed_and_its_quality_told(tmp_path, capsys):
     need_gmsh()
-    part, output = write_stl(tmp_path / "finger.stl", finger()), tmp_path / "finger.msh"
+    part, output = write_stl(tmp_path / "finger.stl", finger()), tmp_path / "a finger.msh"
     command = ["mesh", str(part), "--size", "9mm", "--output", str(output), "--element", "linear"]
     assert main(command) == 0
     out, err = capsys.readouterr()
@@ -89,6 +89,7 @@ def test_a_part_is_meshed_and_its_quality_told(tmp_path, capsys):
     assert re.search(r"thinnest part\s+3 mm, ", out)  # above the chamber
     assert re.search(r"expected step\s+[\d.]+ ms with linear elements", out)
     assert "error of about" in out
+    assert f"A scene for it: softrobot_twin init '{output}'\n" in out  # for a shell, in one line
     assert "millimetres are assumed" in err and "linear elements lie across 3 mm" in err
     assert reading.mesh.volume == pytest.approx(17280e-9, rel=1e-5)
 
