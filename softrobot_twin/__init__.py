@@ -133,4 +133,5 @@ if not TYPE_CHECKING:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    """What completion offers: not the modules that are imported here."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

@@ -508,7 +508,8 @@ def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:
     listed = ", ".join(known[:_MOST_NAMES]) or "none"
     more = len(known) - _MOST_NAMES
     listed += f" and {more} more" if more > 0 else ""
-    return CommandError(name, f"is unknown here{nearest(name, known)} {known_as} {listed}")
+    hint = nearest(name, known) or ";"
+    return CommandError(name, f"is unknown here{hint} {known_as} {listed}")
 
 
 def _one(name: str, numbers: Numbers) -> float:

@@ -122,6 +122,7 @@ def test_a_displacement_of_a_touch_counts_from_where_it_began(held):
     (st.setpoints(upper_shortening_mm=10), "is upper_shortening_m meant?"),
     (st.setpoints(uper_shortening_m=0.01), "is upper_shortening_m meant?"),
     (st.targets(tipp=[0, 0, 0]), "is tip meant?"),
+    (st.targets(nose=[0, 0, 0]), "nose: is unknown here; "),
     (st.targets(tip=[0, 0]), "must be 3 numbers, not 2"),
     (st.targets(tip_x_m=0.1), "tip_y_m: is missing beside tip_x_m"),
     (st.targets(tip=[0, 0, 0], tip_x_m=0.1), "is given twice, also by tip"),
