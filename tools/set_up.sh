@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes a virtual environment that holds the package, editable, and all it needs:
 #     tools/set_up.sh FOLDER PIP_ARGUMENT...
-# An environment made from the same requirements is left as it is.
+# An environment made from the same requirements is left as it is. Several may be made at once.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$1
@@ -55,10 +55,19 @@ make_environment() {
 
 install_packages() {
     # What a sourced ROS puts on the PYTHONPATH is not pip's to count as installed.
-    local pip=(env -u PYTHONPATH "$python" -m pip install --quiet --disable-pip-version-check)
+    # It would compile all modules; Python compiles those that are imported, and keeps them.
+    local pip=(env -u PYTHONPATH "$python" -m pip --quiet --disable-pip-version-check install
+        --no-compile)
     "${pip[@]}" --requirement requirements/build.txt
-    local extras='cluster,docs,learning,mesh,record,study,test'
-    "${pip[@]}" --use-pep517 --no-build-isolation --editable ".[$extras]" "$@"
+    env -u PYTHONPATH "$python" tools/print_requirements.py >"$folder/requirements.txt" \
+        cluster docs learning mesh record study test
+    "${pip[@]}" --requirement "$folder/requirements.txt" "$@"
+    # Building the package writes into its folder: one environment after the other.
+    exec 8<"$0"
+    flock 8
+    "${pip[@]}" --use-pep517 --no-build-isolation --no-deps --editable .
+    exec 8<&-
+    export PYTHONDONTWRITEBYTECODE=
     "$python" -c 'import rclpy, diagnostic_msgs.msg, sensor_msgs.msg, std_srvs.srv, visualization_msgs.msg' ||
         refuse "The ROS 2 found lacks rclpy or common messages, as said above: install\
  ros-jazzy-rclpy and ros-jazzy-common-interfaces."
@@ -66,13 +75,16 @@ install_packages() {
 
 check_platform "$@"
 unset PYENV_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE
-exec 9<"$0"
+mkdir -p "$folder"
+exec 9<"$folder"
 flock 9
-requirements=(setup.py setup.cfg requirements/*.txt tools/*)
+requirements=(setup.py setup.cfg requirements/*.txt
+    tools/{set_up.sh,fetch_pip.py,print_requirements.py})
 fingerprint=$({ printf '%s\n' "$PWD" "$@"; cat "${requirements[@]}"; } | sha256sum)
 if [ -x "$python" ] && [ "$(cat "$folder/fingerprint" 2>/dev/null)" = "$fingerprint" ]; then
     exit 0
 fi
 make_environment
 install_packages "$@"
+"$python" -c 'import matplotlib.pyplot, pandas, rerun, softrobot_twin.scripting'
 echo "$fingerprint" >"$folder/fingerprint"
