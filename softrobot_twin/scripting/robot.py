@@ -182,7 +182,11 @@ class Robot:
         return self.copy()
 
     def copy(self) -> Robot:
-        """Another robot of the same scene at the same state; it is built anew."""
+        """Another robot of the same scene at the same state; it is built anew.
+
+        Its solvers begin anew, as they do after `state` is set: where friction or spare actuators
+        leave more than one answer to a command, it may take another one.
+        """
         return _rebuilt(self.scene, self.state, self._aims)
 
     # --- what it is ------------------------------------------------------------------------------

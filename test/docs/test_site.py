@@ -28,6 +28,7 @@ class Page(HTMLParser):
     Attributes:
         links: Targets of its links.
         pictures: Files of its pictures.
+        sheets: Files of its style sheets.
         anchors: Ids of its elements.
         tags: Names of its elements.
     """
@@ -35,6 +36,7 @@ class Page(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.links, self.pictures, self.anchors, self.tags = [], [], set(), set()
+        self.sheets = []
         self.feed(text)
 
     def handle_starttag(self, tag, attributes):
@@ -43,6 +45,8 @@ class Page(HTMLParser):
         self.anchors |= {given[key] for key in ("id", "name") if given.get(key)}
         if tag == "a" and given.get("href"):
             self.links.append(given["href"])
+        if tag == "link" and given.get("rel") == "stylesheet":
+            self.sheets.append(given["href"])
         if tag == "img" and given.get("src"):
             self.pictures.append(given["src"])
 
@@ -92,6 +96,18 @@ def test_every_picture_of_the_site_exists(site):
                if path.name != "404.html" and not (path.parent / unquote(name)).is_file()]  # fmt: skip
     assert missing == []
     assert len(pictures) > 10
+
+
+def test_a_numbered_list_goes_on_behind_its_pictures(site):
+    broken = [path.name for path in site if re.search(r"<p>\s*\d+\. ", path.read_text())]
+    assert broken == []
+
+
+def test_every_style_sheet_of_the_site_exists(site):
+    for path, page in site.items():
+        assert "site.css" in {Path(sheet).name for sheet in page.sheets}
+        for sheet in page.sheets if path.name != "404.html" else ():
+            assert (path.parent / sheet.partition("?")[0]).is_file(), f"{path.name}: {sheet}"
 
 
 def test_every_picture_in_docs_is_on_a_page(site):
