@@ -41,6 +41,7 @@ class Refusal(Enum):
 _HINTS = {
     Refusal.STALE: "its stamp is older than message_timeout; do the clocks of both machines agree?",
     Refusal.FROM_THE_FUTURE: "its stamp is later than now; do the clocks of both machines agree?",
+    Refusal.WRONG_NAMES: "its names must be those of the scene's actuators",
     Refusal.BELOW_VACUUM: "the pressure must be absolute, in Pa, and above 0",
     Refusal.VOLUME_CONTROLLED: "the scene controls this cavity by volume: command its volume [m³] "
     "on ~/command/cables",
@@ -71,6 +72,10 @@ class RefusalCounts:
     def by_word(self) -> dict[str, int]:
         """Counts by the word of each reason that has occurred."""
         return {refusal.value: count for refusal, count in self._counts.items()}
+
+    def in_words(self) -> str:
+        """Counts and reasons, such as ``78 wrong_names, 1 stale``; empty where there are none."""
+        return ", ".join(f"{count} {word}" for word, count in self.by_word().items())
 
 
 class Arrival(NamedTuple):

@@ -264,7 +264,9 @@ class TwinLoop:
         if self.use_device and self.device.implausible is not None:
             return False, f"{self.device.implausible}: there are no setpoints to start from"
         if self.device_is_lost(now):
-            return False, f"no measured setpoints of {self.unheard(now)} arrive to start from"
+            why = f"no measured setpoints of {self.unheard(now)} arrive to start from"
+            refused = self.device.refusals.in_words()
+            return False, f"{why}; messages refused so far: {refused}" if refused else why
         self._forget_commands()
         self._watch.forget()
         return True, self._engagement.enable()

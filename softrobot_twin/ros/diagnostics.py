@@ -406,7 +406,9 @@ class TwinDiagnostics:
         if implausible is not None:
             return WARN, f"{implausible}", values
         if loop.device_is_lost(now):
-            return WARN, "no message received", values
+            # Another robot's device sends, and all of it is refused.
+            why = f"no message accepted: {refused} refused" if refused else "no message received"
+            return WARN, why, values
         if refused:
             return WARN, f"{refused} messages refused", values
         if not loop.is_enabled:

@@ -89,6 +89,17 @@ def test_a_target_outside_the_workspace_is_reported_once(diamond):
     assert watched.account("target") == (OK, "following")
 
 
+def test_the_device_of_another_robot_is_told_from_one_that_is_silent(diamond):
+    watched = Watched(diamond, use_device=True)
+    watched.tick()
+    assert watched.account("device") == (WARN, "no message received")
+    for _ in range(2):
+        watched.loop.device.accept(("flexor", "extensor"), [0.1, 0.1], [], watched.arrival)
+    assert watched.account("device") == (WARN, "no message accepted: 2 refused")
+    done, why = watched.loop.enable(0.0)
+    assert not done and why.endswith("to start from; messages refused so far: 2 wrong_names")
+
+
 def test_impossible_lengths_are_reported_with_actuator_value_and_limits(diamond):
     watched = Watched(diamond, use_device=True)
     names = diamond.actuator_names
