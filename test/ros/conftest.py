@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
 from softrobot_twin.ros import twin_node
+from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
@@ -63,8 +64,11 @@ class World:
 
     def add(self, node_class, *arguments, **parameters):
         """Makes a node with these parameters in the executor of this world."""
-        if node_class is TwinNode:  # a second process for each twin would slow down all tests
+        made = getattr(node_class, "func", node_class)
+        if made is TwinNode:  # a second process for each twin would slow down all tests
             parameters.setdefault("mesh_error", False)
+        if made in (TwinNode, DeviceNode):  # on a busy machine messages come late
+            parameters.setdefault("message_timeout", 3.0)
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         keywords = {"parameter_overrides": overrides} if overrides else {}
         node = node_class(*arguments, context=self.context, **keywords)

@@ -41,7 +41,8 @@ def test_a_clock_that_was_set_is_reported_and_its_stamps_are_accepted_at_once(
     set_clock = SetClock(twin, seconds)
     monkeypatch.setattr(twin, "get_clock", lambda: set_clock)
     loop = diagnostics("loop", lambda status: "clock set" in status.message)
-    assert loop.level == b"\x01"
+    # Ticks that a busy machine misses make it an error.
+    assert loop.level in (b"\x01", b"\x02")
     way = "ahead" if seconds > 0.0 else "back"
     assert f"clock set {way} by {abs(seconds):.0f}" in loop.message
     before = twin.loop.targets.point_refusals.total

@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 NODES = ("twin", "device", "target")
 
 
-@pytest.fixture
-def start(ros_domain_id, small_scene_file, tmp_path):
+@pytest.fixture(scope="module")
+def begin(ros_domain, small_scene_file, tmp_path_factory):
     """Starts a node; its output goes to a file."""
     started = []
 
@@ -29,8 +29,8 @@ def start(ros_domain_id, small_scene_file, tmp_path):
         command = [sys.executable, "-m", "softrobot_twin.ros.process", node, "--ros-args"]
         for name, value in values.items():
             command += ["-p", f"{name}:={value}"]
-        output = tmp_path / f"{node}.log"
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(ros_domain_id), "PYTHONPATH": str(ROOT)}
+        output = tmp_path_factory.mktemp("node") / f"{node}.log"
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": str(ROOT)}
         with output.open("wb") as file:
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT,
@@ -39,11 +39,12 @@ def start(ros_domain_id, small_scene_file, tmp_path):
         started.append(process)
         return process, output
 
-    yield begin
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+    with ros_domain() as domain:
+        yield begin
+        for process in started:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
 
 
 def wait_for(word, process, output):
@@ -54,52 +55,82 @@ def wait_for(word, process, output):
         time.sleep(0.05)
 
 
+# Parameters that no node knows, and what is said of them.
+UNKNOWN = {
+    "traget_radius": "parameter traget_radius is unknown and ignored",
+    "target.radius": "target.radius is unknown and ignored; did you mean target_radius?",
+    "tagret_rate": "tagret_rate is unknown and ignored; did you mean target_rate?",
+}
+
+
+class Ended(NamedTuple):
+    """A process after its end."""
+
+    code: int
+    output: str
+
+
+@pytest.fixture(scope="module")
+def interrupted(begin):
+    """The three nodes, each started, interrupted when it was ready, and ended; by name."""
+    nodes = {
+        node: begin(node, **(dict.fromkeys(UNKNOWN, "0.01") if node == "target" else {}))
+        for node in NODES
+    }
+    # A twin says this last.
+    last = {"twin": "priority of the ticks: "}
+    ended = {}
+    for node, (process, output) in nodes.items():
+        wait_for(last.get(node, "ready"), process, output)
+        # The terminal and ros2 run both send one.
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGINT)
+        ended[node] = Ended(process.wait(60.0), output.read_text())
+    return ended
+
+
 @pytest.mark.parametrize("node", NODES)
-def test_an_interrupt_ends_a_node_cleanly(start, node):
-    process, output = start(node)
-    wait_for("ready", process, output)
-    # The terminal and ros2 run both send one.
-    process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(20.0) == 0
-    assert "Traceback" not in output.read_text()
+def test_an_interrupt_ends_a_node_cleanly(interrupted, node):
+    assert interrupted[node].code == 0
+    assert "Traceback" not in interrupted[node].output
 
 
-def test_a_termination_request_ends_a_node_cleanly(start):
-    process, output = start("target")
+def test_a_termination_request_ends_a_node_cleanly(begin):
+    process, output = begin("target")
     wait_for("ready", process, output)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(20.0) == 0
+    assert process.wait(60.0) == 0
     assert "Traceback" not in output.read_text()
 
 
-@pytest.mark.parametrize(
-    ("node", "parameters", "words"),
-    [
-        ("twin", {"scene_file": "/nowhere.yaml"}, "parameter scene_file = '/nowhere.yaml'"),
-        ("twin", {"rate": "30"}, "parameter rate"),
-        ("device", {"device_scene_file": "/nowhere.yaml"}, "parameter device_scene_file"),
-        ("target", {"target_path": "spiral"}, "parameter target_path = 'spiral'"),
-    ],
-)
-def test_an_impossible_setting_ends_a_node_with_one_line_and_exit_code_2(
-    start, node, parameters, words
-):
-    process, output = start(node, **parameters)
+def test_an_impossible_setting_ends_a_process_with_exit_code_2(begin):
+    process, output = begin("twin", rate="30")
     assert process.wait(60.0) == 2
-    told = [line for line in output.read_text().splitlines() if line.startswith(f"{node}: ")]
-    assert len(told) == 1 and words in told[0]
+    assert "twin: parameter rate" in output.read_text()
     assert "Traceback" not in output.read_text()
 
 
-def test_an_unknown_parameter_is_reported(start):
-    process, output = start("target", traget_radius="0.01")
-    wait_for("ready", process, output)
-    assert "parameter traget_radius is unknown and ignored" in output.read_text()
-    # Parameters of the other nodes are known, because all nodes share one file.
-    assert "scene_file is unknown" not in output.read_text()
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_an_unknown_parameter_is_reported_with_the_nearest_name(interrupted, name):
+    assert UNKNOWN[name] in interrupted["target"].output
 
 
+def test_parameters_of_other_nodes_are_known(interrupted):
+    # All nodes share one file.
+    assert "scene_file is unknown" not in interrupted["target"].output
+
+
+def test_the_priority_of_the_ticks_is_reported(interrupted):
+    told = interrupted["twin"].output
+    assert any(word in told for word in ("real-time", "nice -10", "normal: "))
+
+
+# Settings that no node starts with, and what it says of them.
+IMPOSSIBLE = [
+    ("twin", "scene_file:=/nowhere.yaml", "parameter scene_file = '/nowhere.yaml'"),
+    ("device", "device_scene_file:=/nowhere.yaml", "parameter device_scene_file"),
+    ("target", "target_path:=spiral", "parameter target_path = 'spiral'"),
+]
 # Arguments of ROS that no node starts with, and what it says of them.
 INVALID = [
     (["--params-file", "{broken}"], "broken.yaml"),
@@ -167,12 +198,25 @@ def answers(tmp_path_factory):
     for arguments, _ in INVALID:
         own = [argument.format(broken=broken) for argument in arguments]
         asked[f"target {' '.join(arguments)}"] = "target", ["--ros-args", *own]
+    for node, setting, _ in IMPOSSIBLE:
+        asked[f"{node} {setting}"] = node, ["--ros-args", "-p", setting]
     given.write_text(json.dumps(list(asked.values())))
     subprocess.run(
         [sys.executable, folder / "script.py", given, told], cwd=ROOT, check=True, timeout=200,
         env={**os.environ, "PYTHONPATH": str(ROOT)}, stdin=subprocess.DEVNULL,
     )  # fmt: skip
     return dict(zip(asked, starmap(Answer, json.loads(told.read_text())), strict=True))
+
+
+@pytest.mark.parametrize(("node", "setting", "words"), IMPOSSIBLE)
+def test_an_impossible_setting_ends_a_node_with_one_line_and_exit_code_2(
+    node, setting, words, answers
+):
+    done = answers[f"{node} {setting}"]
+    assert done.returncode == 2
+    told = [line for line in done.stderr.splitlines() if line.startswith(f"{node}: ")]
+    assert len(told) == 1 and words in told[0]
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize(("arguments", "words"), INVALID)
@@ -204,20 +248,12 @@ def test_help_names_topics_and_every_parameter_with_its_default(node, table, ans
     assert max(map(len, done.stdout.splitlines())) <= 100
 
 
-def test_an_unknown_nested_parameter_is_reported_with_the_nearest_name(start):
-    process, output = start("target", **{"target.radius": "0.01", "tagret_rate": "9.0"})
-    wait_for("ready", process, output)
-    told = output.read_text()
-    assert "target.radius is unknown and ignored; did you mean target_radius?" in told
-    assert "tagret_rate is unknown and ignored; did you mean target_rate?" in told
-
-
 @pytest.mark.parametrize(("number", "delay"), [
     (signal.SIGINT, 0.15), (signal.SIGTERM, 0.5), (signal.SIGINT, 1.0), (signal.SIGTERM, 1.5),
     (signal.SIGINT, 2.0),
 ])  # fmt: skip
-def test_an_interrupt_while_a_node_starts_ends_it_cleanly(start, delay, number):
-    process, output = start("twin")
+def test_an_interrupt_while_a_node_starts_ends_it_cleanly(begin, delay, number):
+    process, output = begin("twin")
     deadline = time.monotonic() + delay
     # Before the node's first line Python itself handles an interrupt; afterwards the node does.
     while not hears(process.pid) and process.poll() is None:
@@ -238,9 +274,3 @@ def hears(process):
     masks = {key: int(value, 16) for key, _, value in (line.partition(":") for line in lines)
              if key in ("SigBlk", "SigCgt")}
     return bool((masks["SigBlk"] | masks["SigCgt"]) & 1 << (signal.SIGTERM - 1))
-
-
-def test_the_priority_of_the_ticks_is_reported(start):
-    process, output = start("twin")
-    wait_for("priority of the ticks: ", process, output)
-    assert any(word in output.read_text() for word in ("real-time", "nice -10", "normal: "))

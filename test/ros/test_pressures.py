@@ -165,8 +165,10 @@ def test_the_device_measures_absolute_pressures_with_their_variance(world, make_
 
 def test_a_device_follows_the_pressures_of_its_twin(world, make_air, make_device):
     """The twin is enabled from what is measured, and the device comes to the pressure."""
-    device = make_device(device_pressure_noise=5.0)
-    twin = make_air(use_device=True)
+    # On a busy machine messages come late.
+    patient = {"message_timeout": 20.0}
+    device = make_device(device_pressure_noise=5.0, **patient)
+    twin = make_air(use_device=True, device_timeout=20.0, **patient)
     heard = world.hear(FluidPressure, "/twin/measured_pressures/low", 100)
     world.until(lambda: twin.loop.device.setpoints is not None)
     world.until(lambda: twin.loop.enable(twin.monotonic())[0])

@@ -103,7 +103,7 @@ def test_the_target_node_publishes_poses_along_a_path_with_quaternions(world, tm
     file = tmp_path / "path.csv"
     file.write_text("time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx,tip_qy,tip_qz,tip_qw\n"
                     f"0,0,0,0.13,0,0,0,1\n0.5,0,0,{HEIGHT},{TURN[0]},0,0,{TURN[3]}\n")
-    world.add(TargetNode, target_path=str(file), target_ramp_time=0.1, target_rate=50.0)
+    world.add(TargetNode, target_path=str(file), target_ramp_time=1.0, target_rate=50.0)
     targets = world.hear(PoseStamped, "/twin/target_pose/tip", 100)
     start = world.speaker(PoseStamped, "/twin/effector_poses/tip")
     world.run(0.2)
