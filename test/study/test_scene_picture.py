@@ -1,5 +1,6 @@
 """Snapshots contain solids of all kinds of objects at their positions."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -145,23 +146,25 @@ def shots():
             for name in KINDS}
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_the_legend_names_all_that_a_scene_has_and_nothing_else(name, shots):
+@pytest.fixture(scope="module")
+def drawn(shots):
+    """Gives the labelled picture of a scene, drawn once for each view."""
     pyplot = pytest.importorskip("matplotlib.pyplot")
-    figure = figure_of([shots[name]], name)
-    (legend,) = figure.legends
+    yield cache(lambda name, view=None: figure_of([shots[name]], name, view, labelled=True))
+    pyplot.close("all")
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_legend_names_all_that_a_scene_has_and_nothing_else(name, drawn):
+    (legend,) = drawn(name).legends
     texts = [text.get_text() for text in legend.get_texts()]
-    pyplot.close(figure)
     assert texts == [text for kind, (_, _, text) in LEGEND.items() if kind in KINDS[name]]
 
 
 @pytest.mark.parametrize(("name", "view"), [
     *((name, None) for name in KINDS), ("stifface", (90.0, 0.0)), ("strider", (0.0, -90.0))])
-def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view, shots, check_texts):
-    pyplot = pytest.importorskip("matplotlib.pyplot")
-    figure = figure_of([shots[name]], name, view, labelled=True)
-    check_texts(figure)
-    pyplot.close(figure)
+def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view, drawn, check_texts):
+    check_texts(drawn(name) if view is None else drawn(name, view))
 
 
 @pytest.mark.parametrize("names", [("cantilever",) * 2, ("trunk",) * 3])
