@@ -217,10 +217,16 @@ def test_a_front_is_factorized_and_leaves_its_schur_complement(nodes):
 
 
 SYSTEM = """
+import sys
 import numpy as np
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.multifrontal.vector_code import VECTOR_WIDTH
+# The analysis counts and sorts, without vectors: as Python it needs no compilation.
+for module in [module for name, module in sys.modules.items() if ".multifrontal." in name]:
+    for name, kernel in list(vars(module).items()):
+        if hasattr(kernel, "py_func") and kernel.__module__.endswith(".symbolic"):
+            setattr(module, name, kernel.py_func)
 rng = np.random.default_rng(0)
 n = 60
 rows, columns = rng.integers(0, n, (2, 150))
