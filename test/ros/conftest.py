@@ -76,7 +76,7 @@ class World:
         self.executor.add_node(node)
         return node
 
-    def until(self, condition, timeout=10.0):
+    def until(self, condition, timeout=30.0):
         """Runs until a condition holds; fails after a timeout."""
         deadline = time.monotonic() + timeout
         while not condition():
@@ -168,7 +168,7 @@ class Diagnostics:
         self._world = world
         self.messages = world.hear(DiagnosticArray, "/diagnostics")
 
-    def __call__(self, part, condition=lambda account: True, timeout=10.0):
+    def __call__(self, part, condition=lambda account: True, timeout=30.0):
         """The next status of a part that satisfies a condition."""
         first, found = len(self.messages), []
 

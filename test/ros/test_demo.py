@@ -166,7 +166,7 @@ def module(tmp_path, monkeypatch):
 
 
 def await_line(process, line):
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     while line not in process.last_lines():
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -205,7 +205,7 @@ def ask_two_to_leave(module):
 
 def test_a_process_that_died_is_reported_with_its_last_lines(module):
     process = module("mortal", "import sys\nprint('it was so dark', file=sys.stderr)\nsys.exit(3)")
-    assert process.wait(20.0)
+    assert process.wait(60.0)
     with pytest.raises(ProcessDiedError) as caught:
         process.check_running()
     assert (caught.value.name, caught.value.exit_code) == ("mortal", 3)

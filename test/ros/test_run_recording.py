@@ -73,8 +73,8 @@ def live_run(world, make_twin, small_scene_file, tmp_path):
     world.add(DeviceNode, **scene)
     world.add(TargetNode, **scene, target_radius=0.004, target_ramp_time=0.2)
     hostile = hostile_to(twin, draw_seed())
-    world.until(lambda: twin.loop.device.setpoints is not None)
-    assert enable(world).success
+    # On a busy machine what was measured may be too old when the request comes.
+    world.until(lambda: enable(world).success)
     world.until(lambda: is_following(twin))
     for number in range(30):
         for end in inputs(twin):

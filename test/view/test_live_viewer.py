@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve s
 MEBIBYTE = 2**20
 
 
-def until(condition, timeout=20.0, meanwhile=lambda: time.sleep(0.02)):
+def until(condition, timeout=60.0, meanwhile=lambda: time.sleep(0.02)):
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
@@ -148,7 +148,7 @@ def test_a_frozen_viewer_blocks_large_frames_but_nothing_else(
             return live.logged_count == before and file.logged_count > recorded
 
         memory = resident_memory()
-        until(held_up, timeout=60.0, meanwhile=offer)
+        until(held_up, timeout=120.0, meanwhile=offer)
         # While the live thread waits, frames are accepted and the file is written: see held_up.
         assert resident_memory() - memory < 1200 * MEBIBYTE
         logged = live.logged_count
@@ -192,6 +192,6 @@ def test_closing_with_a_frozen_viewer_takes_no_longer_than_its_timeout(tmp_path,
         until(lambda: mirror.frames_offered >= offered + 200, meanwhile=offer)
         return mirror.frames_logged == before
 
-    until(held_up, timeout=60.0, meanwhile=offer)
+    until(held_up, timeout=120.0, meanwhile=offer)
     mirror.close(timeout=0.5)
     assert "not finished in time" in mirror.failure
