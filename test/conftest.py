@@ -5,6 +5,7 @@ import itertools
 import os
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,58 +22,137 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["RERUN_STRICT"] = "1"
 
 
-# Facts of the method, of the loop and of processes: no version of numpy, scipy, numba or another
-# library changes them, and what these files use of the libraries other files use too. They are
-# marked `method`; the oldest versions run without them.
-METHOD = {
-    "": ("layering",),
-    "constraints": ("cable_friction", "contact_curvature", "effector_orientation"),
-    "geometry": ("closed_surface", "round_axes"),
-    "mechanics": (
-        "force_curvature", "hexahedra", "patch_volumes", "point_law", "reduced_elements",
-        "softening", "superelements", "viscosity",
+# What this package asks of other libraries: each call at least once, and each kernel compiled.
+# These tests are marked `libraries`, and the oldest versions run them alone: what is calculated
+# with the answers of the libraries no version changes, and it is tested on the newest.
+# A name is a whole file but for its slow tests, or one test of it.
+LIBRARIES = {
+    "": (
+        "layering::test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib",
+        "library_names", "package::test_every_library_that_is_imported_is_declared",
     ),
-    "tools": ("compare_solvers",),
-    "simulation": (
-        "arch", "augmented_tangent", "beam_contact", "buckling", "cable_friction", "capstan",
-        "collapse", "compressed", "cone", "contact_balance", "contact_forces", "contact_rest",
-        "contact_surface", "curling", "drag", "edge_of_reach", "energy", "equality_actuators",
-        "fibres", "floating", "force_limit", "free_fall", "generalized_alpha", "hertz", "hostile_cavities",
-        "incline", "inflation", "inverse_contact", "inverse_limits", "inverse_obstacles",
-        "inverse_trunk", "long_run", "many_contacts", "mesh_error", "momentum", "obstacles",
-        "overlap", "overload", "pendulum", "redundancy", "resting", "rolling", "sag", "scales",
-        "rubber_stays_upright", "snap_through", "stacks", "target_trust", "time_step",
-        "triangulated_floor", "trunk_scene", "tunnelling", "vibration", "viscous_motion", "wedge",
+    "command_line": ("command_line::test_bash_completes_commands_options_and_files",),
+    "constraints": (
+        "cable", "cavity", "effector", "reduced_cavities", "row_stack",
+        "contact_curvature::test_contact_curvature_never_reduces_the_stiffness",
+        "contact_curvature::test_a_facet_along_a_straight_side_is_not_infinitely_stiff",
     ),
     "control": (
-        "cavities", "closed_loop", "device_returns", "flexo", "grasping", "hostile_input",
-        "long_run", "loop_safety", "loop_timing", "marker_checks", "mesh_error_watch",
-        "reduction_error_watch", "target_correction", "target_path", "trunk",
+        "marker_input", "pose_input", "stiffness_input", "target_input", "target_path",
+        "touch_input", "hinge_motors", "pulley_angles",
+        "simulated_device::test_noise_has_the_given_deviation_and_repeats_for_a_seed",
+        "target_correction",
     ),
+    "geometry": (
+        "box_mesh", "box_pairs::test_a_tilted_cube_stands_on_its_lowest_edge", "cad_meshing",
+        "cell_patches", "closest_features", "cubic_bubbles", "helix",
+        "closed_surface::test_a_ball_touches_a_table_by_its_face_edge_and_corner_alone",
+        "closed_surface::test_all_contact_normals_on_a_flat_floor_equal_its_normal",
+        "hexahedral_mesh", "mass_properties", "mesh_parts", "mesh_reading", "mesh_repair",
+        "mid_edge_nodes", "point_location", "quadratic", "quality", "regions", "round_axes",
+        "self_proximity::test_the_ends_of_a_c_shape_meet_face_to_face", "surface",
+        "surface_reading", "tet_mesh", "uniform_refinement", "wall_thickness",
+        "diamond_meshes", "finger_meshes",
+    ),
+    "mechanics": (
+        "beam_sections", "cubic_correction", "gravity", "hinged_frames", "hyperelastic_laws",
+        "inertia", "kinematics", "mass_damping", "material", "polar", "rigid_inertia",
+        "small_displacement", "strain_rate_damping", "touch_loads",
+    ),
+    "record": ("replay::test_a_replay_gives_all_bits_of_the_run_again", "run_values"),
     "ros": (
-        "grasping", "graph_watch", "hostile_messages", "node_process", "pressures", "target_pose",
-        "thread_priority", "trunk", "twin_diagnostics",
+        "device_node::test_it_measures_lengths_markers_and_effectors_with_one_stamp", "messages",
+        "parameter_table", "pulleys",
+        "pressures::test_pressures_are_published_absolute_with_the_stamp_of_all_actuators",
+        "run_recording::test_hostile_messages_of_every_kind_are_replayed_to_the_bit", "scene_file",
+        "status", "target_node::test_a_table_of_commands_is_played_over_and_over_and_no_targets",
+        "target_stiffness", "topic_table", "touches", "transforms", "twin_node",
+        "twin_services::test_a_view_can_be_recorded", "visualization",
     ),
-    "study": ("hexahedral_accuracy", "rubber_references", "vertebrae_reduction"),
-    "docs": (
-        "commands_of_the_pages", "files_page", "reference_pages", "scenes_of_the_pages", "site",
-        "statuses_page",
+    "scene": ("body_entries", "entry", "law_constants", "loading", "mesh_entries", "patterns"),
+    "scripting": ("building", "gym_environment", "named_commands", "robot", "run_table"),
+    "simulation": (
+        "apparent_compliance", "apparent_stiffness", "beams", "cavities",
+        "compiled_early::test_the_first_contact_of_every_pair_compiles_nothing",
+        "compiled_early::test_fallback_solvers_are_compiled_before_the_first_step",
+        "elastic_cables", "element_kinds", "factorizations", "full_model_error", "hinges",
+        "hyperelastic_newton::test_each_linearization_squares_the_error[yeoh-linear]",
+        "hyperelastic_newton::test_each_linearization_squares_the_error[ogden-quadratic]",
+        "hyperelastic_newton::test_each_linearization_squares_the_error[mooney_rivlin-linear]",
+        "hyperelastic_newton::test_each_linearization_squares_the_error[neo_hookean-linear]",
+        "hyperelastic_newton::"
+        "test_each_linearization_squares_the_error[saint_venant_kirchhoff-linear]",
+        "mass_springs", "orientation", "reduced_cavities", "reduced_contact",
+        "rubber_memory::test_a_restored_state_goes_on_to_the_bit_and_a_reset_is_new_material",
+        "self_contact", "skins", "slides", "springs", "state", "stiffness_targets", "touches",
+        "volume_patches", "warm_up",
+    ),
+    "solvers": (
+        "contact_active_set", "contact_continuation", "dense_cholesky", "dense_stiffness",
+        "direct_problem", "force_bounds", "inverse_problem", "inverse_solver",
+        "polyhedron_projection", "quadratic_program", "superlu", "multifrontal/condensation",
+        "multifrontal/definiteness",
+    ),
+    "study": (
+        "accuracy::test_the_command_writes_a_table_and_a_picture",
+        "bench::test_bench_writes_a_row_for_each_stage_and_a_picture",
+        "body_training::test_the_file_says_how_it_was_made", "controller_export",
+        "explain::test_explain_lists_effects_terms_stages_and_size", "live_line",
+        "meshing::test_a_part_is_meshed_and_its_quality_told", "outputs", "progress",
+        "reduction_basis", "reduction_states", "richardson", "run_plot", "run_summary",
+        "scene_picture",
+        "simulate::test_a_run_has_the_stated_columns_and_a_row_for_each_target", "stiffness",
+        "tracking_report",
+        "workspace::test_a_cluster_computes_the_same_and_a_failure_costs_only_its_sample",
+        "workspace::test_two_processes_write_the_same_bytes",
+        "workspace::test_the_picture_has_its_size",
+    ),
+    "view": (
+        "blueprint", "cavities", "mirror", "picture", "recent_path", "surface_normals",
+        "surroundings", "tension_colours", "viewer",
     ),
 }  # fmt: skip
 
 
-def pytest_collection_modifyitems(items):
-    """Marks the tests of `METHOD`."""
-    files = {
-        Path(__file__).parent / room / f"test_{name}.py"
-        for room, names in METHOD.items() for name in names
-    }  # fmt: skip
-    lost = sorted(str(file) for file in files if not file.is_file())
-    if lost:
-        raise pytest.UsageError(f"conftest.METHOD names {', '.join(lost)}, which is no file")
+@cache
+def tests_of_libraries() -> dict[Path, set[str]]:
+    """Files of `LIBRARIES`, and the names of their tests; none stands for all but slow ones."""
+    found, folder = {}, Path(__file__).parent
+    for room, entries in LIBRARIES.items():
+        for entry in entries:
+            file, _, test = entry.partition("::")
+            path = folder / room / file
+            found.setdefault(path.with_name(f"test_{path.name}.py"), set()).update({test} - {""})
+    return found
+
+
+def only_libraries(config) -> bool:
+    return config.option.markexpr == "libraries"
+
+
+def pytest_ignore_collect(collection_path, config):
+    """With -m libraries, files without such tests are not even read."""
+    is_test = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    is_other = is_test and collection_path not in tests_of_libraries()
+    return True if only_libraries(config) and is_other else None
+
+
+def pytest_collection_modifyitems(config, items):
+    """Marks the tests of `LIBRARIES`; one that is named there and is nowhere is an error."""
+    wanted = tests_of_libraries()
+    missing = {(path, "") for path in wanted if not path.is_file()}
+    missing |= {(path, name) for path in {item.path for item in items}
+                for name in wanted.get(path, ())}  # fmt: skip
     for item in items:
-        if item.path in files:
-            item.add_marker(pytest.mark.method)
+        names = wanted.get(item.path)
+        own = {item.name, item.originalname}
+        if names is None:
+            continue
+        if own & names if names else item.get_closest_marker("slow") is None:
+            item.add_marker(pytest.mark.libraries)
+            missing -= {(item.path, name) for name in own}
+    if only_libraries(config) and missing:
+        raise pytest.UsageError(f"conftest.LIBRARIES names what is not there: {sorted(missing)}")
 
 
 def compile_each_kernel_once() -> None:

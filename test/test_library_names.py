@@ -1,0 +1,127 @@
+"""Each name that the package takes from a library is there, and takes the arguments it is given.
+
+It is looked at without calling anything, so that no name is forgotten when a version renames it.
+"""
+
+import ast
+import importlib
+import inspect
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import softrobot_twin
+
+PACKAGE = Path(softrobot_twin.__file__).parent
+# Names of newer or older versions, each used only where it is there.
+BY_VERSION = {
+    "rerun.Scalar", "rerun.Scalars", "rerun.SeriesLine", "rerun.SeriesLines", "rerun.new_recording",
+}  # fmt: skip
+
+
+def imported_names(tree: ast.AST) -> dict[str, str]:
+    """Full name of what each name of a module stands for, of those that are imported."""
+    names = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                whole = alias.name if alias.asname else alias.name.partition(".")[0]
+                names[alias.asname or whole] = whole
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names |= {alias.asname or alias.name: f"{node.module}.{alias.name}"
+                      for alias in node.names}  # fmt: skip
+    return names
+
+
+def dotted_name(node: ast.AST) -> str:
+    """"a.b.c" of such an expression; an empty name of another."""
+    if isinstance(node, ast.Name):
+        return node.id
+    if isinstance(node, ast.Attribute) and (before := dotted_name(node.value)):
+        return f"{before}.{node.attr}"
+    return ""
+
+
+def is_library(name: str) -> bool:
+    return name.partition(".")[0] not in {*sys.stdlib_module_names, PACKAGE.name}
+
+
+def uses() -> Iterator[tuple[str, str, ast.Call | None]]:
+    """Where something of a library is named, its full name, and the call of it if it is one."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        tree = ast.parse(path.read_text(), str(path))
+        names = imported_names(tree)
+        calls = {id(node.func): node for node in ast.walk(tree) if isinstance(node, ast.Call)}
+        for node in ast.walk(tree):
+            first, _, rest = dotted_name(node).partition(".")
+            name = names.get(first, "")
+            if name and is_library(name):
+                where = f"{path.relative_to(PACKAGE)}:{node.lineno}"
+                yield where, f"{name}.{rest}".rstrip("."), calls.get(id(node))
+
+
+@cache
+def found(name: str):
+    """What a full name stands for; AttributeError or ImportError where there is nothing."""
+    first, *rest = name.split(".")
+    thing = importlib.import_module(first)
+    for position, part in enumerate(rest, 2):
+        if isinstance(thing, ModuleType) and not hasattr(thing, part):
+            importlib.import_module(".".join([first, *rest][:position]))
+        thing = getattr(thing, part)
+    return thing
+
+
+USES = list(uses())
+
+
+@pytest.mark.parametrize("library", sorted({name.partition(".")[0] for _, name, _ in USES}))
+def test_every_name_that_is_taken_from_a_library_is_there(library):
+    # dask is an extra, and not all of ROS has a wheel; others are declared (test_package.py).
+    if library in ("distributed", "tf2_msgs"):
+        pytest.importorskip(library)
+    lost = set()
+    for where, name, _ in USES:
+        if name.partition(".")[0] == library and name not in BY_VERSION:
+            try:
+                found(name)
+            except (AttributeError, ImportError):
+                lost.add(f"{where} {name}")
+    assert not lost
+
+
+def arguments(call: ast.Call) -> tuple[list[None], dict[str, None]] | None:
+    """Stand-ins for the arguments of a call; None where it unpacks some."""
+    if any(isinstance(value, ast.Starred) for value in call.args):
+        return None
+    if any(keyword.arg is None for keyword in call.keywords):
+        return None
+    return [None] * len(call.args), {keyword.arg: None for keyword in call.keywords}
+
+
+@cache
+def signature_of(name: str) -> inspect.Signature:
+    return inspect.signature(found(name))
+
+
+def test_functions_of_libraries_take_the_arguments_they_are_given():
+    refused, judged = set(), set()
+    for where, name, call in USES:
+        given = arguments(call) if call is not None else None
+        if given is None or name in BY_VERSION:
+            continue
+        try:
+            signature = signature_of(name)
+        except (AttributeError, ImportError, TypeError, ValueError):
+            continue  # compiled: it tells nothing; or not there, which the test above tells
+        judged.add(name)
+        try:
+            signature.bind(*given[0], **given[1])
+        except TypeError as error:
+            refused.add(f"{where} {name}: {error}")
+    assert not refused
+    assert {"numpy.linalg.norm", "scipy.sparse.linalg.splu", "matplotlib.pyplot.figure"} <= judged
