@@ -129,16 +129,17 @@ def directions(seed: int) -> np.ndarray:
     return drawn / np.linalg.norm(drawn, axis=1)[:, None]
 
 
-def in_random_directions(*names, drawn=((1, 0), (2, 1))):
+def in_random_directions(*names, drawn=None):
     """Parametrizes a test by the name of a robot, a seed and the number of a direction.
 
     Args:
         names: Of the robots.
-        drawn: Seed and number of each direction.
+        drawn: Seed and number of each direction; by default each robot has one, by turns.
     """
+    turns = [drawn or [((1, 0), (2, 1))[place % 2]] for place in range(len(names))]
     cases = [
         pytest.param(name, seed, number, id=f"{name}-seed {seed}-{number}")
-        for name in names for seed, number in drawn
+        for name, directions in zip(names, turns, strict=True) for seed, number in directions
     ]  # fmt: skip
     return pytest.mark.parametrize("name, seed, number", cases)
 
