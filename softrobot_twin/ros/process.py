@@ -1,7 +1,8 @@
 """Runs a node as a process: start, signals and a clean end.
 
-Signals are handled differently in three phases: while modules are imported the process exits at
-once, while the node is built an exception is raised, and while it runs the request is recorded.
+Signals are handled differently in four phases: while modules are imported the process exits at
+once, while the node is built an exception is raised, while it runs the request is recorded, and
+after its end they are ignored.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ def run_node(
         # A library may turn an interrupt into an error of its own.
         if not stop.received:
             raise
+    finally:
+        stop.ignore()
     return 0
 
 
@@ -114,6 +117,14 @@ class _StopRequest:
     def only_record(self) -> None:
         """From now on a signal is only recorded."""
         self._exits_at_once = self._raises = False
+
+    def ignore(self) -> None:
+        """From now on signals do nothing: all is closed. While Python ends it would give them back
+        their default, and one more, as ``ros2 launch`` sends to a slow process, would look as if
+        the node had died.
+        """
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
     def _handle(self, number: int, frame: object) -> None:
         self.received = True

@@ -82,9 +82,13 @@ def interrupted(begin):
     ended = {}
     for node, (process, output) in nodes.items():
         wait_for(last.get(node, "ready"), process, output)
-        # The terminal and ros2 run both send one.
+        # The terminal and ros2 run both send one, ros2 launch another kind after some seconds, and
+        # an impatient user more, until the process is gone.
         process.send_signal(signal.SIGINT)
-        process.send_signal(signal.SIGINT)
+        while process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            process.send_signal(signal.SIGTERM)
+            time.sleep(0.01)
         ended[node] = Ended(process.wait(60.0), output.read_text())
     return ended
 
