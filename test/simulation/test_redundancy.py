@@ -9,8 +9,14 @@ ALONG_X = ["x"]
 
 
 def follow(simulation, target, steps=40, time_step=1.0, commanded=None):
+    """The result when nothing has moved for three steps, or after so many."""
+    still, before = 0, simulation.state.positions
     for _ in range(steps):
         result = simulation.step(FollowTargets(np.atleast_2d(target), time_step, commanded))
+        is_still = np.abs(result.state.positions - before).max() < 1e-12
+        still, before = still + 1 if is_still else 0, result.state.positions
+        if still == 3:
+            break
     return result
 
 
