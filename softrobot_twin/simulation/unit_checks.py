@@ -76,8 +76,10 @@ def _odd_values(body) -> list[str]:
                 f"linear: above {LOCKING_RATIO:g} linear tetrahedra lock, the body is far too "
                 "stiff; use volume: patches with a hyperelastic law, or element: quadratic"
             )
-    checked = [(f"{body.key}.mesh size", body.size, SIZE_RANGE, "m",
-                "is the mesh in millimetres? then give scale: 0.001")]  # fmt: skip
+    hint = "is the mesh in millimetres? then give scale: 0.001"
+    if body.size < SIZE_RANGE[0]:
+        hint = "is the mesh in metres? then leave out scale: 0.001"
+    checked = [(f"{body.key}.mesh size", body.size, SIZE_RANGE, "m", hint)]
     for part in body.materials:
         checked += [
             (f"{part.key}.{weight}", part.density, DENSITY_RANGE, "kg/m³",

@@ -29,7 +29,7 @@ from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUn
 from softrobot_twin.study.accuracy_study import with_element, with_law
 from softrobot_twin.study.choice import MARGIN
 from softrobot_twin.study.explain import LEAST_ACROSS
-from softrobot_twin.study.first_scene import MeshSource, first_scene
+from softrobot_twin.study.first_scene import LARGEST_IN_METRES, MeshSource, first_scene
 from softrobot_twin.study.length_units import UNITS
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
@@ -186,6 +186,9 @@ def mesh_part(
     Raises:
         SoftRobotTwinError: The part cannot be meshed, or the file not be written.
     """
+    if not path.is_file():
+        reason = "is a folder" if path.is_dir() else "there is no such file"
+        raise MeshingError(f"{path}: {reason}")
     if output.suffix.lower() != ".msh":
         raise OutputError(output, "a mesh is a .msh file (Gmsh)")
     scale = 1.0
@@ -206,10 +209,22 @@ def mesh_part(
         _print_mesh_error(trial.scene)
     with output_file(output) as partial:
         write_msh(partial, trial.made)
-    console().print(f"\n{output} is in metres. A scene for it: "
-                    f"softrobot_twin init {shlex.quote(str(output))}",
+    largest = float(np.ptp(trial.made.mesh.node_positions, axis=0).max())
+    console().print(f"\n{output} is in metres. A scene for it: {scene_command(output, largest)}",
                     soft_wrap=True, markup=False)  # fmt: skip
     return 0
+
+
+def scene_command(mesh: Path, largest: float) -> str:
+    """The command that makes a scene for a mesh in metres, as a shell takes it.
+
+    Args:
+        mesh: Its file.
+        largest: Its largest extent [m].
+    """
+    # Of a larger one `init` would guess that it is in millimetres.
+    unit = " --unit m" if largest > LARGEST_IN_METRES else ""
+    return f"softrobot_twin init {shlex.quote(str(mesh))}{unit}"
 
 
 def rate_step(rate: float) -> float:

@@ -85,7 +85,14 @@ def test_millimetres_read_as_metres_are_warned_of(diamond):
         for key in ("cables", "effectors", "markers"):
             mapping.pop(key)
 
-    assert any("scale: 0.001" in note for note in diamond(millimetres).notes)
+    assert any("then give scale: 0.001" in note for note in diamond(millimetres).notes)
+
+
+def test_a_body_of_a_few_micrometres_may_be_scaled_without_need(simulate):
+    tiny = {"mesh": {"box": {"size": [2e-4, 1e-4, 1e-4], "cells": [2, 1, 1]}}, "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [0, 1, 1]}}]}
+    assert any("then leave out scale: 0.001" in note for note in simulate(body=tiny).notes)
 
 
 def test_a_scene_builds_only_the_terms_it_names(diamond):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 
 import pytest
 
@@ -11,7 +12,7 @@ from softrobot_twin.command_line.commands import length, step_time
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.study import meshing
-from softrobot_twin.study.meshing import MeshingError, StepTime, size_for
+from softrobot_twin.study.meshing import MeshingError, StepTime, scene_command, size_for
 from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
 
 
@@ -112,9 +113,17 @@ def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
     assert "at most 5 meshes" in out and "step" in out and not lines_of(err)
 
 
+def test_a_scene_of_a_part_of_metres_is_made_by_the_printed_command(tmp_path):
+    for extent, unit in ((0.1, []), (1.9, []), (3.0, ["--unit", "m"])):
+        words = shlex.split(scene_command(tmp_path / "a part.msh", extent))
+        assert words[:3] == ["softrobot_twin", "init", str(tmp_path / "a part.msh")]
+        assert words[3:] == unit
+
+
 @pytest.mark.parametrize(
     "arguments, word",
     [
+        (["folder", "--size", "5mm"], "folder: is a folder"),
         (["open.stl", "--size", "5mm"], "is open"),
         (["cube.stl", "--size", "1m"], "larger than the part"),
         (["cube.stl", "--size", "1um"], "more than 1000000"),
@@ -128,6 +137,7 @@ def test_a_part_that_cannot_be_meshed_is_one_error_and_leaves_its_output(
 ):
     monkeypatch.chdir(tmp_path)
     cube = box((20, 20, 20))
+    (tmp_path / "folder").mkdir()
     write_stl(tmp_path / "cube.stl", cube)
     write_stl(tmp_path / "open.stl", (cube[0], cube[1][1:]))
     (tmp_path / "cube.step").write_text("a STEP file")
