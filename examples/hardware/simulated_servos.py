@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import tty
+from collections.abc import Callable
 from pathlib import Path
 
 from servo_bus import (
@@ -50,15 +51,17 @@ class SimulatedServo:
     Args:
         ticks: Where it is at the start.
         speed: Its speed [ticks/s].
+        now: The clock that it moves by [s].
 
     Attributes:
         table: Its table.
         current: What it states as its present current, in its own unit.
     """
 
-    def __init__(self, ticks: int, speed: float = 4096.0):
-        self.table, self._speed = bytearray(256), speed
-        self._position, self._moved, self._heard = float(ticks), time.monotonic(), time.monotonic()
+    def __init__(self, ticks: int, speed: float = 4096.0,
+                 now: Callable[[], float] = time.monotonic):  # fmt: skip
+        self.table, self._speed, self._now = bytearray(256), speed, now
+        self._position, self._moved, self._heard = float(ticks), now(), now()
         self.current = 0
         self.table[OPERATING_MODE] = 3
         self._put(GOAL_POSITION, ticks, 4)
@@ -80,7 +83,7 @@ class SimulatedServo:
 
     def move(self) -> None:
         """Moves on until now; stands still when the watchdog has acted."""
-        now = time.monotonic()
+        now = self._now()
         passed, self._moved = now - self._moved, now
         limit = self.table[WATCHDOG]
         if 0 < limit < 255 and now - self._heard > limit * WATCHDOG_UNIT:
@@ -96,7 +99,7 @@ class SimulatedServo:
     def heard(self) -> None:
         """Notes that an instruction came, for the watchdog."""
         self.move()
-        self._heard = time.monotonic()
+        self._heard = self._now()
 
     def read(self, address: int, size: int) -> tuple[int, bytes]:
         """Error, and bytes of the table."""
