@@ -8,7 +8,7 @@ import pytest
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "grasper.yaml"
-STEP, WOUND, LIFT = 0.004, 0.016, 0.050
+STEP, WOUND, LIFT = 0.008, 0.016, 0.050
 
 
 @pytest.mark.slow
