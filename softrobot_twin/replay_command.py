@@ -13,8 +13,6 @@ from contextlib import ExitStack
 from datetime import datetime, timezone
 from pathlib import Path
 
-from rich.markup import escape
-
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.record.replay import Comparison, Difference, Replay
@@ -142,12 +140,12 @@ def _print_result(again: Replay, found: Comparison) -> None:
 
 def _print_differences(found: Comparison) -> None:
     shown = table("largest differences", "quantity", "ticks", "of", "difference", "recorded",
-                  "replayed", r"at \[s]")  # fmt: skip
+                  "replayed", "at [s]")  # fmt: skip
     for name, differences in found.by_quantity.items():
         largest = differences.largest
         shown.add_row(
-            name, str(differences.ticks), escape(largest.place), _size(largest),
-            escape(_brief(largest.recorded)), escape(_brief(largest.replayed)),
+            name, str(differences.ticks), largest.place, _size(largest),
+            _brief(largest.recorded), _brief(largest.replayed),
             f"{largest.time:.3f}",
         )  # fmt: skip
     console().print(shown)

@@ -473,4 +473,4 @@ def _print_guesses(output: Path, source: MeshSource, reading: MeshReading, found
     console().print(f"\nLook at it: softrobot_twin explain {scene}\n"
                     f"Let it sag:  softrobot_twin simulate {scene} --steps 5 "
                     "--output first.csv --picture first.png",
-                    soft_wrap=True, markup=False)  # fmt: skip
+                    soft_wrap=True)  # fmt: skip

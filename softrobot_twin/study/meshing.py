@@ -211,7 +211,7 @@ def mesh_part(
         write_msh(partial, trial.made)
     largest = float(np.ptp(trial.made.mesh.node_positions, axis=0).max())
     console().print(f"\n{output} is in metres. A scene for it: {scene_command(output, largest)}",
-                    soft_wrap=True, markup=False)  # fmt: skip
+                    soft_wrap=True)  # fmt: skip
     return 0
 
 

@@ -22,9 +22,13 @@ _PIPED_WIDTH = 200
 
 
 def console(stream: TextIO | None = None) -> Console:
-    """A console on a stream (standard output by default), without colours when piped."""
+    """A console on a stream (standard output by default), without colours when piped.
+
+    What is in brackets, such as a unit, is text and no markup.
+    """
     stream = stream or sys.stdout
-    return Console(file=stream, width=None if stream.isatty() else _PIPED_WIDTH, highlight=False)
+    width = None if stream.isatty() else _PIPED_WIDTH
+    return Console(file=stream, width=width, highlight=False, markup=False)
 
 
 def table(title: str, *columns: str, piped: bool | None = None) -> Table:

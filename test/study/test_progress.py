@@ -1,4 +1,4 @@
-"""Progress through a pipe, and durations that are told before long work."""
+"""Progress through a pipe, durations that are told before long work, and tables."""
 
 import io
 import sys
@@ -6,7 +6,14 @@ import sys
 import pytest
 
 from softrobot_twin.study import terminal
-from softrobot_twin.study.terminal import FirstSteps, PipedProgress, announce, progress
+from softrobot_twin.study.terminal import (
+    FirstSteps,
+    PipedProgress,
+    announce,
+    console,
+    progress,
+    table,
+)
 
 
 @pytest.fixture
@@ -84,3 +91,15 @@ def test_an_activity_that_takes_long_is_named_through_a_pipe(monkeypatch):
             if isinstance(thread, terminal.threading.Timer):
                 thread.join()
     assert stream.getvalue() == "building the scene …\n"
+
+
+@pytest.mark.parametrize("is_tty", [False, True])
+def test_units_and_names_in_brackets_are_printed(monkeypatch, is_tty):
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, "isatty", lambda: is_tty, raising=False)
+    made = table("Places [mm]", "effector", "x [mm]", "median [ms]", piped=not is_tty)
+    made.add_row("a [red] tip", "1", "2")
+    console(stream).print(made)
+    console(stream).print("my [new] robot.yaml")
+    for text in ("Places [mm]", "x [mm]", "median [ms]", "a [red] tip", "my [new] robot.yaml"):
+        assert text in stream.getvalue()
