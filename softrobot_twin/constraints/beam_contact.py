@@ -6,8 +6,8 @@ See `geometry/round_axes.py` for the places, and `contact_pairs.py` for what a p
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact_pairs import NO_NODE
 from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
 from softrobot_twin.geometry.round_axes import (
@@ -26,7 +26,7 @@ from softrobot_twin.mechanics.barycentric import writable
 FIRST_ROOM = 64
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_axis(x, frames, local_places, local_tangents, places, tangents):
     """Places and tangents of the ends of every element, from the frames that carry them."""
     for e in range(len(frames)):
@@ -41,7 +41,7 @@ def write_axis(x, frames, local_places, local_tangents, places, tangents):
                 places[e, end, i], tangents[e, end, i] = place, tangent
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def carry_by_axis(
     x, axis, frames, local_places, local_tangents, elements, shares, places, sign, column, nodes,
     coefficients,

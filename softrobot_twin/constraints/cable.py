@@ -22,8 +22,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.matrix3 import (
@@ -88,7 +88,7 @@ def folds(path: np.ndarray) -> list[int]:
     return [kept[i + 1] for i in np.flatnonzero(cosines < FOLD_COSINE)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def evaluate_kernel(
     x, nodes, coefficients, constants, least, rounding, cable, entry, blocks, lengths
 ):
@@ -108,7 +108,7 @@ def evaluate_kernel(
                 set_row(blocks, e, scaled(r, -coefficients[s, a] * scale))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_stiffness_kernel(
     x, nodes, coefficients, constants, least, rounding, cable, tensions, offsets, strides, storage
 ):
@@ -136,7 +136,7 @@ def add_stiffness_kernel(
                 pair += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_matrices(
     x, nodes, coefficients, constants, least, rounding, cable, tensions, matrices
 ):
@@ -152,7 +152,7 @@ def write_matrices(
         set_rows(matrices[s], scaled_matrix(add_outer(IDENTITY, negated(d), d), k))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_row_stiffness_kernel(
     x, nodes, coefficients, constants, least, rounding, stiffness, offsets, strides, storage
 ):
@@ -176,7 +176,7 @@ def add_row_stiffness_kernel(
                 pair += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def share_kernel(x, nodes, coefficients, constants, least, rounding, free, move):
     """Largest share of a move, at most one, that reverses no segment that is not smoothed."""
     share = 1.0

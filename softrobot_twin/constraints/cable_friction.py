@@ -41,8 +41,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.constraints.cable import CablePath, add_stiffness_kernel
 from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.constraints.row_stack import add_row_forces
@@ -62,7 +62,7 @@ ROUND_OFF = 1.0e-14
 BOUND = 1.0e-12
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_turns(x, nodes, coefficients, constants, least, rounding, cable, lengths, angles):
     """Length of each segment, and the angle by which the path turns where it begins.
 
@@ -87,7 +87,7 @@ def write_turns(x, nodes, coefficients, constants, least, rounding, cable, lengt
         lengths[s] = length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_tensions(winch, friction, flexibility, angles, shares, tensions, strains):
     """Tensions and strains along one cable, at given shares of friction."""
     tension = winch
@@ -97,7 +97,7 @@ def write_tensions(winch, friction, flexibility, angles, shares, tensions, strai
         strains[s] = tension * flexibility / (1.0 + tension * flexibility)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_beyond(lengths, strains, beyond):
     """Unstretched length from the beginning of each segment of one cable on."""
     total = 0.0
@@ -106,7 +106,7 @@ def write_beyond(lengths, strains, beyond):
         beyond[s] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_slopes(lengths, angles, tensions, flexibility, friction, presliding, slopes):
     """∂F/∂z of one cable, F = s_0 (z - z_begin) - u: s_0 + K D; its first segment has no point."""
     n = len(lengths)
@@ -121,14 +121,14 @@ def write_slopes(lengths, angles, tensions, flexibility, friction, presliding, s
         slopes[s, s] += presliding
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_misses(shares, begin_shares, beyond, begin_beyond, presliding, misses):
     """F of each point of one cable [m]."""
     for s in range(1, len(shares)):
         misses[s] = presliding * (shares[s] - begin_shares[s]) - (begin_beyond[s] - beyond[s])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begin_beyond, shares):
     """Convex function of z whose slopes are D F: s_0 D (z²/2 - z_begin z) - D U_begin z + Ψ.
 
@@ -147,7 +147,7 @@ def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begi
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def bounded_change(shares, misses, slopes, turns, round_off, change):
     """Newton's change of the shares of one cable within their bounds, by a primal active set.
 
@@ -210,7 +210,7 @@ def bounded_change(shares, misses, slopes, turns, round_off, change):
         held[released] = False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def solve_shares(
     winch, lengths, angles, friction, flexibility, presliding, begin_shares, begin_beyond, shares,
     tensions, strains, beyond,
@@ -251,7 +251,8 @@ def solve_shares(
             if then <= now + DECREASE * length * slope or -slope <= EPSILON * abs(now):
                 break
             length *= 0.5
-        shares[:] = tried
+        for i in range(len(shares)):
+            shares[i] = tried[i]
     write_tensions(winch, friction, flexibility, angles, shares, tensions, strains)
     write_beyond(lengths, strains, beyond)
     # Where the path does not turn, no tension depends on z.
@@ -262,7 +263,7 @@ def solve_shares(
     shares[0] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_rates(
     winch, lengths, angles, friction, flexibility, presliding, shares, tensions, strains,
     force_slopes, length_slopes, stick,
@@ -336,7 +337,7 @@ def write_rates(
     return compliance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def ratio_at(segment, friction, angles, shares):
     """T_s / λ of one segment."""
     total = 0.0
@@ -345,7 +346,7 @@ def ratio_at(segment, friction, angles, shares):
     return np.exp(-friction * total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def solve_cables(
     firsts, winches, friction, flexibility, presliding, lengths, angles, begin_shares, begin_beyond,
     shares, tensions, strains, beyond, force_slopes, length_slopes, stick, compliances,

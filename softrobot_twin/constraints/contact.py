@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.mechanics.barycentric import writable
 
 FIRST_ROOM = 64
@@ -26,7 +26,7 @@ LOOK_AHEAD = 2.0
 STEEP = 0.617
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def put_tangents(normals, count, directions):
     """Normal and two tangents of each contact, the same for the same normal."""
     for c in range(count):
@@ -46,7 +46,7 @@ def put_tangents(normals, count, directions):
         directions[c, 2, 2] = n0 * t1 - n1 * t0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def apart(x, nodes, coefficients, c):
     """Σ c_k x_k of one contact, standing points left out."""
     r0, r1, r2 = 0.0, 0.0, 0.0
@@ -60,7 +60,7 @@ def apart(x, nodes, coefficients, c):
     return r0, r1, r2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begins):
     """Reference of each contact's gap (`anchors`) and of its displacement (`begins`)."""
     for c in range(count):
@@ -72,7 +72,7 @@ def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begi
             begins[c, i] = d[i, 0] * s0 + d[i, 1] * s1 + d[i, 2] * s2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
     """Gap of every contact along its normal as detected."""
     for c in range(len(gaps)):
@@ -81,7 +81,7 @@ def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
         gaps[c] = anchors[c] + (n[0] * r0 + n[1] * r1 + n[2] * r2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_values(
     x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed, out
 ):  # fmt: skip
@@ -97,7 +97,7 @@ def write_values(
             out[row + i] = d[i, 0] * r0 + d[i, 1] * r1 + d[i, 2] * r2 - begins[c, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_layout(free_index, nodes, count, per_contact, row_index, node_index):
     """Row and unknown of every entry of H, row by row; returns the number of entries."""
     entry = 0
@@ -112,7 +112,7 @@ def write_layout(free_index, nodes, count, per_contact, row_index, node_index):
     return entry
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_blocks(free_index, nodes, coefficients, directions, count, per_contact, blocks):
     """Entries of H, in the order of `write_layout`."""
     entry = 0

@@ -24,8 +24,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.mechanics.kinematics import CarriedPoints, clique_slots
 
 # A facet along a straight side would be infinitely stiff: its curvature is at least this share of
@@ -36,7 +36,7 @@ LEAST_CURVATURE = 1.0e-6
 ON_SIDE = 1.0e-3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def inverse_along(u, curvature, count, out):
     """S⁻¹ of one facet, bounded by `LEAST_CURVATURE`.
 
@@ -65,7 +65,7 @@ def inverse_along(u, curvature, count, out):
     out[0, 1] = out[1, 0] = -scale * S[0, 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, whole, out):
     """λ Vᵀ S⁻¹ V of one facet, or -λ ∂²gap/∂x², in blocks of its corners.
 
@@ -121,7 +121,7 @@ def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, w
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_facet(
     x, nodes, weights, curvature, normal, force, slides, whole, keys, offsets, strides,
     low_is_row, work, storage,
@@ -147,7 +147,7 @@ def add_facet(
                 offset += strides[place]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
     """D_xx where a round shape is touched; False where it is flat, and its curvature zero.
 
@@ -173,7 +173,7 @@ def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_facets(
     x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
     is_straight, has_round_ends, slides, whole, keys, offsets, strides, low_is_row, work, storage,
@@ -191,7 +191,7 @@ def add_facets(
             )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def fold_facet(stiffness, points, derivatives, half, offsets, strides, storage):
     """Add Eᵀ K E of one facet to the system matrix, E = [D_a; D_b; D_c].
 
@@ -231,7 +231,7 @@ def fold_facet(stiffness, points, derivatives, half, offsets, strides, storage):
                     storage[place + a] += total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def fold_facets(
     x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
     is_straight, has_round_ends, slides, whole, first_point, free_index, derivatives, half,
@@ -255,7 +255,7 @@ def fold_facets(
             fold_facet(work, points, derivatives, half, offsets, strides, storage)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_rows(
     nodes, coefficients, directions, stiffness, node_count, keys, offsets, strides, storage
 ):

@@ -11,8 +11,8 @@ A pair finds what is nearer than a margin, by the detector that fits both of its
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
 from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
@@ -21,7 +21,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 NO_NODE = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def gather_points(x, nodes, out):
     """Copy some rows."""
     for p in range(len(nodes)):
@@ -29,7 +29,7 @@ def gather_points(x, nodes, out):
             out[p, i] = x[nodes[p], i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def carry_by_vertices(point_nodes, points, weights, sign, column, nodes, coefficients):
     """Points inside triangles of a deformable body: its three vertices carry them."""
     for c in range(len(points)):
@@ -41,7 +41,7 @@ def carry_by_vertices(point_nodes, points, weights, sign, column, nodes, coeffic
         coefficients[c, column + 3] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def carry_by_mapping(
     point_nodes, point_weights, points, weights, sign, column, nodes, coefficients
 ):
@@ -69,7 +69,7 @@ def carry_by_mapping(
                 coefficients[c, column + place] += share
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def carry_by_frame(x, frame, places, sign, column, nodes, coefficients):
     """Places on a rigid body: its four frame nodes carry them."""
     for c in range(len(places)):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.geometry.vector3 import add, add_scaled, divided, row, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
@@ -14,7 +14,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_means(x, nodes, weights, point_ends, effector_ends, out):
     """Mean of each effector's points; nodes of a point, and points of an effector, are contiguous.
     """
@@ -31,7 +31,7 @@ def write_means(x, nodes, weights, point_ends, effector_ends, out):
         set_row(out, e, divided(total, point - first))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_rows(x, nodes, weights, point_ends, effector_ends, places, H, blocks, values):
     """The constant H, and those coordinates of the means that are controlled."""
     means = np.empty((len(effector_ends), 3))

@@ -29,8 +29,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
 from softrobot_twin.errors import CommandError
 from softrobot_twin.geometry.matrix3 import rows, transform
@@ -139,7 +139,7 @@ def spans_a_plane(places: np.ndarray) -> bool:
     return len(extents) > 1 and bool(extents[1] > LEAST_EXTENT * extents[0] > 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def fit_rotation(F, is_rigid, R, turning):
     """Write the proper rotation nearest to F, and (tr V - V)⁻¹.
 
@@ -169,7 +169,7 @@ def fit_rotation(F, is_rigid, R, turning):
             )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_rotations(x, nodes, arms, ends, are_rigid, rotations, turnings):
     """Rotation of every patch; nodes of a patch are contiguous. See `fit_rotation`."""
     first = 0
@@ -185,7 +185,7 @@ def write_rotations(x, nodes, arms, ends, are_rigid, rotations, turnings):
         first = ends[p]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def pointing_error(pointed, wanted, basis, error, gradients):
     """log_d of an axis in two directions, and its derivatives by a turn of the axis.
 
@@ -215,7 +215,7 @@ def pointing_error(pointed, wanted, basis, error, gradients):
         set_row(gradients, k, add_scaled(gradient, turning, dot(direction, aside)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_turn_rows(
     rotations, turnings, axes, are_pointing, lengths, wanted, basis, turned, arms,
     entry_patch, entry_row, entry_arm, blocks, values,

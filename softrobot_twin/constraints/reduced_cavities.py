@@ -27,8 +27,8 @@ from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.geometry.vector3 import row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
@@ -46,7 +46,7 @@ from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 # Triangles whose coefficients are summed at once; it bounds the memory.
 CHUNK = 2048
 
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "contract"}}
+FAST = {**KERNEL, "fastmath": {"reassoc", "contract"}}
 
 
 class ReducedWalls(NamedTuple):
@@ -65,7 +65,6 @@ class ReducedWalls(NamedTuple):
     rest_positions: np.ndarray
     basis: np.ndarray
     coordinate_nodes: np.ndarray
-
 
 # --- the coefficients ----------------------------------------------------------------------------
 
@@ -160,7 +159,7 @@ def _add_coefficients(points, shapes, triangles, linear, quadratic, cubic) -> No
         place += len(upper)
 
 
-@njit(**KERNEL)
+@njit(**FAST)
 def write_gradient_changes(points, shapes, triangles, first, changes):
     """Change of ∂V/∂x of each vertex by every mode: Σ (x_j × φ_k + φ_j × x_k) / 6.
 
@@ -209,7 +208,7 @@ def by_pairs(cubic: np.ndarray, mode_count: int) -> np.ndarray:
     return entries
 
 
-@njit(**KERNEL)
+@njit(**FAST)
 def evaluate_volumes(q, linear, quadratic, contracted, growths, gradients, stiffness):
     """Growths, their gradients H and ∂H/∂q of several cavities of one body.
 
@@ -241,7 +240,7 @@ def evaluate_volumes(q, linear, quadratic, contracted, growths, gradients, stiff
         growths[c] = growth
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_pressures(order, offsets, strides, pressures, stiffness, matrix, storage):
     """Add -Σ p ∂H/∂q of the cavities of one body; the matrix is overwritten."""
     matrix[:] = 0.0

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
@@ -382,7 +382,7 @@ class RowStack:
         add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_row_forces(row_index, node_index, blocks, multipliers, forces):
     """Add each entry of H times its row's multiplier to its node's force."""
     for entry in range(len(row_index)):

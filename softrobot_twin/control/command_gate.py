@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.limits import ActuatorLimits
 
 SETPOINT_SHARE = 6.0e-5
@@ -67,7 +67,7 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
     return Tolerances(SETPOINT_SHARE * travel, EFFORT_SHARE * limits.effort_scale)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def keeps_all_limits(
     setpoints, efforts, before, lowest, highest, reach, effort_min, effort_max, beyond,
     beyond_effort,

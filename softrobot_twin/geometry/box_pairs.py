@@ -18,14 +18,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.box import Box
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, subtract
-
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 # Result of `face_contacts` if no face is near.
 NO_FACE = -1
@@ -64,7 +62,7 @@ class FaceContacts(NamedTuple):
     labels: np.ndarray
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _reach(axes, half, n):
     """Half the width of a box along a direction [m]."""
     reach = 0.0
@@ -73,7 +71,7 @@ def _reach(axes, half, n):
     return reach
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _best_face(axes, half, other_axes, other_half, offset):
     """Largest separation along the axes of a box [m], and its face: 2 i, or 2 i + 1 below."""
     best, face = -np.inf, 0
@@ -86,13 +84,13 @@ def _best_face(axes, half, other_axes, other_half, offset):
     return best, face
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _normal(axes, face):
     """Outward normal of a face."""
     return scaled(row(axes, face // 2), 1.0 - 2.0 * (face % 2))
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _best_edges(first_axes, first_half, second_axes, second_half, offset):
     """Largest separation along the cross products of the edges of both boxes [m]."""
     best = -np.inf
@@ -106,7 +104,7 @@ def _best_edges(first_axes, first_half, second_axes, second_half, offset):
     return best
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _across(axes, half, other_axes, other_half, offset, normal):
     """Largest separation along those axes of a box that are perpendicular to a normal [m]."""
     best = -np.inf
@@ -117,7 +115,7 @@ def _across(axes, half, other_axes, other_half, offset, normal):
     return best
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _facing(axes, normal):
     """Face whose outward normal is most opposed to a normal."""
     best, face = -np.inf, 0
@@ -128,7 +126,7 @@ def _facing(axes, normal):
     return face
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _corners(centre, axes, half, face, polygon, labels):
     """Write the corners of a face in cyclic order, with the labels of their two sides."""
     i = face // 2
@@ -144,7 +142,7 @@ def _corners(centre, axes, half, face, polygon, labels):
     return 4
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
     """Clip a polygon at a plane; returns the number of corners left.
 

@@ -27,8 +27,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, njit
 from softrobot_twin.geometry.vector3 import lower, row, upper
 
 # Largest number of cells along one axis: clearing more costs more time than they save.
@@ -67,7 +67,7 @@ def empty_grid(item_count: int) -> CellGrid:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def bounding_box(x, vertices):
     """Lower and upper corner of the box around some points of x, as six numbers [m]."""
     low, high = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf)
@@ -77,7 +77,7 @@ def bounding_box(x, vertices):
     return (low[0], low[1], low[2], high[0], high[1], high[2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def shared_box(a, b, margin):
     """Intersection of box b with box a enlarged by a margin; empty where low > high."""
     return (
@@ -86,13 +86,13 @@ def shared_box(a, b, margin):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def is_empty(box):
     """Whether a box contains no point."""
     return box[0] > box[3] or box[1] > box[4] or box[2] > box[5]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def holds(box, p):
     """Whether a box contains point p."""
     if p[0] < box[0] or p[0] > box[3]:
@@ -102,14 +102,14 @@ def holds(box, p):
     return p[2] >= box[2] and p[2] <= box[5]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def cell_of(frame, counts, axis, value):
     """Index of the cell along one axis that contains a coordinate, clamped to the grid."""
     c = int((value - frame[0, axis]) * frame[2, axis])
     return min(max(c, 0), counts[axis] - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def cell_at(frame, counts, p):
     """Number of the cell that contains point p."""
     return (
@@ -117,7 +117,7 @@ def cell_at(frame, counts, p):
     ) * counts[2] + cell_of(frame, counts, 2, p[2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def fill_boxes(x, corners, width, reach, region, keep, grid):
     """Compute the boxes of all items, and choose those that meet the region.
 
@@ -157,7 +157,7 @@ def fill_boxes(x, corners, width, reach, region, keep, grid):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def divide_into_cells(grid, chosen_count, region):
     """Divide the region into cells of about the mean size of the boxes; returns their number."""
     cells = 1
@@ -179,7 +179,7 @@ def divide_into_cells(grid, chosen_count, region):
     return cells
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def sort_into_cells(grid, chosen_count, fill):
     """Count the items of each cell or, with `fill`, write them from the end of its list down."""
     frame, counts, starts, items = grid.frame, grid.counts, grid.starts, grid.items
@@ -200,7 +200,7 @@ def sort_into_cells(grid, chosen_count, fill):
                         starts[cell] += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def fill_grid(x, corners, width, reach, region, keep, grid):
     """Fill a grid with the items that may lie within `reach` of a point of the region.
 
@@ -238,7 +238,6 @@ def with_capacity(grid: CellGrid, needed: int) -> CellGrid:
     if needed <= len(grid.items):
         return grid
     return grid._replace(items=np.zeros(2 * needed, dtype=np.int64))
-
 
 # Largest number of triangles in a cluster.
 CLUSTER_SIZE = 40

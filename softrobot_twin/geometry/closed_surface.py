@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, subtract, unit
 
@@ -37,7 +37,6 @@ class ClosedSurface(NamedTuple):
     edges: np.ndarray
     fans: np.ndarray
     vertices: np.ndarray
-
 
 # Columns of `ClosedSurface.links`.
 EDGES, ACROSS, FAR_CORNERS, FIRST_AT = 3, 6, 9, 12
@@ -118,7 +117,7 @@ def mean_edge_length(surface: ClosedSurface, points: np.ndarray) -> float:
     return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()) if len(ends) else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def compute_normals(x, links, normals):
     """Compute the outward unit normals of all triangles and the offsets n · x of their planes.
 
@@ -138,7 +137,7 @@ def compute_normals(x, links, normals):
         normals[t, 3] = dot(n, a)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def vertex_normal(x, fans, normals, v):
     """Angle-weighted unit normal at a vertex."""
     total = (0.0, 0.0, 0.0)
@@ -151,7 +150,7 @@ def vertex_normal(x, fans, normals, v):
     return unit(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def mean_normal(fans, normals, v):
     """Unweighted unit mean of the normals around a vertex: less accurate but fast."""
     total = (0.0, 0.0, 0.0)
@@ -160,13 +159,13 @@ def mean_normal(fans, normals, v):
     return unit(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def edge_normal(normals, t, s):
     """Unit normal at the edge between triangles t and s: the mean direction of their normals."""
     return unit(add_scaled(row(normals, t), row(normals, s), 1.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def steepest_descent(x, fans, v, direction):
     """Steepest descent of the surface from vertex v, relative to a unit direction.
 
@@ -209,7 +208,7 @@ class FlatRegions(NamedTuple):
     crests: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def grow_regions(x, links, normals, order, tolerance, leaders):
     """Grow a region from each triangle, the largest first, over neighbours in its plane.
 
@@ -250,7 +249,7 @@ def grow_regions(x, links, normals, order, tolerance, leaders):
                     depth += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def mark_ridges(x, edges, normals, leaders, ridges):
     """Mark the edges between two regions, except those that are clearly concave."""
     for e in range(len(edges)):
@@ -261,7 +260,7 @@ def mark_ridges(x, edges, normals, leaders, ridges):
         ridges[e] = t != s and min(below, above) < 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def apply_region_planes(leaders, normals):
     """Replace the plane of each triangle by that of its region, see `compute_normals`."""
     for t in range(len(leaders)):
@@ -331,7 +330,7 @@ def flatten_regions(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return moved
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def is_outside_cone(x, edges, e, normal, sine):
     """Whether a unit normal lies outside the normal cone of edge e by more than a sine."""
     start = row(x, edges[e, 0])

@@ -12,8 +12,8 @@ than the geometry itself.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.closed_surface import (
     ACROSS,
     EDGES,
@@ -35,7 +35,7 @@ from softrobot_twin.geometry.vector3 import (
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def triangle_normal(x, a, b, c):
     """Unit normal of the triangle of points a, b and c of x; zero if it has no area."""
     start = row(x, a)
@@ -46,7 +46,7 @@ def triangle_normal(x, a, b, c):
     return divided(n, size)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def plane_weights(x, a, b, c, p):
     """Barycentric weights of the projection of p onto the plane of a triangle with an area."""
     start = row(x, a)
@@ -58,13 +58,13 @@ def plane_weights(x, a, b, c, p):
     return (1.0 - second - third, second, third)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def height_above(x, a, normal, p):
     """Distance of p from the plane through point a of x along the normal [m]."""
     return dot(subtract(p, row(x, a)), normal)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def squared_distance_to_edge(x, a, b, p):
     """Squared distance of p to the segment between points a and b of x [m²]."""
     start = row(x, a)
@@ -75,7 +75,7 @@ def squared_distance_to_edge(x, a, b, p):
     return dot(away, away)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def squared_distance_to_triangle(x, a, b, c, p):
     """Squared distance of p to a triangle of points of x [m²].
 
@@ -94,7 +94,7 @@ def squared_distance_to_triangle(x, a, b, c, p):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def out_of_reach(x, a, b, c, p, reach):
     """Whether the bounding box of a triangle is farther than `reach` from p along some axis."""
     for i in range(3):
@@ -105,7 +105,7 @@ def out_of_reach(x, a, b, c, p, reach):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def is_nearest_triangle(x, triangles, chosen, p, distance):
     """Whether no other triangle is nearer to p than the chosen one.
 
@@ -128,7 +128,6 @@ def is_nearest_triangle(x, triangles, chosen, p, distance):
             return False
     return True
 
-
 # A barycentric weight below this counts as zero: the point lies on the opposite edge.
 NO_WEIGHT = 1.0e-9
 # Relative advantage of a neighbour above which a feature is not the nearest one. It exceeds
@@ -144,7 +143,7 @@ ROUND_OFF = 1.000001
 FACE, EDGE, CORNER, NONE = 0, 1, 2, 3
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def closest_weights(p, a, b, c):
     """Weights of the corners at the point of triangle abc that is closest to p.
 
@@ -178,7 +177,7 @@ def closest_weights(p, a, b, c):
     return (1.0 - (vb + vc) * scale, vb * scale, vc * scale)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def without_round_off(w):
     """Weights with the negligible ones set to zero, and the number of the others."""
     a = w[0] if w[0] > NO_WEIGHT else 0.0
@@ -189,7 +188,7 @@ def without_round_off(w):
     return (a * scale, b * scale, c * scale), left
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def neighbour_is_nearer(start, along, corner, away):
     """Whether the triangle between an edge and a corner has a point nearer than the foot point.
 
@@ -200,7 +199,7 @@ def neighbour_is_nearer(start, along, corner, away):
     return dot(away, into) > _NEIGHBOUR_MARGIN * dot(into, into)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def corner_is_nearest(x, fans, v, away):
     """Whether no edge at vertex v leads nearer to the query point, which lies `away` from v."""
     p = row(x, v)
@@ -211,7 +210,7 @@ def corner_is_nearest(x, fans, v, away):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def direction_and_gap(away, outward, edge):
     """Unit normal and signed distance [m] from a feature with a known outward direction.
 
@@ -225,7 +224,7 @@ def direction_and_gap(away, outward, edge):
     return scaled(away, -1.0 / distance), -distance
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def same_plane(normals, t, s):
     """Whether two triangles have identical normals, as in a flat region."""
     return (
@@ -235,7 +234,7 @@ def same_plane(normals, t, s):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def nearest_feature(p, x, links, fans, normals, t, reach):
     """Feature of triangle t at which the distance of p from the surface has a local minimum.
 
@@ -296,13 +295,13 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
     return (CORNER, v, w, foot, normal, gap)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def box_of(boxes, t):
     """Bounding box of item t: three smallest, then three largest coordinates [m]."""
     return (boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3], boxes[t, 4], boxes[t, 5])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def is_beyond(p, box, slack):
     """Whether p lies outside a box that is shrunk by `slack` on every side."""
     # One condition for each axis: for one long condition the compiler evaluates all terms first.
@@ -313,7 +312,7 @@ def is_beyond(p, box, slack):
     return p[2] < box[2] + slack or p[2] > box[5] - slack
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def squared_distance(p, a, b, c):
     """Squared distance of p from triangle abc [m²]."""
     w = closest_weights(p, a, b, c)
@@ -321,7 +320,7 @@ def squared_distance(p, a, b, c):
     return dot(away, away)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach):
     """Signed distance of p from the surface [m], negative inside; `reach` if it is larger.
 
@@ -362,7 +361,7 @@ def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach
     return nearest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def near_triangles(
     p, outward, limit, stamps, skipped, x, links, normals, boxes, items, first, last, reach, front,
     behind, found,
@@ -412,7 +411,7 @@ def near_triangles(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def crosses(start, along, a, b, c):
     """Whether the open segment from `start` to `start + along` passes through triangle abc.
 
@@ -436,7 +435,7 @@ def crosses(start, along, a, b, c):
     return 1.0e-6 < fraction < 1.0 - 1.0e-6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def segment_is_clear(x, links, items, first, last, start, end):
     """Whether the segment between two points passes through none of the given triangles.
 

@@ -7,9 +7,8 @@ loop over elements from becoming vector instructions.
 
 from __future__ import annotations
 
-from numba import njit
-
-from softrobot_twin.geometry.vector3 import INLINED, add_scaled, cross, dot, row, scaled, set_row
+from softrobot_twin.compilation import INLINED, njit
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row
 
 ZERO = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from softrobot_twin.compilation import INNER, njit
 
 
 class Proximities(NamedTuple):
@@ -77,7 +78,7 @@ def proximities(rows: PairRows, count: int) -> Proximities:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_row(integers, reals, i, swap, first, second, normal, gap, key):
     """Write row i if the buffer has that many rows.
 

@@ -16,12 +16,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.proximities import PairRows, write_row
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, CYLINDER, in_frame, shape_distance
 from softrobot_twin.geometry.vector3 import (
-    INLINED,
     add,
     add_scaled,
     cross,
@@ -81,7 +80,7 @@ def at_end(x, e, end):
     return (x[e, end, 0], x[e, end, 1], x[e, end, 2])
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def axis_point(axis, e, s):
     """x(s) of element e [m]."""
     h0, h1, g0, g1 = hermite(s)
@@ -90,7 +89,7 @@ def axis_point(axis, e, s):
     return add_scaled(add_scaled(x, at_end(t, e, 0), g0), at_end(t, e, 1), g1)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def axis_slope(axis, e, s):
     """dx/ds of element e [m]."""
     rise = 6.0 * s * (1.0 - s)
@@ -112,7 +111,7 @@ def ball_around(axis, e):
     return centre, max(reach, max(norm(subtract(start, centre)), norm(subtract(end, centre))))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_balls(axis, out):
     """Centre and radius of the ball of every element."""
     for e in range(len(axis.places)):
@@ -127,7 +126,6 @@ def are_apart(balls, e, others, f, least):
     reach = balls[e, 3] + others[f, 3] + least
     return x * x + y * y + z * z >= reach * reach
 
-
 # --- against a shape ------------------------------------------------------------------------------
 
 
@@ -138,7 +136,7 @@ def shape_gap(axis, e, s, kind, extents, placed):
     return distance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def least_dip(axis, e, kind, extents):
     """By how much a place of element e is nearer to a shape than both ends where it touches [m]."""
     dip = DIP * axis.radius
@@ -151,7 +149,7 @@ def least_dip(axis, e, kind, extents):
     return dip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def nearest_share(axis, e, kind, extents, placed):
     """Share of element e that is nearest to a convex shape."""
     evenness = EVENNESS * norm(subtract(at_end(axis.places, e, 1), at_end(axis.places, e, 0)))
@@ -178,7 +176,7 @@ def nearest_share(axis, e, kind, extents, placed):
     return 0.5 * (low + high)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_shape_pair(axis, e, s, kind, extents, placed, margin, key, integers, reals, count):
     """Write the pair of x(s) and a shape if it is nearer than the margin; the count after."""
     x = axis_point(axis, e, s)
@@ -194,7 +192,7 @@ def write_shape_pair(axis, e, s, kind, extents, placed, margin, key, integers, r
     return count + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def pair_axis_with_shape(axis, excluded, kind, extents, placed, margin, integers, reals):
     """Write what is nearer to a shape than the margin: nodes, and places of elements; see `DIP`.
 
@@ -255,7 +253,7 @@ def along_edge(h, g, low, high):
     return min(max(-g / h, low), high)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def step_in_square(h, m, k, a, b, s, t):
     """Step (u, v) that minimises (h u² + 2m uv + k v²)/2 + a u + b v, within 0 to 1 of s and t."""
     det = h * k - m * m
@@ -276,7 +274,7 @@ def step_in_square(h, m, k, a, b, s, t):
     return best_u, best_v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def nearest_shares(first, e, second, f):
     """Shares of element e of one axis and f of another that are nearest to each other."""
     # Elements that lie along each other may have several minima: begin at the best of some places.
@@ -311,7 +309,7 @@ def nearest_shares(first, e, second, f):
     return s, t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def pair_axes(first, second, is_same, excluded, margin, integers, reals):
     """Write what is nearer than the margin between the elements of two axes, or of one.
 
@@ -362,7 +360,7 @@ def pair_axes(first, second, is_same, excluded, margin, integers, reals):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def axis_distances(first, second, out):
     """Distance between the axes of every two elements [m]."""
     for e in range(len(first.places)):

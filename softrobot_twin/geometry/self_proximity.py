@@ -15,10 +15,10 @@ of a vertex and a triangle, or of two edges, permanently if in the rest shape
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid, with_capacity
 from softrobot_twin.geometry.closed_surface import (
@@ -56,7 +56,7 @@ _DETOUR = 1.5
 _CHUNK = 256
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def mark_excluded_pairs(x, links, normals, fans, vertices, paths, alarm, through, marked):
     """Mark the excluded pairs of some vertices and all triangles.
 
@@ -100,7 +100,7 @@ def mark_excluded_pairs(x, links, normals, fans, vertices, paths, alarm, through
                 marked[i, t] = NEIGHBOUR
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def surrounded(links, fans, marked, rows, columns):
     """For some excluded pairs, whether all triangles that touch the triangle are excluded too."""
     result = np.ones(len(rows), dtype=np.int64)
@@ -160,7 +160,7 @@ def find_excluded_pairs(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def pair_surface_with_itself(
     side, edge_grid, margin, depth, rest, rest_points, rest_normals, near, rows
 ):  # fmt: skip
@@ -280,7 +280,7 @@ class SelfDetector:
             self._grids = grids
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def measure_pairs(
     x, points, triangles, margin, first_points, first_positions, second_points, second_weights,
     second_positions, normals, gaps, keys,

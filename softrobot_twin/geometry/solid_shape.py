@@ -11,8 +11,8 @@ features. Coplanar neighbouring triangles act as one plane (`flat_regions`). Can
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.closed_surface import (
     apply_region_planes,
     closed_surface,
@@ -50,7 +50,7 @@ from softrobot_twin.geometry.vector3 import dot, row, scaled
 ROUND_CONE, CAP_CONE = 1.0e-4, 0.02
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def keep_within_rigid_cones(x, fans, edges, ridges, cone, vertex_count, begin, count, found):
     """Keep the vertex and edge candidates whose direction lies in the cone of their feature.
 
@@ -82,7 +82,7 @@ def keep_within_rigid_cones(x, fans, edges, ridges, cone, vertex_count, begin, c
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def keep_crests(crests, found, count):
     """Keep the candidates at convex vertices; returns their number."""
     kept = 0
@@ -93,7 +93,7 @@ def keep_crests(crests, found, count):
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def is_beside(x, links, t, p, reach):
     """Whether the box of triangle t is farther than `reach` from p along some axis."""
     for i in range(3):
@@ -103,7 +103,7 @@ def is_beside(x, links, t, p, reach):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def plane_under(p, x, links, edges, fans, normals, t, reach):
     """Nearest feature of triangle t if it is part of a plane of the surface.
 
@@ -124,7 +124,7 @@ def plane_under(p, x, links, edges, fans, normals, t, reach):
     return kind, feature, w, foot, n, gap
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def face_key(first_key, kind, feature, triangle_count, edge_count, point):
     """Key of the pair of a point of the shape and a feature within a plane."""
     number = feature
@@ -135,7 +135,7 @@ def face_key(first_key, kind, feature, triangle_count, edge_count, point):
     return first_key + KEY_STRIDE * number + point
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_ball(
     p, radius, end, x, links, edges, fans, normals, margin, first_key, found, count
 ):  # fmt: skip
@@ -186,7 +186,7 @@ def search_ball(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_rim_point(
     kind, extents, p, point, x, links, edges, fans, normals, t, margin, first_key, found, count
 ):
@@ -207,7 +207,7 @@ def search_rim_point(
     return add_candidate(found, count, key, corners, w, gap, scaled(n, -1.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_rims(
     kind, extents, x, links, edges, fans, normals, margin, first_key, found, count
 ):  # fmt: skip
@@ -243,7 +243,7 @@ def search_rims(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def search_solid(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters,
     triangles, links, edges, fans, leaders, crests, ridges, ridge_points, ridge_sides, normals,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import (
     bounding_box,
@@ -38,13 +38,13 @@ _FIRST_CAPACITY = 256
 _DEPTH_IN_EDGES = 2.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def are_apart(x, vertices, y, others, margin):
     """Whether the bounding boxes of two sets of points are farther apart than the margin."""
     return is_empty(shared_box(bounding_box(x, vertices), bounding_box(y, others), margin))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def find_features(side):
     """Compute the current normals and ridges; returns half the length of the longest ridge [m]."""
     compute_normals(side.x, side.surface.links, side.normals)
@@ -54,7 +54,7 @@ def find_features(side):
     return half_longest_ridge(side.x, side.surface.edges, side.ridges)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
     """Find all pairs of two different surfaces.
 

@@ -36,8 +36,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import Clusters, cluster_triangles
 from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
@@ -153,7 +153,7 @@ def empty_candidates(capacity: int) -> Candidates:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_candidate(found, count, key, points, weights, gap, normal):
     """Append a candidate if the buffer has capacity left; returns the count in any case."""
     if count < len(found.gaps):
@@ -166,7 +166,7 @@ def add_candidate(found, count, key, points, weights, gap, normal):
     return count + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def move_candidate(found, source, target):
     """Copy a candidate to an earlier row."""
     for k in range(3):
@@ -175,11 +175,10 @@ def move_candidate(found, source, target):
         found.normals[target, k] = found.normals[source, k]
     found.gaps[target], found.keys[target] = found.gaps[source], found.keys[source]
 
-
 # Vertices
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def bounding_ball(x, vertices):
     """Centre and radius [m] of the ball around the bounding box of some points of x."""
     low = row(x, vertices[0])
@@ -191,21 +190,21 @@ def bounding_ball(x, vertices):
     return add(low, half), norm(half)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def is_far(kind, extents, points, vertices, placed, margin):
     """Whether the bounding ball of all vertices is beyond the margin."""
     centre, radius = bounding_ball(points, vertices)
     return shape_distance(kind, extents, in_frame(placed, centre))[0] - radius >= margin
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def is_cluster_far(kind, extents, x, vertices, margin):
     """Whether the bounding ball of a cluster, in the frame of the shape, is beyond the margin."""
     centre, radius = bounding_ball(x, vertices)
     return shape_distance(kind, extents, centre)[0] > margin + ROUND_OFF_MARGIN * radius
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_vertices(
     kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, count
 ):
@@ -257,7 +256,7 @@ def search_vertices(
 # Edges
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def at_fraction(kind, extents, x, a, b, t):
     """Slope of the distance along an edge, distance [m] and gradient at fraction t from a to b."""
     start = row(x, a)
@@ -266,7 +265,7 @@ def at_fraction(kind, extents, x, a, b, t):
     return dot(gradient, along) / norm(along), distance, gradient
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
     """Bracket the fraction at which the slope passes a level (Illinois method with bisection).
 
@@ -311,7 +310,7 @@ def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
     return low, high
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def minimum_in_bracket(kind, extents, x, a, b, low, high):
     """Fraction, gap [m] and unit normal at the minimum within a bracket.
 
@@ -331,7 +330,7 @@ def minimum_in_bracket(kind, extents, x, a, b, low, high):
     return t, gap / size if gap < 0.0 else gap, divided(g, size)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def against_outward_normals(kind, extents, x, edge, sides, triangles, t):
     """Normal where the shape determines none: opposite to the normals of the edge's triangles."""
     n = (0.0, 0.0, 0.0)
@@ -345,7 +344,7 @@ def against_outward_normals(kind, extents, x, edge, sides, triangles, t):
     return at_fraction(kind, extents, x, edge[0], edge[1], t)[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
     """Other end of the interval of almost zero slope from the minimum towards one end.
 
@@ -394,14 +393,14 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
     return end, gradient
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def is_curved(kind, extents, x, a, b, low, high):
     """Whether the distance on an interval of almost zero slope has its minimum at one point."""
     s_low = at_fraction(kind, extents, x, a, b, 0.75 * low + 0.25 * high)[0]
     return at_fraction(kind, extents, x, a, b, 0.25 * low + 0.75 * high)[0] - s_low > CURVED
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_edge_point(found, count, key, a, b, t, margin, gap, normal):
     """Add a point of an edge if it is within the margin and not a vertex."""
     if gap >= margin or t <= AT_VERTEX or t >= 1.0 - AT_VERTEX:
@@ -409,7 +408,7 @@ def add_edge_point(found, count, key, a, b, t, margin, gap, normal):
     return add_candidate(found, count, key, (a, b, a), (1.0 - t, t, 0.0), gap, normal)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_edge(
     kind, extents, x, edge, short, s_a, s_b, sides, triangles, margin, first_key, found, count
 ):
@@ -452,7 +451,7 @@ def search_edge(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def lowest_on_edge(distance_a, distance_b, s_a, s_b):
     """Lower bound of the distance on an edge [m], from the tangents at its ends.
 
@@ -470,7 +469,7 @@ def lowest_on_edge(distance_a, distance_b, s_a, s_b):
     return lowest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_edges(
     kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key, found, count
 ):
@@ -521,7 +520,7 @@ def search_edges(
 # Triangles
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def is_past_shape(kind, extents, foot, height):
     """Whether the projection of a point below a plane lies beyond the other side of the shape.
 
@@ -537,13 +536,13 @@ def is_past_shape(kind, extents, foot, height):
     return above > round_off - 2.0 * PARALLEL_FACE * height
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def lies_inside(weights):
     """Whether a projection lies inside a triangle, off its edges."""
     return weights[0] > ON_EDGE and weights[1] > ON_EDGE and weights[2] > ON_EDGE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def is_outside_extent(x, a, b, c, i, foot, n):
     """Whether coordinate i of a projection lies outside the interval of the triangle.
 
@@ -564,7 +563,7 @@ def is_outside_extent(x, a, b, c, i, foot, n):
     return foot < min(x[a, i], x[b, i], x[c, i]) or foot > max(x[a, i], x[b, i], x[c, i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def misses(x, a, b, c, normal, p, height, margin):
     """Whether p is too high above the plane of a triangle, or clearly beside the triangle."""
     return (
@@ -575,7 +574,7 @@ def misses(x, a, b, c, normal, p, height, margin):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, found, count):
     """Add a corner or rim point p of the shape that points towards triangle t.
 
@@ -597,7 +596,7 @@ def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, fou
     return add_candidate(found, count, key, (a, b, c), weights, height, negated(normal))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_axis_point(kind, extents, x, triangle, normal, z, margin, key, found, count):
     """Add the point of a triangle opposite the axis point z, with the distance of the shape."""
     a, b, c = triangle[0], triangle[1], triangle[2]
@@ -614,7 +613,7 @@ def add_axis_point(kind, extents, x, triangle, normal, z, margin, key, found, co
     return add_candidate(found, count, key, (a, b, c), weights, distance, gradient)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_axis_crossing(kind, extents, x, triangle, normal, margin, key, found, count):
     """Add the point where the axis crosses a triangle, deeper than the radius from both ends."""
     a, b, c = triangle[0], triangle[1], triangle[2]
@@ -635,7 +634,7 @@ def add_axis_crossing(kind, extents, x, triangle, normal, margin, key, found, co
     return add_candidate(found, count, key, (a, b, c), weights, -radius, across)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_capsule(extents, x, triangle, normal, margin, key, found, count):
     """Find the candidates of a triangle against a capsule or a sphere.
 
@@ -664,7 +663,7 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the candidates of a triangle against a cylinder.
 
@@ -705,7 +704,7 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_box(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the corners of a box that face a triangle: several if an edge or face is parallel."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -725,7 +724,7 @@ def search_box(extents, x, triangles, t, normal, margin, key, found, count):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def lower_bound(x, distances, gradients, a, b, c):
     """Lower bound of the distance of a triangle [m], from the tangent plane at its vertex a."""
     start, gradient = row(x, a), row(gradients, a)
@@ -734,7 +733,7 @@ def lower_bound(x, distances, gradients, a, b, c):
     return distances[a] + min(0.0, to_b, to_c)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def search_triangles(
     kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
 ):
@@ -769,7 +768,7 @@ def search_triangles(
 # Normal cones against a box
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def area_normal(x, fans, v):
     """Area-weighted unit normal at a vertex."""
     total, p = (0.0, 0.0, 0.0), row(x, v)
@@ -780,7 +779,7 @@ def area_normal(x, fans, v):
     return unit(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def axes_outside(extents, x, v):
     """Number of axes along which a vertex lies outside the box."""
     count = 0
@@ -789,7 +788,7 @@ def axes_outside(extents, x, v):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def crosses_surface(x, fans, v, normal, direction):
     """Whether a direction out of the box is opposed to the normal at v, or in the cone of v."""
     return (
@@ -798,7 +797,7 @@ def crosses_surface(x, fans, v, normal, direction):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def redirect_inside(extents, x, fans, v, normal, margin, i, found):
     """Give a vertex inside the box the shortest direction out that crosses the surface.
 
@@ -822,7 +821,7 @@ def redirect_inside(extents, x, fans, v, normal, margin, i, found):
     found.gaps[i] = -best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def vertex_fits(extents, x, fans, v, margin, i, found):
     """Whether the direction at a vertex fits its cone; inside the box it is corrected instead."""
     outside = axes_outside(extents, x, v)
@@ -840,7 +839,7 @@ def vertex_fits(extents, x, fans, v, margin, i, found):
     return rise > FOLD and dot(direction, normal) <= -SAME_SIDE_COSINE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def edge_fits(x, edges, triangles, e, i, found):
     """Whether the direction at an edge fits its cone."""
     n = row(found.normals, i)
@@ -864,7 +863,7 @@ def edge_fits(x, edges, triangles, e, i, found):
     return fold and dot(outward, unit(normal)) >= SAME_SIDE_COSINE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
     """Keep of the vertices and edges found against a box those whose direction fits their cone.
 
@@ -898,7 +897,7 @@ def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
 # Detector
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def search_surface(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
     sides, triangles, fans, apexes, margin, placed, x, distances, gradients, found,
@@ -930,7 +929,7 @@ def search_surface(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def place_candidates(
     found, points, vertices, placed, first_points, weights, first, second, normals, gaps, keys
 ):

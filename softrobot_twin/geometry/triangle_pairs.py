@@ -17,8 +17,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, njit
 from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, cell_of, holds
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
@@ -74,27 +74,27 @@ def no_excluded_pairs() -> ExcludedPairs:
     return ExcludedPairs(none, none, none, none)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def stamp(rest, v):
     """Mark the triangles excluded for vertex v."""
     for k in range(rest.offsets[v], rest.offsets[v + 1]):
         rest.stamps[rest.triangles[k]] = _CODE_COUNT * v + rest.codes[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def stamps_of_fully_excluded(v):
     """First and last mark of the triangles all of whose features are excluded for vertex v."""
     return (_CODE_COUNT * v + SURROUNDED + 1, _CODE_COUNT * v + _CODE_COUNT - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def code_of(stamps, v, t):
     """Reason for excluding vertex v and triangle t as a pair, 0 for none; call `stamp` before."""
     code = stamps[t] - _CODE_COUNT * v
     return code if 0 < code < _CODE_COUNT else 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def is_excluded(stamps, surface, v, kind, feature):
     """Whether a feature is excluded for vertex v: all its triangles are, or one touches v."""
     if kind == FACE:
@@ -107,7 +107,6 @@ def is_excluded(stamps, surface, v, kind, feature):
             return True
         every = every and code > 0
     return every
-
 
 # Sine by which a direction may lie outside a normal cone: bodies rotate by about this angle in one
 # step, and additional pairs do no harm while the bodies are apart.
@@ -147,13 +146,13 @@ class SurfaceSide(NamedTuple):
     crests: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def feature_count(b):
     """Number of features of a surface."""
     return len(b.surface.links) + len(b.surface.edges) + len(b.x)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def feature_number(b, kind, feature):
     """Number of a feature among triangles, then edges, then points."""
     if kind == FACE:
@@ -163,7 +162,7 @@ def feature_number(b, kind, feature):
     return len(b.surface.links) + len(b.surface.edges) + feature
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def bearing_points(links, t, w):
     """Corners of triangle t; those with zero weight are replaced by one with a weight."""
     i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
@@ -175,7 +174,7 @@ def bearing_points(links, t, w):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
     """Pair a vertex outside b with the features of b near it; returns the rows written.
 
@@ -209,7 +208,7 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def pair_inside(
     a, b, v, near, first, last, depth, rest, swap, first_key, rows, count
 ):  # fmt: skip
@@ -249,7 +248,7 @@ def pair_inside(
     return count + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, count):
     """Pair the vertices of surface a with features of surface b.
 
@@ -336,7 +335,7 @@ _OVERLAP_TOLERANCE = 0.02
 FACING_SINE = 0.3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def find_ridges(x, edges, normals, ridges):
     """Mark the convex edges, except nearly flat ones.
 
@@ -352,7 +351,7 @@ def find_ridges(x, edges, normals, ridges):
     return half_longest_ridge(x, edges, ridges)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def half_longest_ridge(x, edges, ridges):
     """Half the length of the longest ridge [m]: no overlap of edges is deeper."""
     longest = 0.0
@@ -363,7 +362,7 @@ def half_longest_ridge(x, edges, ridges):
     return 0.5 * np.sqrt(longest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def crossing(x, edges, e, y, others, f):
     """Foot points of the common perpendicular of two edges.
 
@@ -385,20 +384,20 @@ def crossing(x, edges, e, y, others, f):
     return inside, s, t, scaled(n, 1.0 / np.sqrt(squared))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def point_at(x, edges, e, s):
     """Point at fraction s of edge e [m]."""
     start = row(x, edges[e, 0])
     return add_scaled(start, subtract(row(x, edges[e, 1]), start), s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def depth_to_ends(x, edges, e, s):
     """Distance from a point of an edge to its nearer end [m]: vertices handle deeper overlaps."""
     return min(s, 1.0 - s) * norm(subtract(row(x, edges[e, 1]), row(x, edges[e, 0])))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def is_inside(side, start, end):
     """Whether the segment from a point on the surface to a point behind it stays inside."""
     frame, starts = side.grid.frame, side.grid.starts
@@ -411,7 +410,7 @@ def is_inside(side, start, end):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def face_across_air(x, edges, normals, e, f, near):
     """Whether two edges of one surface are far apart, or face each other across air."""
     _, s, t, _ = crossing(x, edges, e, x, edges, f)
@@ -427,7 +426,7 @@ def face_across_air(x, edges, normals, e, f, near):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def pair_edges(
     a, b, edge_grid, margin, depth, rest, rest_normals, near, first_key, rows, count
 ):
@@ -493,7 +492,7 @@ def pair_edges(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def cells_of_edge(x, edges, e, frame, counts, low, high):
     """Find the first and last cell of an edge along each axis; false if it is outside the grid."""
     for axis in range(3):
@@ -505,7 +504,7 @@ def cells_of_edge(x, edges, e, frame, counts, low, high):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def first_shared_cell(frame, counts, boxes, f, low, i, j, k):
     """Whether cell (i, j, k) is the first that item f shares with a box: pairs count once."""
     return (
@@ -515,7 +514,7 @@ def first_shared_cell(frame, counts, boxes, f, low, i, j, k):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def boxes_meet(x, edges, e, boxes, f):
     """Whether the box of edge e intersects that of item f."""
     for axis in range(3):
@@ -525,7 +524,7 @@ def boxes_meet(x, edges, e, boxes, f):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def share_a_point(edges, e, f):
     """Whether two edges of one surface have a common end."""
     return (
@@ -534,7 +533,7 @@ def share_a_point(edges, e, f):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(**INLINED)
 def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth):
     """Whether edges e and f cross near each other; fractions along them, normal and gap [m]."""
     inside, s, t, n = crossing(x, edges, e, y, others, f)
@@ -553,7 +552,7 @@ def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth
     return inside, s, t, n, gap
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def overlap(a, b, e, s, f, t):
     """Whether the foot point on e is inside b and that on f inside a, neither too deep."""
     p, q = point_at(a.x, a.surface.edges, e, s), point_at(b.x, b.surface.edges, f, t)
@@ -566,7 +565,7 @@ def overlap(a, b, e, s, f, t):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_edges(
     x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, place
 ):  # fmt: skip

@@ -6,9 +6,8 @@ All functions are inlined into the kernel that calls them.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-INLINED = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True}
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 
 
 @njit(**INLINED)
@@ -75,7 +74,7 @@ def cross(a, b):
     )
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def norm(a):
     """‖a‖."""
     return np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector3 import add_scaled, row, set_row
 
 # A weight below this is round-off of a point that is a node of the mesh.
@@ -24,7 +24,7 @@ def writable(array: np.ndarray) -> np.ndarray:
     return array if array.flags.writeable else array.copy()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_points(x, nodes, weights, out):
     """Σ w_a x_a of every point."""
     for p in range(len(nodes)):

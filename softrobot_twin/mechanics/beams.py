@@ -44,8 +44,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_outer,
     add_scaled_matrix,
@@ -61,7 +61,6 @@ from softrobot_twin.geometry.matrix3 import (
     transposed_product,
 )
 from softrobot_twin.geometry.vector3 import (
-    INLINED,
     add,
     add_scaled,
     cross,
@@ -139,7 +138,7 @@ def element_stiffness(lengths, section, young_modulus: float, poisson_ratio: flo
     ])  # fmt: skip
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def curvature_factors(square):
     """c = (1 - φ/2 cot φ/2)/φ² at φ², and its derivatives 2 dc/d(φ²) and 4 d²c/d(φ²)²."""
     if square < _SERIES_BELOW:
@@ -221,7 +220,7 @@ def chord_in_helix(psi, y, c):
     return transform(skew_polynomial(psi, -0.5, c), y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_deformations(x, origins, points, axes, out):
     """t and ψ of every element."""
     for e in range(len(origins)):
@@ -271,7 +270,7 @@ def add_end_forces(x, origins, unknowns, points, chord, f, moment, forces):
         set_row(forces, unknowns[1] + 1, subtract(row(forces, unknowns[1] + 1), torque))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
     """Add the forces and torques of every element on the frames of its ends; see `add_forces`."""
     folded = 0
@@ -368,7 +367,7 @@ def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, out):
     put_block(out, 1, 1, symmetric(own_a))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def move_to_frame(end, lever, gradient, out):
     """Refer the rows and columns of an end to the origin of its frame, ρ = `lever` away.
 
@@ -390,7 +389,7 @@ def move_to_frame(end, lever, gradient, out):
             out[t + i, t + j] += 0.5 * (gradient[i] * lever[j] + lever[i] * gradient[j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def project(K):
     """A symmetric matrix with the magnitudes of its eigenvalues; in place.
 
@@ -408,7 +407,7 @@ def project(K):
                     K[i, j] -= 2.0 * values[k] * vectors[i, k] * vectors[j, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def end_move(before, after, origin, point):
     """Move of an end to first order, and the turn of its frame, from one state to another."""
     R = rotation_at(before, origin)
@@ -417,7 +416,7 @@ def end_move(before, after, origin, point):
     return add(subtract(row(after, origin), row(before, origin)), cross(turn, lever)), turn
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def predict_deformations(before, after, origins, points, axes, out):
     """t + dt and ψ + dψ of every element, linearized at a state, for the moves to another one."""
     for e in range(len(origins)):
@@ -435,7 +434,7 @@ def predict_deformations(before, after, origins, points, axes, out):
             out[e, i], out[e, 3 + i] = t[i], psi[i] + d_psi[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_beam_stiffness(
     x, origins, unknowns, points, axes, has_lever, k, pulls, predicted, projected, order, offsets,
     strides, forces, storage,
@@ -473,7 +472,7 @@ def add_beam_stiffness(
         add_stencil_matrix(order[e], offsets[e], strides[e], whole, storage)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def share_below_half_turn(before, after, origins, points, axes, greatest):
     """Share of a move in which the ends of no element turn by more than `greatest` against each
     other.

@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, at
+from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.mechanics.element_batches import BATCH, at
 
 # Elements that are transposed together, and entries that are added at once.
 _WIDTH = 4

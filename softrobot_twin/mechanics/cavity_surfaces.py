@@ -20,14 +20,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cross_matrix
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, set_row, subtract
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import BoundStencils, add_block, bind_stencils
-
 
 # Greatest share of its volume that a cavity loses in one linearization.
 GREATEST_LOSS = 0.8
@@ -53,7 +52,7 @@ class CavitySurface(NamedTuple):
     triangles: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_volumes(points, triangles, cavity, origin, volumes):
     """V of each cavity. An origin on its surface keeps round-off small, far from the world's."""
     for t in range(len(triangles)):
@@ -65,7 +64,7 @@ def add_volumes(points, triangles, cavity, origin, volumes):
         volumes[c] += dot(i, cross(j, k)) / 6.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_volume_gradients(points, triangles, cavity, origin, gradients):
     """∂V/∂x of each vertex."""
     for t in range(len(triangles)):
@@ -77,7 +76,7 @@ def add_volume_gradients(points, triangles, cavity, origin, gradients):
             set_row(gradients, i, add_scaled(row(gradients, i), cross(b, d), 1.0 / 6.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_to_entries(gradients, weights, entry, blocks):
     """Add w ∂V/∂x of each vertex to the entries of the nodes that carry it."""
     for v in range(len(entry)):
@@ -88,7 +87,7 @@ def add_to_entries(gradients, weights, entry, blocks):
                 set_row(blocks, e, add_scaled(row(blocks, e), g, weights[v, a]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_pressure_stiffness(
     points, triangles, cavity, origin, pressures, weights, offsets, strides, storage
 ):
@@ -115,7 +114,7 @@ def add_pressure_stiffness(
                 pair += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_vertex_moves(moves, weights, free, out):
     """Displacement of each vertex by those of the unknowns and carried points."""
     for v in range(len(free)):

@@ -18,9 +18,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_array
 
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.cubic_bubbles import (
     FACE_LOAD_SHARE,
     FIRST_EDGE,
@@ -44,13 +44,11 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.quadrature import barycentric_coordinates, tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import integration_points
-from softrobot_twin.geometry.vector3 import INLINED, row, set_row
-from softrobot_twin.mechanics.element_batches import KERNEL
+from softrobot_twin.geometry.vector3 import row, set_row
 
 MOST_ITERATIONS = 60
 ENOUGH = 2.0e-3
 """Iterations end when three of them together added less than this share of the energy."""
-
 
 # A rule of degree five integrates the stiffness at rest exactly. Weights are shares of the volume.
 _RULE = tetrahedron_rule(5)

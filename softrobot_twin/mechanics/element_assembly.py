@@ -24,8 +24,16 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import (
+    GENERIC,
+    INLINED,
+    INNER,
+    INNER_UNCACHED,
+    KERNEL,
+    UNCACHED,
+    njit,
+)
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     ZERO,
@@ -39,9 +47,8 @@ from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
-    INLINED,
-    KERNEL,
     at,
+    copy_entries,
     matrix_at,
     of_node,
     put_matrix,
@@ -75,7 +82,6 @@ from softrobot_twin.mechanics.volume_barrier import (
     take_least_volumes,
 )
 
-UNCACHED = {**KERNEL, "cache": False}
 # An eigenvalue of ∂P/∂F that is negative by less than this share of its trace is none.
 ROUNDING = 1.0e-13
 UNIT_CHANGES = tuple(
@@ -83,7 +89,7 @@ UNIT_CHANGES = tuple(
 )
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def gather(x, cells, X):
     """Vectors of the elements' nodes."""
     for a in range(len(cells)):
@@ -95,7 +101,7 @@ def gather(x, cells, X):
             node[at(2, e)] = x[n, 2]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def deform(U, G, F):
     """F = 1 + Σ u_a ∇N_aᵀ at one point."""
     F[:] = 0.0
@@ -120,7 +126,7 @@ def deform_all(moves, cells, gradients, deformations):
             deform(U, gradients[k, q], deformations[k, q])
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def transform_gradients(G, A, g):
     """g_a = A ∇N_a at one point."""
     for a in range(len(G) // (3 * BATCH)):
@@ -130,7 +136,7 @@ def transform_gradients(G, A, g):
             put_vector(transformed, 0, e, transform(matrix_at(A, 0, e), gradient))
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def add_stress_to_nodes(S, G, P):
     """Add S ∇N_a at one point to each node's sum."""
     for a in range(len(G) // (3 * BATCH)):
@@ -140,7 +146,7 @@ def add_stress_to_nodes(S, G, P):
             put_vector(node, 0, e, add_scaled(vector_at(node, 0, e), force, 1.0))
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def subtract_forces(free, P, forces):
     """Subtract the nodes' sums from the forces on the free nodes."""
     for a in range(len(free)):
@@ -153,7 +159,7 @@ def subtract_forces(free, P, forces):
                 forces[n, 2] -= node[at(2, e)]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def contract(a, g, T, K, is_first):
     """K_ab, column by column, from the stresses T of column b at one point.
 
@@ -177,7 +183,7 @@ def contract(a, g, T, K, is_first):
                 put_vector(column, 0, e, add_scaled(vector_at(column, 0, e), change, 1.0))
 
 
-@njit(**UNCACHED, forceinline=True)
+@njit(**GENERIC)
 def seen_by_law(law, F, R, e):
     """V of one element: F Rᵀ where the law turns, else F."""
     if law_turns(law):
@@ -185,7 +191,7 @@ def seen_by_law(law, F, R, e):
     return matrix_at(F, 0, e)
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def weighted_stresses(law, k, q, weights, F, R, S):
     """S = w P at point q of batch k; where the law turns, P is its answer P Rᵀ times R."""
     for e in range(BATCH):
@@ -196,7 +202,7 @@ def weighted_stresses(law, k, q, weights, F, R, S):
         put_matrix(S, 0, e, answer)
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def linearize_all(law, k, q, F, R, upright, projected, L):
     """What the differential needs of the deformation at point q of batch k."""
     for e in range(BATCH):
@@ -204,13 +210,13 @@ def linearize_all(law, k, q, F, R, upright, projected, L):
         put_rows(L, 0, linearize(law_at(law, k, q, e), V, is_upright, projected), e)
 
 
-@njit(**UNCACHED, forceinline=True)
+@njit(**GENERIC)
 def linearized_rows(law):
     """As many rows as `linearize` returns."""
     return linearize(law_at(law, 0, 0, 0), IDENTITY, True, False)
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def differentiate_node(law, k, q, b, weights, g, L, T):
     """w ∂P : e_i g_bᵀ at point q of batch k for i = 0, 1, 2."""
     gradients, zero, like = of_node(g, b), (0.0, 0.0, 0.0), linearized_rows(law)
@@ -222,7 +228,7 @@ def differentiate_node(law, k, q, b, weights, g, L, T):
         put_matrix(T, 2, e, differential(here, at_point, (zero, zero, row)))
 
 
-@njit(**UNCACHED, forceinline=True)
+@njit(**GENERIC)
 def fill_column(law, k, q, L, j, dF, C):
     """Column j of C for all elements at point q of batch k."""
     like = linearized_rows(law)
@@ -233,23 +239,24 @@ def fill_column(law, k, q, L, j, dF, C):
         C[at(54 + j, e)], C[at(63 + j, e)], C[at(72 + j, e)] = dP[2]
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def fill_derivatives(law, k, q, L, C):
     """C = ∂P/∂F of all elements at point q of batch k: entry 9 i + j is ∂P_i/∂F_j, both row by
     row.
     """
-    fill_column(law, k, q, L, 0, UNIT_CHANGES[0], C)
-    fill_column(law, k, q, L, 1, UNIT_CHANGES[1], C)
-    fill_column(law, k, q, L, 2, UNIT_CHANGES[2], C)
-    fill_column(law, k, q, L, 3, UNIT_CHANGES[3], C)
-    fill_column(law, k, q, L, 4, UNIT_CHANGES[4], C)
-    fill_column(law, k, q, L, 5, UNIT_CHANGES[5], C)
-    fill_column(law, k, q, L, 6, UNIT_CHANGES[6], C)
-    fill_column(law, k, q, L, 7, UNIT_CHANGES[7], C)
-    fill_column(law, k, q, L, 8, UNIT_CHANGES[8], C)
+    # Numbers of a type, because numba would compile `fill_column` anew for each literal.
+    fill_column(law, k, q, L, np.int64(0), UNIT_CHANGES[0], C)
+    fill_column(law, k, q, L, np.int64(1), UNIT_CHANGES[1], C)
+    fill_column(law, k, q, L, np.int64(2), UNIT_CHANGES[2], C)
+    fill_column(law, k, q, L, np.int64(3), UNIT_CHANGES[3], C)
+    fill_column(law, k, q, L, np.int64(4), UNIT_CHANGES[4], C)
+    fill_column(law, k, q, L, np.int64(5), UNIT_CHANGES[5], C)
+    fill_column(law, k, q, L, np.int64(6), UNIT_CHANGES[6], C)
+    fill_column(law, k, q, L, np.int64(7), UNIT_CHANGES[7], C)
+    fill_column(law, k, q, L, np.int64(8), UNIT_CHANGES[8], C)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def find_negative(C, factor, negative):
     """Marks the elements of a batch whose derivative C has a negative eigenvalue by 1.0.
 
@@ -284,7 +291,7 @@ def find_negative(C, factor, negative):
                 factor[at(9 * i + j, e)] /= factor[at(10 * j, e)]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def project_one(C, e):
     """Replaces C of one element by the nearest positive semidefinite matrix, by its eigenvalues."""
     whole = np.empty((9, 9))
@@ -302,7 +309,7 @@ def project_one(C, e):
             C[at(9 * i + j, e)] = entry
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def project_isotropic(law, V, at_point, C, e):
     """What `project_one` does, for an isotropic law, in the axes of the stretches of V."""
     rows = positive_rows(law, V, at_point)
@@ -312,7 +319,7 @@ def project_isotropic(law, V, at_point, C, e):
             C[at(9 * i + j, e)] = dP[i // 3][i % 3]
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def positive_rows(law, F, at_point):
     """The rows of `principal_differential` of an isotropic law, projected.
 
@@ -337,7 +344,7 @@ def in_axes(U, V, dP):
     return product(U, product_transposed(dP, V))
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def project_all(law, k, q, weights, negative, F, R, L, C):
     """Projects the derivatives of the elements that are marked as negative, at point q of
     batch k.
@@ -357,7 +364,7 @@ def project_all(law, k, q, weights, negative, F, R, L, C):
     return is_any
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def apply_derivatives(b, weights, g, C, T):
     """What `differentiate_node` does, by matrices C of nine rows."""
     gradients = of_node(g, b)
@@ -373,16 +380,16 @@ def apply_derivatives(b, weights, g, C, T):
                 T[at(9 * i + entry, e)] = weights[e] * change
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def see_gradients(law, G, R, g):
     """g_a of a law at one point: turned, or ∇N_a themselves."""
     if law_turns(law):
         transform_gradients(G, R, g)
     else:
-        g[:] = G
+        copy_entries(G, g)
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def find_state(law, F, R, upright, change):
     """Whether one point is upright, and its rotation where the law turns."""
     find_upright(F, upright)
@@ -539,7 +546,7 @@ def add_stiffness(
     return nearly_flat_count
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def deform_along(D, F, step, shifted):
     """F + h D of each element at one point, with h D of the size `step`; writes it, and gives 1/h.
 
@@ -561,7 +568,7 @@ def deform_along(D, F, step, shifted):
     return inverse
 
 
-@njit(**UNCACHED)
+@njit(**INNER_UNCACHED)
 def differentials_along(law, k, q, F, D, R, upright, weights, S):
     """S = w ∂P/∂F : D at point q of batch k; where the law turns, its answer times R."""
     for e in range(BATCH):
@@ -660,7 +667,6 @@ def is_of_package(parameters: type) -> bool:
 def _assembly(options: dict) -> Assembly:
     loops = (add_energies, add_forces, add_stiffness, add_force_curvature)
     return Assembly(*(njit(**options)(loop) for loop in loops))
-
 
 _PACKAGE = __name__.split(".")[0] + "."
 _KEPT = _assembly(KERNEL)

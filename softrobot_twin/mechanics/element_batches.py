@@ -10,13 +10,10 @@ the entries' numbers are constants and what is read and what is written are diff
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
-# Strictly by IEEE: no line may be reordered or fused, so that vector code and the scalar code that
-# stands in for it where arrays seem to overlap give the same bits. It costs nothing measurable.
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
-INLINED = {**KERNEL, "forceinline": True}
+from softrobot_twin.compilation import INLINED, INNER, njit
+
 BATCH = 16
 
 
@@ -26,7 +23,14 @@ def at(entry, e):
     return entry * BATCH + e
 
 
-@njit(**KERNEL)
+@njit(**INNER)
+def copy_entries(source, target):
+    """Copy an array; see `compilation`."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@njit(**INNER)
 def scratch(entries):
     """Memory for a quantity of one batch."""
     return np.empty(entries * BATCH)

@@ -23,8 +23,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -37,7 +37,7 @@ from softrobot_twin.geometry.matrix3 import (
 from softrobot_twin.geometry.quadrature import barycentric_coordinates
 from softrobot_twin.geometry.shape_functions import ENHANCED_HEXAHEDRON, HEXAHEDRON_CORNERS
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row
-from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, at, matrix_at, put_matrix
+from softrobot_twin.mechanics.element_batches import BATCH, at, copy_entries, matrix_at, put_matrix
 from softrobot_twin.mechanics.polar import is_upright
 
 # A part as small as this, by halvings, that is still not proved counts as folded: it is nearly
@@ -99,7 +99,7 @@ def watched_corners(mesh) -> WatchedCorners:
     return WatchedCorners(edges, np.ascontiguousarray(np.linalg.inv(matrices)))
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def corner_deformation(x, nodes, edges, inverse):
     """F in one corner: its edges times the inverse of those at rest."""
     origin = row(x, nodes[edges[0]])
@@ -150,14 +150,14 @@ def count_folded(x, cells, edges, inverses, uprights):
     return count
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def take_lowest(upright, lowest):
     """The lower of both, element by element."""
     for e in range(BATCH):
         lowest[e] = min(lowest[e], upright[e])
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def count_inverted(weights, upright):
     """Number of elements of a batch that are not upright; weights are 0 beyond the last one."""
     upright_count = 0.0
@@ -170,7 +170,7 @@ def count_inverted(weights, upright):
     return count
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def deform_corners(to_corners, F, corners):
     """F at the corners of a batch, or wherever else in its elements, from F at its points.
 
@@ -188,7 +188,7 @@ def deform_corners(to_corners, F, corners):
                 values[i] += share * point[i]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def find_folds(to_corners, F, corners, upright, sure):
     """Mark the elements that are flat or inside out at a corner, or anywhere between.
 
@@ -204,12 +204,12 @@ def find_folds(to_corners, F, corners, upright, sure):
     for corner in range(len(to_corners)):
         for e in range(BATCH):
             upright[e] = upright[e] if is_upright(matrix_at(corners[corner], 0, e)) else 0.0
-    sure[:] = upright
+    copy_entries(upright, sure)
     mark_surely_upright(corners, sure)
     cut_the_unsure(corners, sure, upright)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def mark_surely_upright(corners, sure):
     """Keep marked only the elements for which the first proof holds."""
     for e in range(BATCH):
@@ -225,7 +225,7 @@ def mark_surely_upright(corners, sure):
             sure[e] = sure[e] if definite and dot(relative[0], minors[0]) > 0.0 else 0.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def cut_the_unsure(corners, sure, upright):
     """Elements that are not surely upright and fold somewhere are upright no more.
 
@@ -244,7 +244,7 @@ def cut_the_unsure(corners, sure, upright):
                 upright[e] = 0.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def mixed_determinant(A, B, C):
     """Six times the mixed determinant of three matrices; that of (A, A, A) is det A."""
     return (
@@ -254,7 +254,7 @@ def mixed_determinant(A, B, C):
     )  # fmt: skip
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def of_rows(a, b, c):
     """Determinant of the matrix of three rows."""
     return dot(a, cross(b, c))
@@ -271,7 +271,7 @@ def least_coefficient(F):
     return least
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def halve(F, first, second):
     """Cut at the edge along which F changes most; both parts may be where F was."""
     longest, a, b = -1.0, 0, 1
@@ -283,11 +283,11 @@ def halve(F, first, second):
                     square += (F[i, r, s] - F[j, r, s]) ** 2
             if square > longest:
                 longest, a, b = square, i, j
-    middle = 0.5 * (F[a] + F[b])
-    second[:] = F
-    first[:] = F
-    second[a] = middle
-    first[b] = middle
+    for r in range(3):
+        for s in range(3):
+            for i in range(4):
+                first[i, r, s] = second[i, r, s] = F[i, r, s]
+            first[b, r, s] = second[a, r, s] = 0.5 * (F[a, r, s] + F[b, r, s])
 
 
 @njit(**KERNEL)
@@ -299,7 +299,10 @@ def is_folded(F):
     """
     parts = np.empty((MOST_HALVINGS + 2, 4, 3, 3))
     halvings = np.zeros(MOST_HALVINGS + 2, np.int64)
-    parts[0] = F
+    for i in range(4):
+        for r in range(3):
+            for s in range(3):
+                parts[0, i, r, s] = F[i, r, s]
     count = 1
     while count > 0:
         count -= 1

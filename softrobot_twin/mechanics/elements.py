@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
-from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, in_batches
+from softrobot_twin.mechanics.element_batches import BATCH, in_batches
 from softrobot_twin.mechanics.element_inversion import (
     count_folded,
     point_to_corner_weights,

@@ -38,8 +38,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_scaled_matrix,
@@ -55,7 +55,6 @@ from softrobot_twin.geometry.matrix3 import (
     transposed_product,
 )
 from softrobot_twin.geometry.vector3 import (
-    INLINED,
     add,
     add_scaled,
     dot,
@@ -136,7 +135,7 @@ def turn_map(x, node, axis):
     return ((a[0], 0.0, 0.0), (a[1], 0.0, 0.0), (a[2], 0.0, 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_relative(x, nodes, parents, out):
     """R_Aᵀ R_B of every hinged frame."""
     for k in range(len(nodes)):
@@ -144,7 +143,7 @@ def write_relative(x, nodes, parents, out):
         set_rows(out[k], transposed_product(R, rotation_at(x, nodes[k])))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_angles(x, nodes, parents, rests, axes, out):
     """Angle of every hinge; zero of ball joints."""
     for k in range(len(nodes)):
@@ -154,7 +153,7 @@ def write_angles(x, nodes, parents, rests, axes, out):
         out[k] = 0.0 if is_zero(axis) else angle_about(axis, Q)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def place_hinged(x, nodes, parents, points, rests, axes, relative):
     """Put every hinged frame where its parent carries it, at a given relative rotation.
 
@@ -173,7 +172,7 @@ def place_hinged(x, nodes, parents, points, rests, axes, relative):
         write_frame(add(centre, transform(R, row(points, k))), turned, x, nodes[k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def turn_relative(x, parents, axes, first_own, move, share, relative):
     """Turn relative rotations by a share of a move, in the axes of the parents before the move."""
     for k in range(len(parents)):
@@ -187,7 +186,7 @@ def turn_relative(x, parents, axes, first_own, move, share, relative):
             set_rows(relative[k], product(Q, exponential(scaled(axis, own[0]))))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def hinged_displacement(before, after, nodes, parents, axes, first_own, out):
     """Turn of each hinged frame against its parent, see `HingedFrames.displacement`."""
     for k in range(len(nodes)):
@@ -204,7 +203,7 @@ def hinged_displacement(before, after, nodes, parents, axes, first_own, out):
             set_row(out, first_own + k, (turned, 0.0, 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_hinged_levers(x, nodes, parents, axes, out):
     """Derivatives of the four nodes of each hinged frame, by the parent's two unknowns and its own.
     """
@@ -219,7 +218,7 @@ def write_hinged_levers(x, nodes, parents, axes, out):
             set_rows(block[2], product(cross_matrix(negated(lever)), S))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_hinged_turning(x, nodes, parents, axes, free_parents, forces, out, first, crosses):
     """Add the turning terms of the points of hinged frames.
 
@@ -481,7 +480,7 @@ class HingedFrames(RigidFrames):
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_twist_maps(x, nodes, parents, axes, out):
     """Derivatives of the place and of the turn of each hinged frame; two lines of blocks for each.
     """
@@ -494,7 +493,7 @@ def write_twist_maps(x, nodes, parents, axes, out):
         set_rows(turn[2], turn_map(x, nodes[k], row(axes, k)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_twist_turning(x, nodes, parents, axes, twists, out, own_count):
     """Add the turning terms of a force and a moment on each hinged frame.
 
@@ -573,7 +572,7 @@ class HingedTwists:
         return blocks
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_unused(offsets, strides, is_ball, stiffness, share, storage):
     """Add to the diagonal of each own block what keeps the matrix definite."""
     for k in range(len(offsets)):
@@ -581,7 +580,6 @@ def add_unused(offsets, strides, is_ball, stiffness, share, storage):
             is_used = i == 0 or is_ball[k]
             added = share * stiffness[k] if is_used else stiffness[k]
             storage[offsets[k] + i * (strides[k] + 1)] += added
-
 
 # Share of a typical stiffness that joints have in the matrix: far above round-off, and small enough
 # that Newton's method does not notice; and that of a projected stiffness.

@@ -18,10 +18,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import splu
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock
 from softrobot_twin.geometry.quadrature import tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import EDGES
@@ -184,7 +184,7 @@ def uniform_masses(mesh, density) -> np.ndarray:
     return np.where(mesh.are_points, total / count, 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_pulls(x, nodes, unknowns, masses, start, start_velocities, per_second, rate, forces):
     """f -= c m ((x - x₀)/h - v₀), with 1/h as `per_second` and c as `rate`."""
     for k in range(len(nodes)):
@@ -194,7 +194,7 @@ def add_pulls(x, nodes, unknowns, masses, start, start_velocities, per_second, r
             forces[unknowns[k], i] -= pull * speed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_multiples(values, factor, offsets, strides, storage):
     """Add a multiple of the unit matrix to each block."""
     for k in range(len(values)):
@@ -350,7 +350,7 @@ class MassDamping(NodalMasses):
         self._per_second = 1.0 / time_step
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def accelerate(x, nodes, start, start_velocities, per_second, accelerations):
     """a = ((x - x₀)/h - v₀)/h, with 1/h as `per_second`."""
     for k in range(len(nodes)):
@@ -359,7 +359,7 @@ def accelerate(x, nodes, start, start_velocities, per_second, accelerations):
             accelerations[k, i] = (speed - start_velocities[k, i]) * per_second
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def subtract_product(row_starts, columns, values, accelerations, unknowns, forces):
     """f -= M a, M in compressed rows."""
     for k in range(len(unknowns)):

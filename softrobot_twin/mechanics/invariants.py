@@ -19,8 +19,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
+from softrobot_twin.compilation import INLINED, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -29,7 +28,6 @@ from softrobot_twin.geometry.matrix3 import (
     inner,
     scaled_matrix,
 )
-from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.volume_change import volume_power, volumetric_slopes
 
 

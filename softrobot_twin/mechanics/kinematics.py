@@ -30,8 +30,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import product, rows, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.mechanics.barycentric import writable
@@ -39,7 +39,7 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def advance_nodes(positions, free_nodes, move, share):
     """Move the free nodes by a share of the first rows of a move."""
     for k in range(len(free_nodes)):
@@ -47,7 +47,7 @@ def advance_nodes(positions, free_nodes, move, share):
             positions[free_nodes[k], i] += share * move[k, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_displacement(before, after, free_nodes, displacement):
     """Displacement of each free node, in the first rows."""
     for k in range(len(free_nodes)):
@@ -55,7 +55,7 @@ def write_displacement(before, after, free_nodes, displacement):
             displacement[k, i] = after[free_nodes[k], i] - before[free_nodes[k], i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def longest_row(vectors):
     """Length of the longest of some vectors, shape (count, 3); not finite if any component is not.
     """
@@ -69,7 +69,7 @@ def longest_row(vectors):
     return np.sqrt(largest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def is_same(first, second):
     """Whether two sets of points, shape (count, 3), are the same to the bit."""
     for k in range(len(first)):
@@ -374,7 +374,7 @@ class CarriedPoints:
         return unknowns[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_point_moves(own, unknowns, derivatives, moves, out):
     """Σ D dq of some carried points."""
     for p in own:
@@ -388,7 +388,7 @@ def write_point_moves(own, unknowns, derivatives, moves, out):
                         out[p, i] += derivatives[p, j, i, k] * moves[u, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def fold_own_forces(own, unknowns, derivatives, point_forces, forces):
     """Add Dᵀ f of some carried points to the forces on their unknowns."""
     for p in own:
@@ -400,7 +400,7 @@ def fold_own_forces(own, unknowns, derivatives, point_forces, forces):
                         forces[u, i] += derivatives[p, j, k, i] * point_forces[p, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def carry_rows(
     free_count, unknowns, derivatives, rows, nodes, blocks, out_rows, out_nodes, out_blocks
 ):
@@ -413,7 +413,8 @@ def carry_rows(
         row, p = rows[e], nodes[e] - free_count
         if p < 0:
             out_rows[count], out_nodes[count] = row, nodes[e]
-            out_blocks[count] = blocks[e]
+            for i in range(3):
+                out_blocks[count, i] = blocks[e, i]
             count, last_point = count + 1, -1
             continue
         same = last_point >= 0 and row == last_row
@@ -493,12 +494,11 @@ class CarriedRows:
         )  # fmt: skip
         return self.count
 
-
 # Forms in which a folded block D_pjᵀ K D_qk is added to the lower triangle of A.
 AS_IS, TRANSPOSED, BOTH = 0, 1, 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_plain_blocks(sources, offsets, strides, scratch, storage):
     """Add 3×3 blocks without a transformation."""
     for k in range(len(sources)):
@@ -507,7 +507,7 @@ def add_plain_blocks(sources, offsets, strides, scratch, storage):
                 storage[offsets[k] + j * strides[k] + i] += scratch[sources[k] + 3 * j + i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_derivative(derivatives, p, j, out):
     """D of a carried point by one of its unknowns; the unit matrix for a free node, p < 0."""
     for a in range(3):
@@ -518,7 +518,7 @@ def write_derivative(derivatives, p, j, out):
                 out[a, b] = derivatives[p, j, a, b]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def fold_blocks(plan, offsets, strides, derivatives, scratch, work, storage):
     """Add D_pjᵀ K_pq D_qk of every line (source, p, j, q, k, form) of a plan."""
     left, right, half = work[0], work[1], work[2]
@@ -542,7 +542,7 @@ def fold_blocks(plan, offsets, strides, derivatives, scratch, work, storage):
                     storage[offsets[line] + i * strides[line] + j] += value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def multiply_blocks(pairs, scratch, D, out):
     """K D of symmetric blocks K_ab between points: each pair (source, a, b) is one of them.
 
@@ -567,7 +567,7 @@ def multiply_blocks(pairs, scratch, D, out):
                         out[b + j, c] += value * D[a + i, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def multiply_segments(matrices, ends, loaded, half):
     """E and K E of the segments whose K is not zero, one after the other; gives their number.
 
@@ -592,7 +592,7 @@ def multiply_segments(matrices, ends, loaded, half):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_clique(offsets, strides, matrix, storage):
     """Add the blocks of a symmetric matrix whose offset is not negative, (width, width) blocks."""
     for j in range(len(offsets)):
@@ -792,7 +792,7 @@ class FoldedStiffness:
             self._turning.add(positions, point_forces, storage)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_ends(nodes, coefficients, places, free_count, derivatives, ends):
     """E_j = Σ c_a D_aj of one segment, by each of its unknowns."""
     ends[:] = 0.0
@@ -810,7 +810,7 @@ def write_ends(nodes, coefficients, places, free_count, derivatives, ends):
                         ends[place, i, k] += coefficients[a] * derivatives[n - free_count, j, i, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def fold_segments(
     matrices, nodes, coefficients, places, free_count, derivatives, offsets, strides, ends,
     storage,

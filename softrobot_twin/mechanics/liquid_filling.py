@@ -15,8 +15,8 @@ g_i = ∂v/∂x_i and s = x_i + x_j + x_k the forces and their derivative are
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import ZERO, add_outer, add_scaled_matrix, cross_matrix
 from softrobot_twin.geometry.vector3 import (
     add,
@@ -32,13 +32,13 @@ from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
 from softrobot_twin.mechanics.stencil import add_block
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def corner(points, triangles, t, m, tops, cavity):
     """Vertex m of a triangle, seen from the top of its cavity."""
     return subtract(row(points, triangles[t, m % 3]), row(tops, cavity[t]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_liquid_forces(points, triangles, cavity, tops, weights, forces):
     """Add f_i of every triangle to the vertices; gives U [J]."""
     energy = 0.0
@@ -59,7 +59,7 @@ def add_liquid_forces(points, triangles, cavity, tops, weights, forces):
     return energy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def force_derivative(x, w, i, j):
     """∂f_i/∂x_j of one triangle with vertices x."""
     g_i = scaled(cross(x[(i + 1) % 3], x[(i + 2) % 3]), 1.0 / 24.0)
@@ -72,7 +72,7 @@ def force_derivative(x, w, i, j):
     return add_scaled_matrix(K, cross_matrix(x[3 - i - j]), sign * depth / 6.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_liquid_stiffness(
     points, triangles, cavity, tops, weights, shares, offsets, strides, storage
 ):

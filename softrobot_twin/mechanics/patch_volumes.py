@@ -23,8 +23,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.geometry.cell_patches import grow_patches
 from softrobot_twin.geometry.matrix3 import (
@@ -38,7 +38,6 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
-from softrobot_twin.mechanics.element_batches import KERNEL
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 from softrobot_twin.mechanics.volume_change import volumetric
@@ -99,7 +98,7 @@ def patches_of(mesh, patch_size: int | None = None) -> np.ndarray:
     return grow_patches(mesh.cells[:, :4], size)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def deformation(moves, cell, gradients):
     """F = 1 + Σ u_a ∇N_aᵀ of one element at one point."""
     F = IDENTITY
@@ -128,7 +127,7 @@ def write_volumes(moves, cells, first, gradients, weights, volumes):
                 volumes[k] += weights[e, q] * determinant(F)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def add_curvature(F, G, places, w, curvature):
     """Add w F (∇N_a × ∇N_b) of one point; see `write_gradients`."""
     for a in range(len(G)):
@@ -142,7 +141,7 @@ def add_curvature(F, G, places, w, curvature):
                 sums[i] += sign * turn[i]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def write_gradients(k, moves, cells, places, first, gradients, weights, g, curvature):
     """v of one patch and its derivatives.
 

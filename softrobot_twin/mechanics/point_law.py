@@ -30,13 +30,10 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
-from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.material import lame_parameters
 
 # Without it the kernels would be called, not inlined, at twice the time.
 _INLINED = {"forceinline": True}
-GENERIC = {**INLINED, "cache": False}
-"""Options of a kernel that takes any law: it is kept on disk with the assembly it is inlined in."""
 
 
 class LawConstant(NamedTuple):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -13,14 +13,7 @@ from softrobot_twin.geometry.matrix3 import (
     scaled_matrix,
 )
 from softrobot_twin.geometry.vector3 import dot
-from softrobot_twin.mechanics.element_batches import (
-    BATCH,
-    INLINED,
-    KERNEL,
-    at,
-    matrix_at,
-    put_matrix,
-)
+from softrobot_twin.mechanics.element_batches import BATCH, at, copy_entries, matrix_at, put_matrix
 
 POLAR_ITERATIONS = 40
 # A determinant below this share of the cube of the largest stretch counts as flat, because Newton's
@@ -35,7 +28,7 @@ def is_upright(F):
     return determinant(F) > FLAT * square * np.sqrt(square)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def singular_rotation(F):
     """Nearest proper rotation of a flat or inverted deformation, from its singular values.
 
@@ -48,12 +41,13 @@ def singular_rotation(F):
     U, _, Vt = np.linalg.svd(F)
     R = U @ Vt
     if np.linalg.det(R) < 0.0:
-        U[:, 2] = -U[:, 2]
+        for i in range(3):
+            U[i, 2] = -U[i, 2]
         R = U @ Vt
     return R
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def turn_flat(F, R, e):
     """Rotation of one flat or inverted element; none where F is not finite."""
     A, square = np.empty((3, 3)), 0.0
@@ -77,14 +71,14 @@ def find_upright(F, upright):
 @njit(**KERNEL)
 def find_rotations(F, upright, R, change):
     """Rotations of a batch: those of flat or inverted elements from their singular values."""
-    R[:] = F
+    copy_entries(F, R)
     for e in range(BATCH):
         if upright[e] == 0.0:
             turn_flat(F, R, e)
     iterate_to_rotations(R, change)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def iterate_to_rotations(R, change):
     """Newton's iteration R ← (R + R⁻ᵀ)/2; a rotation is unchanged."""
     for _ in range(POLAR_ITERATIONS):

@@ -14,10 +14,11 @@ from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numba import njit
+
+from softrobot_twin.compilation import KERNEL, njit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_monomials(z, parents, factors, out):
     """Every monomial at z: its parent times one variable; the first one is 1."""
     out[0] = 1.0

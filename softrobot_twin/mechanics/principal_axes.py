@@ -17,8 +17,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -28,9 +27,8 @@ from softrobot_twin.geometry.matrix3 import (
     transposed,
     transposed_product,
 )
-from softrobot_twin.geometry.vector3 import INLINED, add_scaled, cross, dot, scaled
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, scaled
 
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
 # Sweeps of Jacobi's method for a 3×3 matrix; it converges quadratically, mostly within four.
 MOST_SWEEPS = 12
 # Square of a direction below which, by the largest stretch, it says nothing.

@@ -25,13 +25,12 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
-    UNCACHED,
     fill_derivatives,
     find_negative,
     find_state,
@@ -42,7 +41,7 @@ from softrobot_twin.mechanics.element_assembly import (
     seen_by_law,
     weighted_stresses,
 )
-from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, at, matrix_at, put_matrix, scratch
+from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at, scratch
 from softrobot_twin.mechanics.elements import are_same
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.laws.corotational import Corotational
@@ -50,7 +49,6 @@ from softrobot_twin.mechanics.laws.corotational import linearize as spin_stiffne
 from softrobot_twin.mechanics.point_law import energy_density, law_at, law_of, law_projects, law_turns
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 from softrobot_twin.mechanics.strain_watch import extreme_squares
-
 
 # Modes are padded by empty ones to a multiple of this: vector instructions and BLAS take 48 modes in
 # less time than 45.
@@ -190,7 +188,7 @@ def write_stress_changes(
         apply_to_gradients(C, weights[k], gradients[k], changes[k])
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def turn_derivatives(R, C):
     """From dP Rᵀ by dF Rᵀ to dP by dF: C_{ik,jl} ← Σ C_{im,jn} R_mk R_nl."""
     for e in range(BATCH):
@@ -214,7 +212,7 @@ def turn_derivatives(R, C):
                         )  # fmt: skip
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def apply_to_gradients(C, weights, gradients, changes):
     """w C G of one batch."""
     for i in range(9):
@@ -228,7 +226,7 @@ def apply_to_gradients(C, weights, gradients, changes):
                     line[m] += factor * row[m]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def lower_cholesky(M):
     """L of M = L Lᵀ of a 3×3 matrix that is positive semidefinite but for rounding."""
     tiny = 1.0e-30
@@ -311,7 +309,11 @@ def apply_rows(root, weights, rotations, spin_rows, signs, gradients, positive, 
     return added, subtracted
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+FAST = {**KERNEL, "fastmath": True}
+"""Options of sums that vector instructions may take in another order."""
+
+
+@njit(**FAST)
 def write_row(v, gradients, k, e, rows, line):
     """Row number `line`: vᵀ G of element e of batch k."""
     v0, v1, v2, v3, v4, v5, v6, v7, v8 = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8]
@@ -321,10 +323,6 @@ def write_row(v, gradients, k, e, rows, line):
             + v3 * gradients[k, 3, e, m] + v4 * gradients[k, 4, e, m] + v5 * gradients[k, 5, e, m]
             + v6 * gradients[k, 6, e, m] + v7 * gradients[k, 7, e, m] + v8 * gradients[k, 8, e, m]
         )  # fmt: skip
-
-
-FAST = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": True}
-"""Options of sums that vector instructions may take in another order."""
 
 
 @njit(**FAST)
@@ -573,7 +571,7 @@ class ReducedElements(ForceTerm):
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_to_storage(order, offsets, strides, matrix, storage):
     """Add the matrix of all coordinates; see `add_stencil_matrix`."""
     add_stencil_matrix(order, offsets, strides, matrix, storage)

@@ -13,15 +13,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.mechanics.kinematics import longest_row
 
 # Numbers that stay in the nearest cache while all coordinates are added.
 BLOCK = 1024
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_displacements(modes, coordinates, out):
     """Φ q, with all products in double precision.
 

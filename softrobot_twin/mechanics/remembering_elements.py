@@ -13,18 +13,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.matrix3 import add_scaled_matrix, scaled_matrix
-from softrobot_twin.mechanics.element_assembly import UNCACHED, deform, gather, is_of_package
-from softrobot_twin.mechanics.element_batches import (
-    BATCH,
-    KERNEL,
-    at,
-    matrix_at,
-    put_matrix,
-    scratch,
-)
+from softrobot_twin.mechanics.element_assembly import deform, gather, is_of_package
+from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at, put_matrix, scratch
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.point_law import energy_density, has_bulk_modulus, law_at, law_of
 from softrobot_twin.mechanics.softening import SoftenedLaw, SofteningConstants
@@ -135,7 +128,6 @@ def recording_of(parameters: type) -> Recording:
 def _recording(options: dict) -> Recording:
     loops = (write_memory, advance_overstresses, raise_greatest)
     return Recording(*(njit(**options)(loop) for loop in loops))
-
 
 _KEPT = _recording(KERNEL)
 

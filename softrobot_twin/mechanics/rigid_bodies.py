@@ -47,8 +47,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_scaled_matrix,
@@ -61,7 +61,6 @@ from softrobot_twin.geometry.matrix3 import (
     transposed,
 )
 from softrobot_twin.geometry.vector3 import (
-    INLINED,
     add,
     add_scaled,
     dot,
@@ -100,7 +99,7 @@ def rotation_at(x, origin):
     return transposed(axes_at(x, origin))
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def write_frame(centre, R, x, origin):
     """Write the four frame nodes of a body for its origin and rotation."""
     axes = transposed(R)
@@ -110,7 +109,7 @@ def write_frame(centre, R, x, origin):
     set_row(x, origin + 3, add(centre, axes[2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def advance_kernel(x, origins, first_unknown, move, share):
     """Move free bodies by a share of a move; one that does not move is the same to the bit."""
     for k in range(len(origins)):
@@ -122,7 +121,7 @@ def advance_kernel(x, origins, first_unknown, move, share):
         write_frame(add(row(x, n), translation), R, x, n)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def displacement_kernel(before, after, origins, first_unknown, out):
     """Translation and rotation vector of each free body from one state to another."""
     for k in range(len(origins)):
@@ -131,7 +130,7 @@ def displacement_kernel(before, after, origins, first_unknown, out):
         set_row(out, t + 1, turn_between(rotation_at(before, n), rotation_at(after, n)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def place_attached(x, nodes, origins, local):
     """Write the positions of attached nodes, by the frames of their bodies."""
     for k in range(len(nodes)):
@@ -141,7 +140,7 @@ def place_attached(x, nodes, origins, local):
         set_row(x, nodes[k], add_scaled(place, axes[2], local[k, 2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def largest_at_rim(vectors, first_unknown, radii, are_forces):
     """Largest of some moves or forces; rotations count by the displacement of the body's furthest
     point.
@@ -163,7 +162,7 @@ def largest_at_rim(vectors, first_unknown, radii, are_forces):
     return largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_levers(x, nodes, origins, out):
     """Derivatives of points on rigid bodies: 1 by the translation, -[ρ]× with ρ = x - c by the
     rotation.
@@ -174,7 +173,7 @@ def write_levers(x, nodes, origins, out):
         set_rows(out[k, 1], cross_matrix(negated(lever)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_lever_turning(x, nodes, origins, bodies, forces, out):
     """Add f·ρ 1 - (f ρᵀ + ρ fᵀ)/2 of every point to the block of its body's rotation."""
     for k in range(len(nodes)):
@@ -199,7 +198,6 @@ class AttachedNodes(NamedTuple):
     nodes: np.ndarray
     bodies: np.ndarray
     local: np.ndarray
-
 
 NOTHING_ATTACHED = AttachedNodes(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)))
 
@@ -390,7 +388,7 @@ def world_inertia(R, inertia):
     return product_transposed(product(R, rows(inertia)), R)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_motion_forces(
     x, origins, first_unknown, masses, inertias, centres, rotations, scale, in_middle, pushes,
     twists, forces,
@@ -410,7 +408,7 @@ def add_motion_forces(
         set_row(forces, t + 1, add(row(forces, t + 1), twist))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def middle_stiffness(J, turn):
     """∂(J φ)/∂θ with J in the middle of the turn φ, θ on top of its end.
 
@@ -424,7 +422,7 @@ def middle_stiffness(J, turn):
     return add_scaled_matrix(product(J, change), product(gyroscopic, moved), 0.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_motion_stiffness(
     x, origins, masses, inertias, rotations, scale, in_middle, projected, offsets, strides, storage
 ):
@@ -454,7 +452,7 @@ def add_motion_stiffness(
                 storage[o + i] += 0.5 * scale * (block[i][j] + block[j][i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def remember_poses(x, origins, centres, rotations):
     """Origin and rotation of every free body."""
     for k in range(len(origins)):
@@ -538,7 +536,7 @@ class RigidMotion(ForceTerm):
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_momenta(x, velocities, origins, first_unknown, inertias, out):
     """J ω of every free body."""
     for k in range(len(origins)):
@@ -546,7 +544,7 @@ def write_momenta(x, velocities, origins, first_unknown, inertias, out):
         set_row(out, k, transform(J, row(velocities, first_unknown + 2 * k + 1)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def carry_rates(before, after, origins, first_unknown, inertias, inverses, in_middle, rates):
     """Rates ω of every body become J₁⁻¹ J ω, J₁ of a later state and J of an earlier one.
 

@@ -8,8 +8,8 @@ so that it is equally accurate for all angles from zero to π.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     plus_identity,
@@ -18,7 +18,7 @@ from softrobot_twin.geometry.matrix3 import (
     scaled_matrix,
     transposed_product,
 )
-from softrobot_twin.geometry.vector3 import INLINED, dot, norm, scaled
+from softrobot_twin.geometry.vector3 import dot, norm, scaled
 
 # Below this angle [rad] the series is more accurate than the closed form.
 SMALL_ANGLE = 0.2
@@ -47,7 +47,7 @@ def skew_polynomial(v, first, second):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def exponential(vector):
     """exp([θ]×) = 1 + sin θ/θ [θ]× + (1 - cos θ)/θ² [θ]×², without cancellation."""
     angle = norm(vector)
@@ -57,7 +57,7 @@ def exponential(vector):
     return skew_polynomial(vector, np.sin(angle) / angle, 2.0 * half * half)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def unit_quaternion(R):
     """Quaternion (x, y, z, w) of a rotation matrix, w not negative."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R
@@ -76,7 +76,7 @@ def unit_quaternion(R):
     return scale * x, scale * y, scale * z, scale * w
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def logarithm(R):
     """Rotation vector of a matrix, no longer than π."""
     x, y, z, w = unit_quaternion(R)
@@ -84,13 +84,13 @@ def logarithm(R):
     return scaled((x, y, z), 2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 2.0)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def turn_between(before, after):
     """Rotation vector that leads from one rotation to another, log(R_after R_beforeᵀ)."""
     return logarithm(product_transposed(after, before))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def inverse_jacobian(vector):
     """∂ log(exp([θ]×) exp([φ]×)) / ∂θ at θ = 0: 1 - [φ]×/2 + (1 - φ/2 cot φ/2)/φ² [φ]×²."""
     square = dot(vector, vector)
@@ -103,7 +103,7 @@ def inverse_jacobian(vector):
     return skew_polynomial(vector, -0.5, second)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def left_jacobian(vector):
     """∂ log(exp([θ + dθ]×) exp(-[θ]×)) / ∂dθ: 1 + (1 - cos θ)/θ² [θ]× + (θ - sin θ)/θ³ [θ]×²."""
     square = dot(vector, vector)
@@ -117,7 +117,7 @@ def left_jacobian(vector):
     return skew_polynomial(vector, first, second)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def orthonormalised(R):
     """A nearly orthonormal matrix made orthonormal, R + R (1 - RᵀR)/2: the error is squared."""
     half_error = plus_identity(scaled_matrix(transposed_product(R, R), -0.5), 0.5)

@@ -24,8 +24,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import GENERIC, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -36,7 +36,6 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.mechanics.element_batches import at
 from softrobot_twin.mechanics.point_law import (
-    GENERIC,
     differential,
     energy_density,
     linearize,

@@ -22,8 +22,8 @@ a spring of the same tension.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.vector3 import add_scaled, dot, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -37,7 +37,7 @@ TAKE_UP = 2.0e-4
 NO_LENGTH = 1.0e-8
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def segment_vector(x, nodes, coefficients, constant):
     """r = Σ c_a x_a + r_0 of one segment."""
     r = (constant[0], constant[1], constant[2])
@@ -46,13 +46,12 @@ def segment_vector(x, nodes, coefficients, constant):
             r = add_scaled(r, row(x, nodes[a]), coefficients[a])
     return r
 
-
 # A slack spring has no stiffness across, and a slack net or chain has none at all. The projected
 # stiffness takes this share of the stiffness along, so that Newton's method reaches a taut state.
 LEAST_ACROSS = 1.0e-3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def spring_law(length, least, stiffness, rest_length, drag, length_before, take_up):
     """T/L, ∂T/∂L and the stiffness across, which is T/L; isotropic where length ≤ `least`.
 
@@ -73,14 +72,14 @@ def spring_law(length, least, stiffness, rest_length, drag, length_before, take_
     return (stiffness if rest_length == 0.0 else 0.0), along, along
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_lengths(x, nodes, coefficients, constants, lengths):
     """Length of every spring."""
     for s in range(len(nodes)):
         lengths[s] = norm(segment_vector(x, nodes[s], coefficients[s], constants[s]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_projected_lengths(x, reference, nodes, coefficients, constants, least, lengths):
     """Each spring's vector at a reference, projected on its direction at a state."""
     for s in range(len(nodes)):
@@ -90,7 +89,7 @@ def write_projected_lengths(x, reference, nodes, coefficients, constants, least,
         lengths[s] = dot(r, other) / length if length > least else norm(other)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_spring_forces(
     x, nodes, coefficients, constants, least, laws, lengths_before, free, forces
 ):  # fmt: skip
@@ -107,7 +106,7 @@ def add_spring_forces(
                 set_row(forces, n, force)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_spring_block(share, along, across, d, o, stride, storage):
     """Add share (across 1 + (along - across) d dᵀ) at one block."""
     for j in range(3):
@@ -118,7 +117,7 @@ def add_spring_block(share, along, across, d, o, stride, storage):
         o += stride
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_spring_stiffness(
     x, nodes, coefficients, constants, least, laws, lengths_before, projected, offsets, strides,
     storage,

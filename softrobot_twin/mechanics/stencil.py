@@ -12,10 +12,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, njit
 from softrobot_twin.geometry.matrix3 import rows
-from softrobot_twin.geometry.vector3 import INLINED
 
 Slots = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 

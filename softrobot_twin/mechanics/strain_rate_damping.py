@@ -35,18 +35,12 @@ the beginning of each step; F = 1 + Σ u_a g_aᵀ is their usual deformation gra
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.mechanics.element_assembly import deform, gather, transform_gradients
-from softrobot_twin.mechanics.element_batches import (
-    BATCH,
-    KERNEL,
-    matrix_at,
-    put_matrix,
-    scratch,
-)
+from softrobot_twin.mechanics.element_batches import BATCH, matrix_at, put_matrix, scratch
 from softrobot_twin.mechanics.element_inversion import no_corners
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws.corotational import Corotational
@@ -58,7 +52,7 @@ from softrobot_twin.mechanics.polar import turn_flat
 THINNEST = 10.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def invert_transposed(F, T, thin):
     """T = F⁻ᵀ, and the rotation of elements that are flat."""
     for e in range(BATCH):

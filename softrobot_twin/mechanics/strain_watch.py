@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     determinant,
     inner,
@@ -20,7 +20,7 @@ from softrobot_twin.geometry.matrix3 import (
     trace,
     transposed_product,
 )
-from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, matrix_at
+from softrobot_twin.mechanics.element_batches import BATCH, matrix_at
 
 
 class StrainOutside(NamedTuple):

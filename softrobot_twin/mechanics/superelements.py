@@ -41,11 +41,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cross_matrix
 from softrobot_twin.geometry.vector3 import (
-    INLINED,
     add,
     add_scaled,
     cross,
@@ -106,7 +105,7 @@ def frame_axes() -> np.ndarray:
     return axes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_deformations(x, nodes, chord, rest, e, slopes):
     """e of one superelement, and ∂e/∂x of its points."""
     y = (0.0, 0.0, 0.0)
@@ -147,7 +146,7 @@ def add_axis_slope(slopes, origin, k, vector, share):
     set_row(slopes, origin, add_scaled(row(slopes, origin), vector, -share))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_scaled(s, e, pressures, cavities, middle, scaling, offset, z):
     """z of superelement s; gives the largest |z|."""
     for k in range(len(z)):
@@ -168,7 +167,7 @@ def write_scaled(s, e, pressures, cavities, middle, scaling, offset, z):
     return largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def pull_back(scaling, by_z, by_variables, work):
     """scalingᵀ · by_z · scaling."""
     n = len(scaling)
@@ -186,7 +185,7 @@ def pull_back(scaling, by_z, by_variables, work):
                 by_variables[k, j] += scaling[m, k] * work[m, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def evaluate_enthalpy(
     s, scaling, monomials, gradients, curvatures, centre_values, centre_gradients,
     centre_curvatures, pulls, slope, bend, work, gradient, curvature, centre, centre_slopes,
@@ -231,7 +230,7 @@ def evaluate_enthalpy(
     pull_back(scaling[s], bend, curvature, work)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def evaluate_all(
     x, nodes, chords, rests, pressures, cavities, middle, scaling, parents, factors, gradients,
     curvatures, centre_values, centre_gradients, centre_curvatures, weights, pulls, offset, z,
@@ -255,7 +254,7 @@ def evaluate_all(
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_unknown_slopes(x, nodes, axes, weight, slopes, by_unknowns, levers, drawn):
     """∂e by the unknowns of both frames, and what turns the weight along the axes of A.
 
@@ -277,7 +276,7 @@ def write_unknown_slopes(x, nodes, axes, weight, slopes, by_unknowns, levers, dr
         set_row(drawn, k, cross(row(levers, 1 + k), weight))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_enthalpy_forces(
     unknowns, gradient, by_unknowns, weights, axes, centres, levers, shares, forces
 ):
@@ -300,7 +299,7 @@ def add_enthalpy_forces(
             set_row(forces, n, add(row(forces, n), force))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def write_stiffness(curvature, by_unknowns, work, out):
     """∂e/∂qᵀ ∂²Π/∂e² ∂e/∂q over the twelve numbers of the unknowns."""
     count = len(by_unknowns)
@@ -337,7 +336,7 @@ def turned_product(a, b):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_bending(gradient, ends, levers, out):
     """Add Σ ∂Π/∂e_k ∂²e_k by the unknowns, of products of first changes.
 
@@ -365,7 +364,7 @@ def add_bending(gradient, ends, levers, out):
         add_block(out, 1, 3, turned_product(row(levers, 1 + i), row(levers, 5 + j)), -share)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_turning(gradient, slopes, shares, weight, levers, out):
     """Add the change of the torques ρ × f by rotations, symmetric; see `kinematics`."""
     for a in range(POINTS):
@@ -380,7 +379,7 @@ def add_turning(gradient, slopes, shares, weight, levers, out):
                 out[t + i, t + j] -= 0.5 * (force[i] * lever[j] + lever[i] * force[j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def add_drawn(centre_slopes, by_unknowns, drawn, out):
     """Add what the displaced centre of mass and the turned weight do to each other."""
     count = len(by_unknowns)
@@ -395,7 +394,7 @@ def add_drawn(centre_slopes, by_unknowns, drawn, out):
                 out[3 + j, i] -= along * drawn[k, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_enthalpy_stiffness(
     order, ends, gradient, curvature, slopes, by_unknowns, weights, axes, centres, centre_slopes,
     levers, shares, drawn, projected, offsets, strides, own_shares, work, whole, storage,
@@ -414,7 +413,7 @@ def add_enthalpy_stiffness(
         add_stencil_matrix(order[s], offsets[s], strides[s], whole, storage)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_growths(
     cavities, deformations, gradient, curvature, by_unknowns, drawn, centre_slopes, entry,
     values, blocks, compliance,
@@ -443,7 +442,7 @@ def add_growths(
                 set_row(blocks, place, block)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def takes_new_state(x, nodes, points, pressures, told):
     """Store the points of the superelements and the pressures; whether they have changed."""
     changed = False

@@ -14,8 +14,8 @@ f in a step, divided by s.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import diagonal_matrix
 from softrobot_twin.geometry.vector3 import row, scaled
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -23,7 +23,7 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_touch_stiffness(weights, stiffness, offsets, strides, storage):
     """Add w_a w_b diag(s) of every touch to the blocks of its nodes."""
     width = weights.shape[1]

@@ -30,8 +30,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import GENERIC, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -45,7 +45,6 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.mechanics.element_batches import matrix_at
 from softrobot_twin.mechanics.point_law import (
-    GENERIC,
     differential,
     energy_density,
     law_at,

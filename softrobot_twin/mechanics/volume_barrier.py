@@ -27,8 +27,8 @@ before an element folds.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -38,13 +38,7 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import cross
-from softrobot_twin.mechanics.element_batches import (
-    BATCH,
-    KERNEL,
-    matrix_at,
-    of_node,
-    vector_at,
-)
+from softrobot_twin.mechanics.element_batches import BATCH, matrix_at, of_node, vector_at
 from softrobot_twin.mechanics.element_inversion import deform_corners
 from softrobot_twin.mechanics.polar import is_upright
 
@@ -105,7 +99,7 @@ def barrier_acts(least):
     return -np.inf < lowest < BARRIER_VOLUME
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def acts_in(F, volumes):
     """Whether a point of a batch has less than J₀; writes J of all of them."""
     least = BARRIER_VOLUME
@@ -156,7 +150,7 @@ def find_corners(to_corners, deformations, weights, corners):
     return least.min()
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def volume_gradient(F, gradients, a, e):
     """c_a = cof(F) ∇N_a of element e at one point."""
     return transform(cofactor(matrix_at(F, 0, e)), vector_at(of_node(gradients, a), 0, e))
@@ -236,7 +230,7 @@ def add_barrier_stiffness(
                         pair += 1
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def add_barrier_block(F, G, a, b, e, curvature, slope, storage, stride):
     """Add K_ab of one element at one point; `storage` begins with the block's first entry."""
     c_a, c_b = volume_gradient(F, G, a, e), volume_gradient(F, G, b, e)
@@ -247,7 +241,7 @@ def add_barrier_block(F, G, a, b, e, curvature, slope, storage, stride):
             storage[j * stride + i] += curvature * c_a[i] * c_b[j] - slope * turning[i][j]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def keeps_volume(F, D, share):
     """Whether J stays above the kept share along F + t D for all t up to a share, from 0.
 

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from softrobot_twin.geometry.vector3 import INLINED
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 
 # Volume ratio below which functions are continued: far below what a converged step keeps.
 LEAST_VOLUME = 0.05
@@ -29,7 +27,7 @@ def continued(value, slope, curvature, beyond):
     return value + 0.5 * (slope + end_slope) * beyond, end_slope, curvature
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def volumetric(J):
     """U = (J² - 1 - 2 ln J)/4 and its first two derivatives, U'' = 1 at rest."""
     at = max(J, LEAST_VOLUME)

@@ -50,8 +50,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
@@ -414,7 +414,7 @@ class AugmentedLU:
         return self._lu.negative_count != 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def add_squared_rows(H, stiffness, matrix):
     """Add Σ k h hᵀ of dense rows h to the lower triangle of a matrix."""
     for r in range(len(H)):

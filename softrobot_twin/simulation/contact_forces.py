@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact import Contacts
 
 # Contacts that carry less than this share of all loads are omitted.
 CARRIES = 1.0e-9
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def find_carrying(multipliers, rows_per_contact, least, carrying):
     """Write the contacts whose normal force is above the least, in their order; their number."""
     count = 0
@@ -24,7 +24,7 @@ def find_carrying(multipliers, rows_per_contact, least, carrying):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
     """Σ λ d of some contacts."""
     for c in range(len(chosen)):

@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.actuation import NO_MOVES, Actuation, ContactLoads
 from softrobot_twin.simulation.direct_actuation import DirectActuation, reachable
 from softrobot_twin.simulation.interpretation import why_not_followed
@@ -64,7 +64,7 @@ NO_EFFORT = 1.0e-6
 NO_FORCES = np.empty(0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_steps(
     targets, now, row_effector, row_weights, longest, squares, steps, weights
 ):
@@ -89,7 +89,7 @@ def write_steps(
         steps[r] *= longest / max(np.sqrt(squares[row_effector[r]]), longest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_posed_steps(
     targets, now, row_effector, row_weights, row_lengths, longest, longest_turn, squares, steps,
     weights,
@@ -124,7 +124,7 @@ def write_posed_steps(
         steps[r] *= min(share, longest_turn / max(np.sqrt(squares[e, 1]), longest_turn))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def keep_within(path, lower, upper, round_off, within):
     """Write displacements within their bounds; whether none changed by more than round-off.
 

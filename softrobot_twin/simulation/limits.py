@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers.inverse_problem import Bounds
 
 # A displacement this near to its limit, as a share of the actuator's scale, is at the limit.
@@ -18,7 +18,7 @@ EFFORT_MARGIN = 1.0e-4
 HOLDING_MARGIN = 1.0e-9
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_bounds(displacements, minimum, maximum, reach, lower, upper):
     """Bounds within a reach of the present displacements; those outside are led back."""
     for i in range(len(displacements)):
@@ -27,7 +27,7 @@ def write_bounds(displacements, minimum, maximum, reach, lower, upper):
         upper[i] = max(min(maximum[i], most), least)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def find_limits(displacements, efforts, lower, upper, margins, least_efforts, most_efforts, found):
     """Write which limits bind each actuator, see `ActuatorLimits.binding`; whether any does.
 

@@ -13,8 +13,8 @@ first side of a contact, less that where it carries the second.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.actuator_entries import Slide
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
@@ -23,7 +23,7 @@ from softrobot_twin.simulation.scene_layout import Layout
 NOWHERE = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def shift_riders(positions, slide_of_node, axes, moves):
     """Translate every attached node along its slide's axis."""
     for n in range(len(positions)):
@@ -33,7 +33,7 @@ def shift_riders(positions, slide_of_node, axes, moves):
                 positions[n, i] += moves[k] * axes[k, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_slide_positions(positions, frames, rest_origins, axes, slide_positions):
     """Position of each slide: displacement of its frame along its axis [m]."""
     for k in range(len(frames)):
@@ -43,7 +43,7 @@ def write_slide_positions(positions, frames, rest_origins, axes, slide_positions
         slide_positions[k] = along
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
     """Add the motion of each side along the contacts' directions."""
     for c in range(len(columns) // rows_per_contact):

@@ -6,8 +6,8 @@ import math
 from enum import Enum
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation.actuation import Actuation
@@ -152,7 +152,7 @@ def judge(
     return Status.UNREACHABLE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def are_near(displacements, made, scales):
     """Whether no displacement is off by more than `DISPLACEMENT_MET` of its scale; NaN is not."""
     for i in range(len(made)):

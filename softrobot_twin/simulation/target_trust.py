@@ -25,7 +25,8 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from softrobot_twin.compilation import KERNEL, njit
 
 # Weights on moves, as multiples of the mean curvature of the tracking term; below the first they
 # count as zero.
@@ -107,7 +108,7 @@ class ActuatorPath:
         self._count = max(0, self._count - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def are_equal(first, second):
     """Whether two arrays of the same length have equal entries; NaN equals NaN."""
     for i in range(len(first)):
@@ -117,7 +118,7 @@ def are_equal(first, second):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def longest_move(before, after, scales):
     """Greatest move of an actuator as a share of its scale; zero without actuators."""
     longest = 0.0

@@ -20,16 +20,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.linalg import lapack
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers import (
     contact_gauss_seidel as gauss_seidel,
 )
 from softrobot_twin.solvers import (
     contact_newton_step as newton,
 )
-from softrobot_twin.solvers.contact_law import CONTACT_SIZE, KERNEL, admissible
+from softrobot_twin.solvers.contact_law import CONTACT_SIZE, admissible, copy_into
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 
 # A step reuses the factors of the last one where this many such steps are expected to suffice:
@@ -360,7 +360,7 @@ def pivot(matrix, right, least, greatest, state):
         else:
             state[last] = following[last]
             continue
-        state[:] = following
+        copy_into(state, following)
     return x
 
 

@@ -18,12 +18,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.contact_law import (
     CONTACT_SIZE,
-    KERNEL,
     admissible,
+    copy_into,
     measure_contact,
     natural_residual,
     own_compliance,
@@ -166,7 +166,7 @@ class ContactGaussSeidel:
         return self._workspace
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def measure_contacts(W, actuator_count, friction, local):
     """`measure_contact` of all contacts; local has shape (contact_count, CONTACT_SIZE)."""
     for k in range(len(friction)):
@@ -183,20 +183,20 @@ def motion(W, violation, force, delta):
             _add_row(W[i], force[i], delta)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _add_row(row, factor, delta):
     for j in range(len(delta)):
         delta[j] += row[j] * factor
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _add_three_rows(W, first, a, b, c, delta):
     row_1, row_2, row_3 = W[first], W[first + 1], W[first + 2]
     for j in range(len(delta)):
         delta[j] += row_1[j] * a + row_2[j] * b + row_3[j] * c
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def share_load(W, actuator_count, rows_per_contact, violation, force, delta):
     """First forces of contacts that penetrate, where no contact presses yet; in place.
 
@@ -218,7 +218,7 @@ def share_load(W, actuator_count, rows_per_contact, violation, force, delta):
         motion(W, violation, force, delta)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def sweep(W, lower, upper, friction, rows_per_contact, local, force, delta):
     """Solve block after block, each with all others held; force and delta in place."""
     actuators = len(lower)
@@ -231,7 +231,7 @@ def sweep(W, lower, upper, friction, rows_per_contact, local, force, delta):
             _solve_triple(W, actuators + 3 * k, friction[k], local[k], force, delta)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _solve_single(W, i, lower, upper, force, delta):
     """A row whose multiplier has bounds."""
     if not W[i, i] > 0.0:
@@ -242,7 +242,7 @@ def _solve_single(W, i, lower, upper, force, delta):
         force[i] = value
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _solve_triple(W, n, friction, local, force, delta):
     """A contact with friction."""
     f_n, f_1, f_2 = force[n], force[n + 1], force[n + 2]
@@ -306,7 +306,7 @@ def _iterate(
     while count < most_sweeps:
         if gap < least:
             least = gap
-            workspace.best[:] = force
+            copy_into(workspace.best, force)
         if gap <= tolerance:
             # δ was updated incrementally: judge by δ computed anew.
             motion(W, violation, force, workspace.delta)
@@ -339,7 +339,7 @@ def _iterate(
         since += 1
         count += 1
     if least < gap:
-        force[:] = workspace.best
+        copy_into(force, workspace.best)
     motion(W, violation, force, workspace.delta)
     gap, newtons = residual(W, *bounds, force, workspace.delta)
     return gap, newtons, count
@@ -375,7 +375,7 @@ def _end(
     return gap, newtons, count
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _newton_round(
     W, violation, lower, upper, friction, rows_per_contact, force, workspace, active, proximal,
     wanted,
@@ -401,6 +401,6 @@ def _newton_round(
     sweep(W, lower, upper, friction, rows_per_contact, workspace.local, trial, delta)
     gap, newtons = residual(W, lower, upper, friction, rows_per_contact, trial, delta)
     if gap < wanted:
-        force[:] = trial
-        workspace.delta[:] = delta
+        copy_into(force, trial)
+        copy_into(workspace.delta, delta)
     return gap, newtons

@@ -27,9 +27,8 @@ One contact alone, with the motion q [m] that all other forces cause, is in one 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
+from softrobot_twin.compilation import INNER, KERNEL, njit
 
 # Relative excess over the cone that is round-off.
 ROUND_OFF = 1.0e-14
@@ -40,6 +39,13 @@ CONTACT_SIZE = 7
 _LEAST = 1.0e-13
 _MOST_STEPS = 60
 _ROUND_OFF = 4.0e-16
+
+
+@njit(**INNER)
+def copy_into(target, source):
+    """Copy an array; see `compilation`."""
+    for i in range(len(target)):
+        target[i] = source[i]
 
 
 @njit(**KERNEL)
@@ -116,7 +122,7 @@ def solve_contact(local, friction, q_n, q_1, q_2):
     return f_n, cosine * f_1 - sine * f_2, sine * f_1 + cosine * f_2
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _slide(normal, friction, q_n, w_1, w_2, c_1, c_2, s_1, s_2):
     """Force on the cone's surface, tangents along the principal axes."""
     size = np.hypot(c_1, c_2)
@@ -187,7 +193,7 @@ def law(delta, centre, stiffness, lower, upper, friction, per_contact, force, sl
             _friction_force(n, friction[k], delta, centre, stiffness, force, slope)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _friction_force(n, friction, delta, centre, stiffness, force, slope):
     """Tangential force of a contact that presses, and its slopes."""
     rho, limit = stiffness[n + 1], friction * force[n]
@@ -244,7 +250,7 @@ def natural_residual(own, delta, lower, upper, friction, per_contact, force):
     return gap, newtons
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _larger(gap, newtons, error, w):
     """The larger residuals; NaN counts as largest."""
     if not error <= gap:
@@ -254,7 +260,7 @@ def _larger(gap, newtons, error, w):
     return gap, newtons
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def own_compliance(W, actuators, per_contact):
     """W_ii of every row, for both tangents of a contact their mean [m/N], shape (n,)."""
     own = np.empty(len(W))

@@ -17,9 +17,9 @@ from the natural map. A proximal share of the diagonal makes redundant contacts 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from softrobot_twin.solvers.contact_law import KERNEL
+from softrobot_twin.compilation import INNER, KERNEL, njit
+
 
 PLAIN, TURNING = 0, 1
 # Systems with more unknowns are eliminated in panels of this many columns.
@@ -72,7 +72,7 @@ def active_rows(W, lower, upper, friction, rows_per_contact, force, delta, rows,
     return count
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _tangents(W, n, friction, z_n, force, delta, rows, kinds, frame, count):
     """Active rows of a pressing contact's tangents."""
     w = 0.5 * (W[n + 1, n + 1] + W[n + 2, n + 2])
@@ -141,7 +141,7 @@ def fill_right_side(force, delta, rows, kinds, frame, count, right):
             right[a] = -(t_1 * delta[i] + t_2 * delta[i + 1] + frame[i, 2] * along)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def system_entry(row, j, kind, frame):
     """Motion of a row by an unknown: its force, with the friction it brings when sliding."""
     if kind == TURNING:
@@ -185,7 +185,7 @@ def solve_system(matrix, right, count):
     return True
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _eliminate_panel(matrix, right, count, first, last):
     """Eliminate some columns, within them; their factors are stored in place of the zeros."""
     for k in range(first, last):

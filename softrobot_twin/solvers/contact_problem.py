@@ -16,9 +16,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from softrobot_twin.solvers.contact_law import KERNEL
+from softrobot_twin.compilation import KERNEL, njit
 
 
 @njit(**KERNEL)

@@ -36,12 +36,12 @@ x = Y λ, its merit ‖Y g‖² = g · W g is the same as by the factor.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.contact_gauss_seidel import motion
 from softrobot_twin.solvers.contact_law import (
-    KERNEL,
     admissible,
+    copy_into,
     law,
     natural_residual,
     own_compliance,
@@ -165,7 +165,7 @@ def iterate(
             gather(Yt, centre, point)
             move(Yt, violation, point, delta)
         else:
-            point[:] = centre
+            copy_into(point, centre)
             motion(W, violation, centre, delta)
         gap_now, newtons_now = natural_residual(own, delta, *bounds, centre)
         asked = force_share * np.abs(centre).max()
@@ -174,7 +174,7 @@ def iterate(
             share = max(share, newtons_now / asked if asked > 0.0 else np.inf)
         if share < least:
             least, gap, newtons = share, gap_now, newtons_now
-            best[:] = centre
+            copy_into(best, centre)
         more += 1 if least <= 1.0 else 0
         if least <= aim or more > MOST_ROUNDS_MORE:
             break
@@ -188,14 +188,14 @@ def iterate(
         )
         steps += made
         if solved:
-            centre[:] = force
+            copy_into(centre, force)
             compliance, shrink = max(compliance * shrink, LEAST), max(RECOVER * shrink, SHRINK)
         else:
             compliance, shrink = min(GROW * compliance, COLD), min(np.sqrt(shrink), SLOWEST)
     return best, gap, newtons, steps, least <= 1.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _newton_round(
     W, Yt, violation, lower, upper, friction, per_contact, centre, stiffness, point, delta, force
 ):
@@ -247,25 +247,30 @@ def _newton_round(
             part *= 0.5
         if not fell:
             return made + 1, False
-        point[:], delta[:], g[:], square = trial, trial_delta, trial_g, merit
+        copy_into(point, trial)
+        copy_into(delta, trial_delta)
+        copy_into(g, trial_g)
+        square = merit
         if part * part * length <= SMALL_STEP**2 * size or square <= SMALL_RESIDUAL**2 * size:
             return made + 1, True
     return MOST_STEPS_A_ROUND, False
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _residual(W, Yt, violation, point, delta, force, by_force, g):
     """g, written, and its square ‖Y (λ - λ(δ))‖²; `by_force` is a buffer for the motion by λ(δ)."""
     if Yt.shape[1] > 0:
         gather(Yt, force, g)
-        g[:] = point - g
+        for i in range(len(g)):
+            g[i] = point[i] - g[i]
         return _dot(g, g)
     motion(W, violation, force, by_force)
-    g[:] = point - force
+    for i in range(len(g)):
+        g[i] = point[i] - force[i]
     return _energy(point, force, delta, by_force)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _energy(first, second, first_delta, second_delta):
     """(λ - λ') · W (λ - λ') of two multipliers, from the motions of both."""
     total = 0.0
@@ -274,16 +279,17 @@ def _energy(first, second, first_delta, second_delta):
     return max(total, 0.0)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _step_by_factor(Yt, slope, actuators, per_contact, g, step):
     """Newton step of x, written; False where the Jacobian is singular."""
     matrix = np.empty((len(g), len(g)))
     fill_jacobian(Yt, slope, actuators, per_contact, matrix)
-    step[:] = -g
+    for i in range(len(g)):
+        step[i] = -g[i]
     return solve_system(matrix, step, len(g))
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _step_by_matrix(
     W, slope, force, delta, centre, stiffness, g, friction, actuators, per_contact, step
 ):
@@ -305,7 +311,7 @@ def _step_by_matrix(
     expand_step(rows, kinds, frame, count, u, step)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _dot(a, b):
     """Scalar product."""
     total = 0.0
@@ -314,7 +320,7 @@ def _dot(a, b):
     return total
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _own_by_factor(Yt, actuators, per_contact):
     """See `own_compliance`, from the factor."""
     own = np.empty(len(Yt))
@@ -326,7 +332,7 @@ def _own_by_factor(Yt, actuators, per_contact):
     return own
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def gather(Yt, force, x):
     """x ← Y λ."""
     x[:] = 0.0
@@ -336,7 +342,7 @@ def gather(Yt, force, x):
                 x[p] += Yt[i, p] * force[i]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def move(Yt, violation, x, delta):
     """δ ← Yᵀ x + violation."""
     for i in range(len(delta)):

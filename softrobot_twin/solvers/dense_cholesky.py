@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from scipy.linalg.blas import dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def write_rows(row_index, node_index, blocks, out):
     """Write H, whose entries are those of `NodeRows`, as a dense array.
 

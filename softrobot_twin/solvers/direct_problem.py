@@ -18,10 +18,10 @@ from ctypes import c_int
 
 import daqp
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, TINY, Bounds
-from softrobot_twin.solvers.warm_start import KERNEL, optimum_from_active_set
+from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
 # Two cables on one path make W singular; with this share of its diagonal they share the load.
 SHARING = 1.0e-10

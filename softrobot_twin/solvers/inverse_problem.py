@@ -20,8 +20,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers.qpcc import QPCC
 
 # Share of each row's own compliance that is added to W in the energy term, as if each actuator were
@@ -65,7 +65,6 @@ class ContactBounds(NamedTuple):
     move_min: np.ndarray
     move_max: np.ndarray
     force_max: np.ndarray
-
 
 NO_CONTACTS = ContactBounds(np.empty(0), np.empty(0), np.empty(0))
 
@@ -196,7 +195,7 @@ def _side_by_side(of_efforts, of_moves, of_forces) -> np.ndarray:
     return np.ascontiguousarray(of_efforts)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def tracking_and_energy(motion, A, C, effectors, weights, energy_weight, proximal_weight, centre):
     """Hessian and gradient of ½ ‖Q^½ δ_e‖² / s + ½ ε (‖z‖²_W + p ‖z - z̄‖²_W).
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers.inverse_problem import Bounds, tracking_and_energy
 from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, whiten
-from softrobot_twin.solvers.warm_start import KERNEL, objective_at, optimum_from_active_set
+from softrobot_twin.solvers.warm_start import objective_at, optimum_from_active_set
 
 # General solvers in the order they are asked. An iteration of OSQP costs the same whatever is
 # active; where it reaches its iteration limit, the exact active-set method takes over.

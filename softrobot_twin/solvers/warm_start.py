@@ -17,9 +17,8 @@ claimed, and the callers use their general solver.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
+from softrobot_twin.compilation import INNER, KERNEL, njit
 
 # Active sets that are tried before the caller's general solver is used.
 MOST_GUESSES = 6
@@ -86,7 +85,7 @@ def optimum_from_active_set(
     return False, z, np.nan, touching, active, pivots
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _set_to_bounds(z, lower, upper, touching, active, own):
     """Set unknowns to their active bounds, the others to zero; numbers of the free unknowns."""
     free, k = np.empty(len(z), dtype=np.int64), 0
@@ -100,24 +99,27 @@ def _set_to_bounds(z, lower, upper, touching, active, own):
     return free[:k]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _equations(A, row_lower, row_upper, C, d, touching, active):
     """Rows that are equations, those of A first, and their right-hand sides."""
     m, n = A.shape
     rows, values, k = np.empty((m + len(C), n)), np.empty(m + len(C)), 0
     for i in range(m):
         if active[i] != 0 or row_lower[i] == row_upper[i]:
-            rows[k] = A[i]
+            for j in range(n):
+                rows[k, j] = A[i, j]
             values[k] = row_lower[i] if active[i] < 0 else row_upper[i]
             k += 1
     for i in range(len(C)):
         if touching[i]:
-            rows[k], values[k] = C[i], -d[i]
+            for j in range(n):
+                rows[k, j] = C[i, j]
+            values[k] = -d[i]
             k += 1
     return rows[:k], values[:k]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _stationarity(P, g, rows, z, duals, free, own):
     """Derivative of the Lagrangian by the unknowns besides contact forces, shape (own,); and
     whether it vanishes, to rounding, for all free unknowns."""
@@ -138,7 +140,7 @@ def _stationarity(P, g, rows, z, duals, free, own):
     return slopes[:own], is_stationary
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _update_unknowns(z, lower, upper, slopes, active):
     """Deactivate bounds whose dual has the wrong sign, activate exceeded ones; whether any was."""
     changed = False
@@ -156,7 +158,7 @@ def _update_unknowns(z, lower, upper, slopes, active):
     return changed
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _update_rows(z, A, row_lower, row_upper, duals, active):
     """The same for rows; `duals` are those of the active rows, in their order."""
     changed, k = False, 0
@@ -176,7 +178,7 @@ def _update_rows(z, A, row_lower, row_upper, duals, active):
     return changed
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _wrong_contacts(z, C, d, force_max, touching):
     """Number of contacts that are not clearly as their choice says; and one of them.
 
@@ -260,7 +262,8 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
             Q[r, a] /= L[r, r]
     left, step = np.empty(k), np.empty(f)
     for turn in range(MOST_REFINEMENTS):
-        step[:] = y
+        for a in range(f):
+            step[a] = y[a]
         _backward(factor, step)
         for a in range(f):
             z[free[a]] = scale[a] * step[a]
@@ -285,7 +288,7 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
     return False
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def product(a, b):
     """Sum of products."""
     total = 0.0
@@ -294,7 +297,7 @@ def product(a, b):
     return total
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _factorize(matrix):
     """Lower triangle ← its Cholesky factor; False where it is not clearly positive definite."""
     n = len(matrix)
@@ -313,7 +316,7 @@ def _factorize(matrix):
     return True
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _forward(factor, vector):
     """vector ← L⁻¹ vector."""
     for i in range(len(vector)):
@@ -323,7 +326,7 @@ def _forward(factor, vector):
         vector[i] = value / factor[i, i]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _backward(factor, vector):
     """vector ← L⁻ᵀ vector."""
     for i in range(len(vector) - 1, -1, -1):

@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from softrobot_twin.compilation import KERNEL, njit
 
 LAYERS = {"mesh": "solid", "rigid": "solid", "thin": "marks", "clear": "clear"}
 """Layer of each look of a solid."""
@@ -174,7 +175,7 @@ def _outlines(nearness: np.ndarray, jump: float) -> np.ndarray:
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def fill_triangles(corners, has_edges, nearness, index, edge):
     """Keep at each pixel the triangle that is nearest there.
 

@@ -15,14 +15,14 @@ tangent plane at any point is a lower bound everywhere.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.vector3 import divided, dot, norm, row, subtract
 
 HALF_SPACE, CAPSULE, CYLINDER, BOX = range(4)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def capsule_distance(radius, half_length, p):
     """Signed distance [m] of a point to a capsule, and its unit gradient."""
     x, y, z = p
@@ -40,7 +40,7 @@ def capsule_distance(radius, half_length, p):
     return length - radius, divided(away, length)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def cylinder_distance(radius, half_length, p):
     """Signed distance [m] of a point to a cylinder with flat caps, and its unit gradient."""
     x, y, z = p
@@ -61,7 +61,7 @@ def cylinder_distance(radius, half_length, p):
     return cap, (0.0, 0.0, up)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def box_distance(half, p):
     """Signed distance [m] of a point to a box of given half sides, and its unit gradient."""
     sign_x = 1.0 if p[0] >= 0.0 else -1.0
@@ -81,7 +81,7 @@ def box_distance(half, p):
     return beyond[2], (0.0, 0.0, sign_z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def shape_distance(kind, extents, p):
     """Signed distance of a point to a canonical shape.
 
@@ -102,7 +102,7 @@ def shape_distance(kind, extents, p):
     return box_distance(extents, p)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**KERNEL)
 def place_frame(frame_origin, frame_axes, origin, rotation, placed):
     """Compute the frame of a shape in the world.
 
@@ -122,7 +122,7 @@ def place_frame(frame_origin, frame_axes, origin, rotation, placed):
                 placed[1 + j, i] += rotation[i, k] * frame_axes[k, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INNER)
 def in_frame(placed, p):
     """Coordinates of a world point in a frame written by `place_frame` [m]."""
     away = subtract(p, row(placed, 0))

@@ -16,8 +16,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -28,7 +27,7 @@ from softrobot_twin.geometry.matrix3 import (
     trace,
     transform,
 )
-from softrobot_twin.geometry.vector3 import INLINED, dot
+from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.mechanics.laws.small_displacement import hooke
 from softrobot_twin.mechanics.point_law import register_law
 
@@ -45,20 +44,20 @@ class Corotational(NamedTuple):
     shear_modulus: float
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def energy_density(law, V):
     """Ψ [J/m³]."""
     strain = plus_identity(V, -1.0)
     return 0.5 * inner(hooke(law, strain), strain)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def stress(law, V):
     """P Rᵀ [Pa]."""
     return hooke(law, plus_identity(V, -1.0))
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def linearize(law, V, upright, projected):
     """The matrix c G⁻¹: change of the stress by the rotation [Pa].
 
@@ -80,7 +79,7 @@ def linearize(law, V, upright, projected):
     return plus_identity(scaled_matrix(cofactors, scale), stand_in)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def differential(law, spin_stiffness, A):
     """dP Rᵀ [Pa] for A = dF Rᵀ."""
     axial = (A[2][1] - A[1][2], A[0][2] - A[2][0], A[1][0] - A[0][1])

@@ -14,8 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from numba import njit
-
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -24,7 +23,6 @@ from softrobot_twin.geometry.matrix3 import (
     inner,
     scaled_matrix,
 )
-from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
 from softrobot_twin.mechanics.volume_change import volume_power, volumetric, volumetric_slopes
 
@@ -43,7 +41,7 @@ class MooneyRivlin(NamedTuple):
     bulk_modulus: float
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def energy_density(law, F):
     """Ψ [J/m³]."""
     J, C = determinant(F), cofactor(F)
@@ -52,7 +50,7 @@ def energy_density(law, F):
     return law.c10 * first + law.c01 * second + law.bulk_modulus * volumetric(J)[0]
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def stress(law, F):
     """P [Pa]."""
     J, C = determinant(F), cofactor(F)
@@ -63,7 +61,7 @@ def stress(law, F):
     return add_scaled_matrix(P, cofactor_change(F, C), 2.0 * law.c01 * n[0])
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def linearize(law, F, upright, projected):
     """F, C, G and the factors of dF, dC, dG, and of the pairs FC, GC, CC."""
     J, C = determinant(F), cofactor(F)
@@ -79,7 +77,7 @@ def linearize(law, F, upright, projected):
     )  # fmt: skip
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def differential(law, linearized, dF):
     """dP [Pa]."""
     rows = linearized

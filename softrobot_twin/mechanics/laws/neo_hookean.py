@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
-from softrobot_twin.geometry.vector3 import INLINED
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.mechanics.invariants import (
     differential_of_first,
     first_invariant,
@@ -35,7 +33,7 @@ class NeoHookean(NamedTuple):
     bulk_modulus: float
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def energy_density(law, F):
     """Ψ [J/m³]."""
     at = first_invariant(F)
@@ -43,20 +41,20 @@ def energy_density(law, F):
     return shape + law.bulk_modulus * volumetric(at.volume)[0]
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def stress(law, F):
     """P [Pa]."""
     return stress_of_first(F, first_invariant(F), 0.5 * law.shear_modulus, law.bulk_modulus)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def linearize(law, F, upright, projected):
     """F, its cofactors and five factors."""
     at = first_invariant(F)
     return linearize_first(F, at, 0.5 * law.shear_modulus, 0.0, law.bulk_modulus)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def differential(law, linearized, dF):
     """dP [Pa]."""
     return differential_of_first(linearized, dF)

@@ -26,13 +26,11 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from numba import njit
-
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import determinant, product, transposed
-from softrobot_twin.geometry.vector3 import INLINED, add_scaled
+from softrobot_twin.geometry.vector3 import add_scaled
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
 from softrobot_twin.mechanics.principal_axes import (
-    KERNEL,
     principal_axes,
     principal_differential,
     principal_rows,
@@ -111,7 +109,7 @@ def powered(l, alpha):
     return areas(l), -alpha, 2.0 * alpha / 3.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def energy_of_stretches(law, l, J):
     """Ψ of λ and J [J/m³]."""
     energy = law.bulk_modulus * volumetric(J)[0]
@@ -124,7 +122,7 @@ def energy_of_stretches(law, l, J):
     return energy
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def energy_density(law, F):
     """Ψ [J/m³]."""
     return energy_of_stretches(law, principal_axes(F)[1], determinant(F))
@@ -140,7 +138,7 @@ def slopes(l, x, y, z, alpha):
     )  # fmt: skip
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def stresses_of_stretches(law, l, J):
     """ψ_i of λ and J [Pa]."""
     q = law.bulk_modulus * volumetric_slopes(J)[0]
@@ -155,7 +153,7 @@ def stresses_of_stretches(law, l, J):
     return add_scaled(total, areas(l), q)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def stress(law, F):
     """P [Pa]."""
     U, stretches, V = principal_axes(F)
@@ -195,7 +193,7 @@ def curvatures(l, a, x, y, z, alpha, exponent):
     return own, pairs, twists, spins
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def tangent_of_stretches(law, l, J):
     """ψ_ij, a_ij and b_ij of λ and J [Pa], as `principal_rows` takes them."""
     U, A, zero = volumetric_slopes(J), areas(l), (0.0, 0.0, 0.0)
@@ -225,7 +223,7 @@ def tangent_of_stretches(law, l, J):
     return diagonal, add_scaled(twists, l, -q), add_scaled(spins, l, q)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def linearize(law, F, upright, projected):
     """The axes of the stretches, and the differential in them."""
     U, stretches, V = principal_axes(F)
@@ -233,7 +231,7 @@ def linearize(law, F, upright, projected):
     return principal_rows(U, V, diagonal, twists, spins, projected)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def differential(law, linearized, dF):
     """dP [Pa]."""
     return principal_differential(linearized, dF)

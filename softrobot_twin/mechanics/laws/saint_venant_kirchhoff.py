@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     inner,
@@ -24,7 +23,6 @@ from softrobot_twin.geometry.matrix3 import (
     symmetric,
     transposed_product,
 )
-from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.laws.small_displacement import hooke
 from softrobot_twin.mechanics.point_law import register_law
 
@@ -47,27 +45,27 @@ def green_strain(F):
     return scaled_matrix(plus_identity(transposed_product(F, F), -1.0), 0.5)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def energy_density(law, F):
     """Ψ [J/m³]."""
     strain = green_strain(F)
     return 0.5 * inner(hooke(law, strain), strain)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def stress(law, F):
     """P [Pa]."""
     return product(F, hooke(law, green_strain(F)))
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def linearize(law, F, upright, projected):
     """F and S."""
     S = hooke(law, green_strain(F))
     return (F[0], F[1], F[2], S[0], S[1], S[2])
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def differential(law, linearized, dF):
     """dP [Pa]."""
     F = (linearized[0], linearized[1], linearized[2])

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     inner,
     plus_identity,
@@ -19,7 +18,6 @@ from softrobot_twin.geometry.matrix3 import (
     symmetric,
     trace,
 )
-from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.point_law import register_law
 
 
@@ -42,26 +40,26 @@ def hooke(law, strain):
     return plus_identity(scaled_matrix(strain, 2.0 * law.shear_modulus), pressure)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def energy_density(law, F):
     """Ψ [J/m³]."""
     strain = symmetric(plus_identity(F, -1.0))
     return 0.5 * inner(hooke(law, strain), strain)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def stress(law, F):
     """P [Pa]."""
     return hooke(law, symmetric(plus_identity(F, -1.0)))
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def linearize(law, F, upright, projected):
     """The differential does not depend on F, and is never negative."""
     return F
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def differential(law, linearized, dF):
     """dP [Pa]."""
     return hooke(law, symmetric(dF))

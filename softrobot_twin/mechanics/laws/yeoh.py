@@ -12,9 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from numba import njit
-
-from softrobot_twin.geometry.vector3 import INLINED
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.mechanics.invariants import (
     differential_of_first,
     first_invariant,
@@ -49,7 +47,7 @@ def slopes(law, at):
     return first, 2.0 * law.c2 + 6.0 * law.c3 * beyond
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def energy_density(law, F):
     """Ψ [J/m³]."""
     at = first_invariant(F)
@@ -58,14 +56,14 @@ def energy_density(law, F):
     return shape + law.bulk_modulus * volumetric(at.volume)[0]
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def stress(law, F):
     """P [Pa]."""
     at = first_invariant(F)
     return stress_of_first(F, at, slopes(law, at)[0], law.bulk_modulus)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def linearize(law, F, upright, projected):
     """F, its cofactors and five factors."""
     at = first_invariant(F)
@@ -73,7 +71,7 @@ def linearize(law, F, upright, projected):
     return linearize_first(F, at, first, second, law.bulk_modulus)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def differential(law, linearized, dF):
     """dP [Pa]."""
     return differential_of_first(linearized, dF)

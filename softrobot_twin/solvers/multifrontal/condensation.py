@@ -29,8 +29,8 @@ one buffer that only grows.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import (
     NARROW,
     TRIANGLE,
@@ -48,7 +48,7 @@ from softrobot_twin.solvers.multifrontal.dense_kernels import (
 )
 from softrobot_twin.solvers.multifrontal.numeric_factorization import bar_width
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, Elimination
-from softrobot_twin.solvers.multifrontal.vector_code import KERNEL, STRIP, STRIP_BYTES, address
+from softrobot_twin.solvers.multifrontal.vector_code import STRIP, STRIP_BYTES, address
 
 _NO_STRIP = 2**62
 
@@ -256,7 +256,8 @@ def _sort_columns(front, ranks, trees, order, rows, arrival, column, bucket, sor
                     arrival[k] = place - start
                     place += 1
                     k = following[k]
-            rows[start : start + count] = sorted_rows[start : start + count]
+            for k in range(start, start + count):
+                rows[k] = sorted_rows[k]
             for o in range(begin, end):
                 column[order[o]] = arrival[start + column[order[o]]]
         begin = end
@@ -357,7 +358,7 @@ def gram(fronts, places, trees, ranges, rows, Y, product, W, free):
             free[row] -= product[line + count]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _subtract_gram(part, first_strip, end_strip, depth, line, Y, product):
     """Subtract the part of YᵀY of a tree that comes from rows with the same range of strips.
 
@@ -448,7 +449,7 @@ def combine(
             )  # fmt: skip
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _combine_columns(columns, Y, stride, b_column, chosen, factors, x):
     """A reached front, three rows at once: three independent sums."""
     line = 0
@@ -525,7 +526,7 @@ def forward(fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, 
         )
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _forward_single(front, rows, panel, triangle, y, work):
     """A front with the one right-hand side at address y."""
     for i in range(front.padding + front.columns, STRIP * front.strips):
@@ -556,7 +557,7 @@ def _forward_single(front, rows, panel, triangle, y, work):
         entry += _NODE_BYTES
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _forward_columns(
     front, rows, panel, triangle, places, Y, stride, place, first_strip, end_strip, work
 ):

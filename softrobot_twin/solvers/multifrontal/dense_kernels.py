@@ -28,12 +28,12 @@ All kernels work on raw addresses.
 from __future__ import annotations
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers.multifrontal.vector_code import (
     DOUBLE,
-    KERNEL,
     STRIP,
     TALLEST,
     VECTOR,

@@ -15,8 +15,7 @@ there are never read by anything else.
 
 from __future__ import annotations
 
-from numba import njit
-
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import (
     NARROW,
     TRIANGLE,
@@ -29,7 +28,7 @@ from softrobot_twin.solvers.multifrontal.dense_kernels import (
     solve_product,
     subtract_product,
 )
-from softrobot_twin.solvers.multifrontal.vector_code import KERNEL, STRIP, STRIP_BYTES, address
+from softrobot_twin.solvers.multifrontal.vector_code import STRIP, STRIP_BYTES, address
 
 SUCCESS = -1
 _BLOCK_BYTES = 72
@@ -37,7 +36,7 @@ _BLOCK_BYTES = 72
 _DIAGONAL_STRIPS = 2
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def bar_width(start, end):
     """Columns of the bar that starts here: two nodes, or the last one."""
     return WIDE if start + WIDE <= end else NARROW
@@ -161,7 +160,7 @@ def factorize(fronts, children, runs, block_places, storage, panels, updates, tr
     return SUCCESS
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _fill_panel(front, panel, panels_at, storage_at, block_places):
     """Clear the panel's lower part, and copy the matrix's blocks into it."""
     for column in range(front.columns):
@@ -173,7 +172,7 @@ def _fill_panel(front, panel, panels_at, storage_at, block_places):
         )
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _add_update(updates_at, child, runs, first_run, end_run, entry, stride):
     """Add those columns of a child's update that certain runs hold (extend-add).
 

@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
@@ -118,7 +118,7 @@ def inverse(order: np.ndarray) -> np.ndarray:
     return rank
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def elimination_tree(indptr, indices):
     """Parent of each column, -1 at roots, shape (node_count,)."""
     count = len(indptr) - 1
@@ -136,7 +136,7 @@ def elimination_tree(indptr, indices):
     return parent
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def postorder(parent, precedence):
     """Order in which every subtree is finished before its parent.
 
@@ -173,7 +173,7 @@ def postorder(parent, precedence):
     return order
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def column_counts(indptr, indices, parent):
     """Entries of each column of L below its diagonal, shape (node_count,).
 
@@ -193,7 +193,7 @@ def column_counts(indptr, indices, parent):
     return counts
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def fundamental_supernodes(parent, counts):
     """Runs of columns with one structure: each the parent of the one before it.
 
@@ -211,7 +211,7 @@ def fundamental_supernodes(parent, counts):
     return supernode
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def supernode_rows(indptr, indices, first, supernode, parent):
     """Rows below each supernode's own columns.
 
@@ -248,7 +248,7 @@ def supernode_rows(indptr, indices, first, supernode, parent):
     return start, rows
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def front_cost(column_nodes, row_nodes):
     """Cycles that a front takes.
 
@@ -267,7 +267,7 @@ def front_cost(column_nodes, row_nodes):
     return cost
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def total_cost(column_nodes, row_nodes):
     """Cycles of a whole factorization, given the nodes of each front."""
     cost = 0.0
@@ -276,7 +276,7 @@ def total_cost(column_nodes, row_nodes):
     return cost
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def merge_supernodes(column_nodes, row_nodes, parent):
     """Merge children into parents, from the leaves up, best gain first.
 
@@ -310,7 +310,7 @@ def merge_supernodes(column_nodes, row_nodes, parent):
     return into
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _best_child(s, column_nodes, row_nodes, first_child, sibling):
     """The child whose merging into s gains most, or -1."""
     best, best_gain = NONE, 0.0
@@ -325,7 +325,7 @@ def _best_child(s, column_nodes, row_nodes, first_child, sibling):
     return best
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _adopt(s, child, first_child, sibling):
     """Remove a child from the list of s, and add its own children."""
     if first_child[s] == child:

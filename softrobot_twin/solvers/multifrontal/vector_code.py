@@ -15,11 +15,10 @@ from contextlib import contextmanager
 
 import numpy as np
 from llvmlite import ir
-from numba import njit
 from numba.core import cgutils, config
 from numba.core.codegen import get_host_cpu_features
 
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
+from softrobot_twin.compilation import INNER, njit
 
 # Rows are processed in strips of eight doubles, a cache line, whatever the width of a vector.
 STRIP = 8
@@ -48,7 +47,7 @@ ZERO = ir.Constant(VECTOR, [0.0] * VECTOR_WIDTH)
 _INDEX = ir.IntType(32)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def address(array):
     """Where an array begins in memory."""
     return np.int64(array.ctypes.data)

@@ -1,0 +1,90 @@
+"""How kernels are compiled: options of numba, the same in all rooms.
+
+numba makes two functions around each kernel by default: one that Python calls, and one for a table
+of function pointers. Nothing here needs the second, and most kernels are called by other kernels
+only; so these are left out.
+
+Neither does a kernel copy an array by ``target[:] = source``: with it numba compiles the text of an
+error, for seconds.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+
+import numba
+from numba.core import event
+from numba.core.registry import CPUDispatcher
+
+# Strictly by IEEE: no line may be reordered or fused, so that vector code and the scalar code that
+# stands in for it where arrays seem to overlap give the same bits. It costs nothing measurable.
+KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Options of a kernel that Python calls."""
+
+INNER = {**KERNEL, "no_cpython_wrapper": True}
+"""Options of a kernel that only kernels call."""
+
+INLINED = {**INNER, "forceinline": True}
+"""Options of a small kernel that becomes a part of each kernel that calls it."""
+
+UNCACHED = {**KERNEL, "cache": False}
+"""Options of a kernel that takes laws from outside this package; it is not kept on disk."""
+
+INNER_UNCACHED = {**INNER, "cache": False}
+"""Options of a kernel that takes any law: it is kept on disk with the kernels that call it."""
+
+GENERIC = {**INLINED, "cache": False}
+"""As `INNER_UNCACHED`, inlined."""
+
+
+class InnerKernel(CPUDispatcher):
+    """A kernel that only kernels call. numba crashes where Python calls such a kernel."""
+
+    def __call__(self, *arguments):
+        """Refuses.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(f"{self.py_func.__name__} is called by kernels only (INNER, INLINED)")
+
+
+def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
+    """Compiles a kernel as `numba.njit` does, with the options above."""
+
+    def compiled(function):
+        kernel = numba.njit(**options)(function)
+        if options.get("no_cpython_wrapper"):
+            kernel.__class__ = InnerKernel
+        return kernel
+
+    return compiled
+
+
+class _CollectLater(event.Listener):
+    """Switches Python's garbage collector off while a kernel is compiled.
+
+    The compiler makes many objects, of which most are in use to its end; to look through them again
+    and again takes a tenth of its time. numba compiles one kernel at a time, and inside it those
+    that it calls.
+    """
+
+    def __init__(self) -> None:
+        self._depth, self._was_enabled = 0, False
+
+    def on_start(self, event: event.Event) -> None:
+        """Before a kernel is compiled."""
+        if self._depth == 0:
+            self._was_enabled = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, event: event.Event) -> None:
+        """After it, or after it failed."""
+        self._depth -= 1
+        if self._depth == 0 and self._was_enabled:
+            gc.enable()
+
+
+event.register("numba:compile", _CollectLater())
