@@ -56,14 +56,21 @@ def test_place_nearest_to_a_shape_is_that_of_a_search(shape):
     random = np.random.default_rng(seed)
     origin, axes = shape.frame()
     placed = np.vstack([origin, np.array(axes).T])
+    one_dip_count = 0
     for _ in range(20):
         axis = chain(random)
         for e in range(4):
             distances, _ = shape.signed_distances(points_of(axis, e))
             s = nearest_share(axis, e, shape.kind, np.array(shape.extents()), placed)
             found, _ = shape.signed_distances([axis_point(axis, e, s)])
+            # An axis that is bent around an edge may be near at two places: either may be found.
+            falls = np.diff(distances) < 0.0
+            if (falls[1:] & ~falls[:-1]).any():
+                continue
             # What makes flat minima unique moves the place by no more than this.
             assert found[0] < distances.min() + 2e-5 * 0.05
+            one_dip_count += 1
+    assert one_dip_count >= 40
 
 
 def test_places_of_two_elements_nearest_to_each_other_are_those_of_a_search():
