@@ -371,11 +371,10 @@ def accuracy(
     if train is not None:
         trained = trained or [_most_accurate(study, every)]
         models += [train_level(scene_path, level, output / "reduced") for level in trained]
-    own = next(level for level in levels if level.is_own)
     report_activity("settings besides the mesh")
     displacement = study.references["lengths"].displacement
     rows = [*study.rows, *_reduced_rows(models, study, limits),
-            *vary_knobs(own.scene, displacement, KNOB_STEPS)]
+            *vary_knobs(held, displacement, KNOB_STEPS)]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(conditions)

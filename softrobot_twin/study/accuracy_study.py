@@ -117,7 +117,7 @@ def with_mesh_file(scene: Scene, file: Path) -> Scene:
 
 
 def _own_level(scene: Scene) -> MeshLevel:
-    """The scene on its own mesh."""
+    """The scene on its own mesh, of linear tetrahedra."""
     if scene.body.mesh.file is not None:
         scene = with_mesh_file(scene, scene.mesh_path.resolve())
     return _level(scene.mesh_name, scene, True)
@@ -1006,7 +1006,7 @@ def mesh_family(
     scene: Scene, folder: Path, most_tets: float = np.inf,
     report_skipped: Callable[[str], None] = warn,
 ) -> list[MeshLevel]:
-    """Meshes of a scene's body, the coarsest first.
+    """Meshes of a scene's body, the coarsest first, all of linear tetrahedra.
 
     A family consists of files in one folder whose names differ only in the number at their end,
     such as ``robot_400.vtk`` and ``robot_1600.vtk``, and whose volumes and bounds agree. A mesh
@@ -1106,9 +1106,8 @@ def _difference(own: MeshLevel, other: MeshLevel) -> str:
 
 
 def _level(name: str, scene: Scene, is_own: bool, element: str = "linear") -> MeshLevel:
-    mesh = only_body(with_element(scene, element)).mesh
-    if element == HEXAHEDRAL:
-        scene = with_element(scene, element)
+    scene = with_element(scene, element)
+    mesh = only_body(scene).mesh
     size = float(np.cbrt(mesh.volume / mesh.cell_count))
     return MeshLevel(name, scene, mesh.cell_count, mesh.corner_mesh.node_count, size, is_own,
                      mesh.volume, mesh.bounding_box)
@@ -1264,7 +1263,7 @@ def study_meshes(
     """Measures every mesh with every element and law.
 
     Args:
-        levels: Meshes of tetrahedra, the coarsest first.
+        levels: Meshes of linear tetrahedra, the coarsest first.
         limits: Size limits.
         report_activity: Called with a line for each activity.
         hexahedra: Meshes of hexahedra, see `hexahedral_family`; they are no part of the reference.

@@ -79,7 +79,12 @@ def beside(*folders: Path) -> list[Path]:
 
 
 def every_level(levels: Iterable[MeshLevel], hexahedra: Iterable[MeshLevel]) -> list[MeshLevel]:
-    """Meshes with all elements, each of which may have a reduced model."""
+    """Meshes with all elements, each of which may have a reduced model.
+
+    Args:
+        levels: Meshes of linear tetrahedra.
+        hexahedra: Meshes of hexahedra.
+    """
     levels = list(levels)
     quadratic = [one._replace(scene=with_element(one.scene, "quadratic")) for one in levels]
     return [*levels, *quadratic, *hexahedra]
@@ -125,9 +130,10 @@ def _model_of(path: Path, levels: Sequence[MeshLevel]) -> ReducedModel | None:
     """The reduced model of a file; None where it is of none of the meshes."""
     reduction = read_body_reduction(path)
     for level in levels:
-        # Fingerprints take longer than a look at the number of nodes.
+        # Fingerprints take longer than a look at the number of nodes. To the corners come nodes at
+        # mid-edges, and those within hexahedra.
         nodes, corners = len(reduction.basis), level.node_count
-        has_more = level.scene.body.element == "quadratic"
+        has_more = level.scene.body.element != "linear"
         if not (corners < nodes < 10 * corners if has_more else nodes == corners):
             continue
         if not changed_since(path, reduction_fingerprints(only_body(level.scene))):

@@ -9,20 +9,28 @@ import pytest
 import yaml
 
 from softrobot_twin.geometry.cad_meshing import CadMesh, write_msh
+from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.body_reduction import (
+    BodyReduction,
+    reduction_fingerprints,
+    write_body_reduction,
+)
 from softrobot_twin.simulation.command import Hold
 from softrobot_twin.simulation.vertebrae import reduction_path
 from softrobot_twin.study.accuracy_study import (
     Setting,
     hexahedral_family,
     mesh_family,
+    only_body,
     with_element,
     write_scene_copy,
 )
 from softrobot_twin.study.body_training import output_path
-from softrobot_twin.study.training_options import TrainingOptions
 from softrobot_twin.study.explain import describe_mesh
+from softrobot_twin.study.reduced_models import every_level, reduced_models
+from softrobot_twin.study.training_options import TrainingOptions
 
 SCENE = {
     "name": "bar",
@@ -81,6 +89,31 @@ def test_its_meshes_are_refined_and_made_of_hexahedra_for_a_study(path):
     assert [level.tet_count for level in levels] == [96, 768]
     (of_hexahedra,) = hexahedral_family(scene)
     assert of_hexahedra.name == "box_hexa" and of_hexahedra.tet_count == 16
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic", "hexahedral"])
+def test_a_study_has_each_mesh_once_with_each_element_whatever_the_scene_has(path, element):
+    scene = with_element(load_scene(path), element)
+    levels = mesh_family(scene, path.parent / "meshes", most_tets=1000)
+    every = every_level(levels, hexahedral_family(scene))
+    assert [(level.name, level.scene.body.element) for level in every] == [
+        ("box", "linear"), ("box_refined_1", "linear"), ("box", "quadratic"),
+        ("box_refined_1", "quadratic"), ("box_hexa", "hexahedral"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic", "hexahedral"])
+def test_a_reduced_model_is_found_by_its_mesh_and_element(path, element):
+    levels = every_level(mesh_family(load_scene(path), path.parent, most_tets=100),
+                         hexahedral_family(load_scene(path)))
+    body = only_body(with_element(load_scene(path), element))
+    points = SampledPoints(np.arange(5), np.zeros(5), np.ones(5))
+    reduction = BodyReduction(np.zeros((body.mesh.node_count, 3, 6)), 6, points, points,
+                              np.ones(6), np.full(2, np.nan), {})
+    file = path.with_name("bar_reduced.npz")
+    write_body_reduction(file, reduction, reduction_fingerprints(body))
+    (model,) = reduced_models((file,), (), levels)
+    assert (model.level.scene.body.element, model.point_count) == (element, 5)
 
 
 def test_a_copy_of_its_scene_keeps_the_box_or_names_the_refined_mesh(path):
