@@ -184,8 +184,8 @@ class Robot:
     def copy(self) -> Robot:
         """Another robot of the same scene at the same state; it is built anew.
 
-        Its solvers begin anew, as they do after `state` is set: where friction or spare actuators
-        leave more than one answer to a command, it may take another one.
+        Its solvers begin anew from the efforts of the state, as they do after `state` is set: where
+        friction or spare actuators leave more than one answer to a command, it may take another one.
         """
         return _rebuilt(self.scene, self.state, self._aims)
 

@@ -50,12 +50,12 @@ class DirectActuation:
         if self._solvers is not None and self._contacts.pairs:
             self._solvers.warm_up(self._contacts.rows_per_contact)
 
-    def forget(self) -> None:
-        """Clear the last solution."""
-        self._efforts = self._before = np.zeros_like(self._efforts)
-
     def remember(self, efforts: np.ndarray) -> None:
-        """Start the next solution from these efforts [N], shape (actuator_count,)."""
+        """Start the next solution from these efforts [N], shape (actuator_count,).
+
+        Where contacts stick and slip, complementarity has several solutions: a state that is
+        restored goes on as before only from its own efforts.
+        """
         self._efforts = efforts[: len(self._efforts)]
 
     def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:

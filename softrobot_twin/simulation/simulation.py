@@ -198,7 +198,7 @@ class Simulation(Readouts):
     def _forget(self) -> None:
         self._is_balanced = True
         self._newton.forget()
-        self._direct.forget()
+        self._direct.remember(self.state.efforts)
         if self._inverse is not None:
             self._inverse.reset()
 

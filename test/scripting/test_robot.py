@@ -4,6 +4,7 @@ import copy
 import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 
 import softrobot_twin as st
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_result_gives_effectors_and_columns_by_name(finger):
@@ -79,6 +82,20 @@ def test_a_copy_goes_on_in_the_same_way_and_by_itself(held, copied):
     assert np.array_equal(other.step().positions, held.step().positions)
     other.reset()
     assert held.time == 0.04
+
+
+def test_a_copy_in_contact_goes_on_from_the_efforts_of_the_original():
+    """From no efforts at all, this robot on a slide between cylinders took others: 3 mm away."""
+    robot = st.load(ROOT / "config/scenes/trunk_cylinders_reduced.yaml")
+    target = robot.step(st.hold()).tip + [0.02, 0.01, 0.03]
+    for _ in range(40):
+        robot.step(st.targets(tip=target))
+    other = robot.copy()
+    for _ in range(3):
+        target = target + [0.001, 0.0, 0.002]
+        apart = (other.step(st.targets(tip=target)).positions
+                 - robot.step(st.targets(tip=target)).positions)
+        assert np.abs(apart).max() < 1e-4
 
 
 def test_a_copy_knows_where_a_table_sent_guided_bodies(held):
