@@ -16,8 +16,8 @@ YOUNG, POISSON = 1.0e5, 0.45
 SHEAR, BULK = shear_modulus(YOUNG, POISSON), bulk_modulus(YOUNG, POISSON)
 C10, C01 = 0.35 * SHEAR, 0.15 * SHEAR
 C1, C2, C3 = 0.5 * SHEAR, -0.02 * SHEAR, 0.01 * SHEAR
-# Two terms, as in other tests: each number of terms is compiled anew.
-MODULI, EXPONENTS = (0.8 * SHEAR, -0.2 * SHEAR), (1.5, -3.6)
+# Three terms everywhere, other tests have two: each number of terms is compiled anew.
+MODULI, EXPONENTS = (0.8 * SHEAR, -0.2 * SHEAR, 0.02 * SHEAR), (1.5, -3.6, 4.0)
 OGDEN_SHEAR = 0.5 * sum(modulus * exponent for modulus, exponent in zip(MODULI, EXPONENTS))
 PARAMETERS = {
     "neo_hookean": law_named("neo_hookean").of_moduli(YOUNG, POISSON),
@@ -149,8 +149,9 @@ def test_ogdens_law_is_exact_where_stretches_are_equal_or_nearly_so(stretches, a
     F = turned(rng) @ np.diag(np.array(stretches) * [1.0 + apart, 1.0, 1.0]) @ turned(rng)
     dF, ogden = rng.standard_normal((3, 3)), law_named("ogden")
     for other, constants in (
-        ("neo_hookean", {"shear_moduli": (SHEAR, 0.0), "exponents": (2.0, 1.0)}),
-        ("mooney_rivlin", {"shear_moduli": (2.0 * C10, -2.0 * C01), "exponents": (2.0, -2.0)}),
+        ("neo_hookean", {"shear_moduli": (SHEAR, 0.0, 0.0), "exponents": (2.0, 1.0, 1.0)}),
+        ("mooney_rivlin", {"shear_moduli": (2.0 * C10, -2.0 * C01, 0.0),
+                           "exponents": (2.0, -2.0, 1.0)}),
     ):
         parameters = ogden.own.parameters(constants, BULK)
         at_point = ogden.linearize(parameters, rows(F), True, False)
