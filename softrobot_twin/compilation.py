@@ -22,8 +22,8 @@ from numba.core.registry import CPUDispatcher
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Options of a kernel that Python calls."""
 
-INNER = {**KERNEL, "no_cpython_wrapper": True}
-"""Options of a kernel that only kernels call."""
+INNER = {**KERNEL, "only_kernels_call": True}
+"""Options of a kernel that only kernels call; of the `njit` below, numba's refuses them by name."""
 
 INLINED = {**INNER, "forceinline": True}
 """Options of a small kernel that becomes a part of each kernel that calls it."""
@@ -53,9 +53,11 @@ class InnerKernel(CPUDispatcher):
 def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
     """Compiles a kernel as `numba.njit` does, with the options above."""
 
+    is_inner = bool(options.pop("only_kernels_call", False))
+
     def compiled(function):
-        kernel = numba.njit(**options)(function)
-        if options.get("no_cpython_wrapper"):
+        kernel = numba.njit(**options, no_cpython_wrapper=is_inner)(function)
+        if is_inner:
             kernel.__class__ = InnerKernel
         return kernel
 

@@ -4,6 +4,7 @@ import ast
 import gc
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from numba.core import event
@@ -28,6 +29,12 @@ def test_an_inner_kernel_is_called_by_kernels_and_refuses_python():
     assert four_times(1.5) == 6.0
     with pytest.raises(TypeError, match="twice is called by kernels only"):
         twice(1.5)
+
+
+def test_numbas_own_njit_refuses_the_options_of_an_inner_kernel():
+    """It would make a kernel that crashes where Python calls it."""
+    with pytest.raises(KeyError, match="only_kernels_call"):
+        numba.njit(**INNER)(lambda x: x)(1.0)
 
 
 def test_the_collector_waits_while_a_kernel_is_compiled_and_not_longer():

@@ -126,7 +126,8 @@ def register_law(
     Args:
         name: Its name in scenes.
         parameters: The NamedTuple of its parameters.
-        energy_density: The kernel, compiled by ``njit`` with ``forceinline=True``, as the others.
+        energy_density: The kernel, compiled as the others by ``@njit(**KERNEL, forceinline=True)``
+            of `softrobot_twin.compilation`.
         stress: The kernel.
         differential: The kernel.
         linearize: The kernel; without it F itself is given to `differential`.

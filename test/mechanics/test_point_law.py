@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_scaled_matrix,
@@ -20,7 +20,6 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.quadrature import Quadrature
-from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.element_assembly import assembly_of
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws import law_named
@@ -52,18 +51,18 @@ def green_strain(F):
     return scaled_matrix(plus_identity(transposed_product(F, F), -1.0), 0.5)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def outside_energy(law, F):
     strain = green_strain(F)
     return 0.5 * inner(second_piola(law, strain), strain)
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def outside_stress(law, F):
     return product(F, second_piola(law, green_strain(F)))
 
 
-@njit(**INLINED)
+@njit(**KERNEL, forceinline=True)
 def outside_differential(law, F, dF):
     change = second_piola(law, symmetric(transposed_product(F, dF)))
     turned = product(dF, second_piola(law, green_strain(F)))
