@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -443,58 +442,40 @@ def test_every_robot_of_the_paper_has_a_demo_and_is_in_the_table():
 
 
 class LedDemos:
-    """The demos of robots, each run once.
-
-    The processes of a demo take as long to start as it runs, so the next one starts meanwhile. The
-    last one, the Diamond's, whose closed loop is judged too, runs alone.
+    """The demos of robots, each run once and alone: beside another that starts, the Grasper's device
+    is late and lets its cube fall.
 
     Args:
-        robots: Robots whose demos will be asked for, in this order.
         folder: Makes a folder of a name.
         domain: Makes the context of a ROS domain.
     """
 
-    def __init__(self, robots, folder, domain):
-        self._wanted, self._folder, self._domain = list(robots), folder, domain
-        self._demos, self._open = {}, ExitStack()
-
-    def start(self, robot):
-        """The demo of a robot, started now if it is not."""
-        if robot not in self._demos:
-            domain = self._open.enter_context(self._domain())
-            demo = RunningDemo(self._folder(robot), domain, "--robot", robot, "--seconds",
-                               str(SECONDS[robot]))
-            self._demos[robot] = demo
-            self._open.callback(demo.end)
-        return self._demos[robot]
+    def __init__(self, folder, domain):
+        self._folder, self._domain, self._demos = folder, domain, {}
 
     def __call__(self, robot):
         """The demo of a robot after its end."""
-        demo = self.start(robot)
-        demo.until_led()
-        for another in self._wanted:
-            if another not in self._demos:
-                self.start(another)
-                break
+        if robot not in self._demos:
+            with self._domain() as domain:
+                demo = self._demos[robot] = RunningDemo(
+                    self._folder(robot), domain, "--robot", robot, "--seconds", str(SECONDS[robot]))
+                try:
+                    demo.result()
+                finally:
+                    demo.end()
+        demo = self._demos[robot]
         assert demo.result() == 0, demo.errors
         return demo
 
-    def close(self):
-        self._open.close()
-
 
 @pytest.fixture(scope="module")
-def led(request, tmp_path_factory, ros_domain):
+def led(tmp_path_factory, ros_domain):
     """Demos of robots after their end, by the robot's name."""
-    robots = [item.callspec.params["robot"] for item in request.session.items
-              if "led" in getattr(item, "fixturenames", ()) and hasattr(item, "callspec")]
-    demos = LedDemos(robots, tmp_path_factory.mktemp, ros_domain)
-    yield demos
-    demos.close()
+    return LedDemos(tmp_path_factory.mktemp, ros_domain)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", sorted(LED, key="diamond".__eq__))
+@pytest.mark.parametrize("robot", LED)
 def test_the_demo_leads_the_robot(led, robot):
     demo = led(robot)
     folder = demo.folder / "demo"
