@@ -410,6 +410,9 @@ MOST_NOT_CONVERGED = 0.1
 FAILURES = {"inverted", "refused", "unsolved", "diverged"}
 BUSY = 0.5
 """With a smaller share of the ticks, errors say something of the machine, not of the robot."""
+DISTURBED = 0.9
+"""So they do with this share while other programs use more than a tenth of the processor: alone,
+every robot has 0.99 of its ticks, and others use 0.04."""
 
 
 def distances_to_recent(reference_times, reference, times, points):
@@ -489,8 +492,10 @@ def test_the_demo_leads_the_robot(led, robot):
     assert not FAILURES & steps.keys() and count > 10, steps
     assert steps.get("not_converged", 0) <= MOST_NOT_CONVERGED * count, steps
     done = report["ticks"] / (report["ticks"] + report["skipped_ticks"])
+    others = report["processor_share_of_others"] or 0.0
+    is_busy = done < BUSY or (done < DISTURBED and others > 0.1)
     load = (f"{100 * done:.0f} % of the ticks took place, other programs used "
-            f"{100 * (report['processor_share_of_others'] or 0):.0f} % of the processor")
+            f"{100 * others:.0f} % of the processor")
     with np.load(folder / "samples.npz") as samples:
         runs = [run for run in (*RUNS, "direct") if f"{run}.device.times" in samples]
         assert runs == list(plan_demo(robot, folder, SECONDS[robot], view=False).runs)
@@ -503,11 +508,11 @@ def test_the_demo_leads_the_robot(led, robot):
             travel = np.linalg.norm(twin - twin[0], axis=1).max()
             print(f"{robot}, {run}: mean {1e3 * apart.mean():.2f} mm of {1e3 * travel:.0f} mm; "
                   f"{steps}; {load}")
-            if done < BUSY:
+            if is_busy:
                 continue
             assert LED[robot] is not TRAVEL or travel > LEAST_TRAVEL, load
             assert apart.mean() < LARGEST_ERROR * (LED[robot] or travel), load
-    if done < BUSY:
+    if is_busy:
         pytest.skip(f"the machine was too busy to judge the errors: {load}")
 
 
