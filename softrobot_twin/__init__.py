@@ -64,8 +64,8 @@ _CONSTANT = re.compile(rb"\b[A-Z][A-Z_]+\b")
 
 
 def _kernel_sources() -> dict[str, bytes]:
-    """Source files that compiled kernels depend on: files that use numba, directly or by `njit`, and
-    files whose constants they import.
+    """Source files that compiled kernels depend on: files that use numba, directly or by `njit`,
+    and files whose constants they import.
 
     Returns:
         Content of each file, by module name.
@@ -75,7 +75,8 @@ def _kernel_sources() -> dict[str, bytes]:
         ".".join((__name__, *path.relative_to(root).with_suffix("").parts)): path.read_bytes()
         for path in sorted(root.rglob("*.py"))
     }
-    found = {module for module, content in contents.items() if b"njit" in content or b"numba" in content}
+    found = {module for module, content in contents.items()
+             if b"njit" in content or b"numba" in content}  # fmt: skip
     for module in tuple(found):
         imports = re.findall(
             rb"^from (softrobot_twin[\w.]+) import (\([^)]*\)|.*)", contents[module], re.M

@@ -206,7 +206,12 @@ def add_explain(commands) -> None:
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
-    from softrobot_twin.study.direct_run import DEFAULT_RATE, Picture, simulate_alone, simulate_commands
+    from softrobot_twin.study.direct_run import (
+        DEFAULT_RATE,
+        Picture,
+        simulate_alone,
+        simulate_commands,
+    )
     from softrobot_twin.study.offline_run import simulate
 
     _check_outputs(chosen)

@@ -185,7 +185,8 @@ class Robot:
         """Another robot of the same scene at the same state; it is built anew.
 
         Its solvers begin anew from the efforts of the state, as they do after `state` is set: where
-        friction or spare actuators leave more than one answer to a command, it may take another one.
+        friction or spare actuators leave more than one answer to a command, it may take another
+        one.
         """
         return _rebuilt(self.scene, self.state, self._aims)
 

@@ -158,7 +158,7 @@ class Simulation(Readouts):
         )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
-        self._forget()
+        self._begin_anew()
 
     def _slips_at_rest(self) -> np.ndarray:
         friction = self._cable_friction
@@ -193,9 +193,10 @@ class Simulation(Readouts):
         self.state = state
         if self.model.guides is not None:
             self.model.guides.stay(state.positions)
-        self._forget()
+        self._begin_anew()
 
-    def _forget(self) -> None:
+    def _begin_anew(self) -> None:
+        """Lets the solvers begin from the state alone."""
         self._is_balanced = True
         self._newton.forget()
         self._direct.remember(self.state.efforts)

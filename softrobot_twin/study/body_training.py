@@ -84,8 +84,9 @@ from softrobot_twin.study.workspace import Axis, sampled_axes, scene_fingerprint
 
 # Most modes by energy: more make a step slower than many a full model.
 MOST_MODES = 96
-# Error of the virtual work of the points with the spare modes, as a share of that of the others. What these modes add is small: points
-# as coarse as the others gave errors of 0.7 to 4.7 of the true ones at twice the training range.
+# Error of the virtual work of the points with the spare modes, as a share of that of the others.
+# What these modes add is small: points as coarse as the others gave errors of 0.7 to 4.7 of the
+# true ones at twice the training range.
 SPARE_SHARE = 1.0 / 3.0
 # Fresh states have seeds of their own: those of the last judgement, and of the rounds.
 FRESH_SEED, ROUND_SEED = 1000, 2000

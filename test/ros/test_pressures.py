@@ -1,7 +1,6 @@
 """Cavities over ROS: absolute pressures on topics of their own."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
