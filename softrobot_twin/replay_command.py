@@ -120,6 +120,9 @@ def _print_result(again: Replay, found: Comparison) -> None:
         why = f" ({file.damage})" if file.damage else ""
         where = f"after tick {found.ticks - 1}" if found.ticks else "before its first tick"
         warn(f"the file has no end{why}: the recording was cut off {where}")
+    elif file.damage:
+        warn(f"the file is damaged where a replay does not read ({file.damage}); all its ticks "
+             "are replayed")  # fmt: skip
     print(f"{found.ticks} ticks, {found.seconds:.2f} s, {found.calls} messages, services and "
           "changes of parameters")  # fmt: skip
     if not found.ticks:

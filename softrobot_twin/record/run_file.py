@@ -116,7 +116,8 @@ class RunWriter:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise RunFileError(path, f"cannot be written: {reason}") from None
-        self._writer = Writer(self._file, chunk_size=CHUNK_SIZE)
+        # With a checksum of all that stands before the index, not of messages alone.
+        self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="softrobot_twin")
         schema = self._writer.register_schema(TEXT, "ros2msg", TEXT_DEFINITION)
         self._entries = self._writer.register_channel(
@@ -216,8 +217,9 @@ class RunFile:
     Attributes:
         path: The file.
         description: What the run began with.
-        is_complete: After `entries`: whether the file has its end.
-        damage: After `entries`: why reading ended early; empty where it did not.
+        is_complete: After `entries`: whether all entries are there, with the end of the run.
+        damage: After `entries`: what is wrong in the file, up to its index; empty where nothing
+            is. A complete run with damage has it where a replay does not read.
         lost: After `entries`: how many entries are missing, because they were dropped.
     """
 
@@ -255,9 +257,8 @@ class RunFile:
                 return
             expected += 1
             if entry.kind == END:
-                self.is_complete = True
-                return
-            if entry.sequence:
+                self.is_complete = True  # Reading goes on to the checksum of the file.
+            elif entry.sequence:
                 yield entry
 
     def _read(self) -> Iterator[Entry]:

@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+import struct
 import threading
 import time
 from dataclasses import asdict
@@ -244,20 +245,42 @@ def test_a_file_cut_at_any_byte_gives_whole_ticks_or_a_clear_refusal(recorded, t
             assert "holds no run of a twin" in str(error)
             continue
         counts.append(sum(entry.kind == TICK for entry in run.entries()))
-        assert run.is_complete == (counts[-1] == TICKS and not run.damage)
-    assert counts == sorted(counts) and counts[-1] == TICKS
+        assert bool(run.damage) == (share < 1.0)
+        if run.is_complete:
+            assert counts[-1] == TICKS
+    assert counts == sorted(counts) and counts[-1] == TICKS and run.is_complete
 
 
-def test_a_byte_that_changed_is_found_by_the_checksum_of_its_chunk(recorded, tmp_path):
-    content = bytearray(recorded.path.read_bytes())
-    content[len(content) // 2] ^= 0x10
+def index_of(content):
+    """Where the index of a file begins: its footer tells it."""
+    return struct.unpack_from("<Q", content, len(content) - 28)[0]
+
+
+@pytest.mark.parametrize("place", [k / 100 for k in range(100)])
+def test_a_byte_that_changed_before_the_index_is_found(recorded, tmp_path, place):
+    content, entries = bytearray(recorded.path.read_bytes()), list(RunFile(recorded.path).entries())
+    content[int(place * index_of(content))] ^= 0x10
     damaged = tmp_path / "damaged.mcap"
     damaged.write_bytes(content)
     try:
         run = RunFile(damaged)
     except RunFileError:
         return
-    assert sum(entry.kind == TICK for entry in run.entries()) < TICKS and run.damage
+    found = list(run.entries())
+    assert run.damage and found == entries[: len(found)]
+    assert run.is_complete == (len(found) == len(entries))
+
+
+def test_damage_where_a_replay_does_not_read_is_told(recorded, tmp_path, capsys):
+    content = bytearray(recorded.path.read_bytes())
+    assert content.count(b"softrobot_twin") and not RunFile(recorded.path).damage
+    content[content.index(b"softrobot_twin")] ^= 0x10
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(content)
+    assert main(["replay", str(damaged)]) == 0
+    told = capsys.readouterr()
+    assert f"{TICKS} ticks, all equal to the bit" in told.out
+    assert "damaged where a replay does not read" in told.err
 
 
 def moved(recorded, folder):
