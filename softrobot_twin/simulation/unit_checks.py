@@ -20,8 +20,12 @@ SAG_SHARE = 0.5
 """A sag by more than this share of the size is reported as unlikely."""
 LINEAR_SHARE = 0.02
 """A sag below this share of the size is linear in the weight."""
-MOST_SOLVES = 60
+MOST_SOLVES = 200
 """Largest number of linearizations to an equilibrium under gravity."""
+OVERSHOOT = 0.5
+"""A move dq went too far where -r(1)·dq, with the forces r after it, is above this share of r(0)·dq."""
+MOST_HALVINGS = 12
+"""Largest number of halvings of a move that went too far."""
 LONGEST_MOVE = 0.1
 """Largest displacement of a node in one of them, as a share of the size."""
 TOLERANCE = 1.0e-4
@@ -182,12 +186,44 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
         longest = _longest(moves[soft])
         if not longest < np.inf:
             return None
-        nodes.advance(positions, moves, min(1.0, longest_move / max(longest, 1e-300)))
+        share = min(1.0, longest_move / max(longest, 1e-300))
+        if most_solves == 1:
+            nodes.advance(positions, moves, share)
+        else:
+            _advance(model, positions, moves, forces, share)
         if longest <= tolerance:
             upright = sum(term.add_forces(positions, forces) for term in model.forces) == 0
             sunk = [(positions - nodes.rest_positions)[soft_nodes], *_sunk_reduced(model, positions)]
             return _longest(np.concatenate(sunk)) if upright or most_solves == 1 else None
     return None
+
+
+def _advance(
+    model: Model, positions: np.ndarray, moves: np.ndarray, forces: np.ndarray, share: float
+) -> None:
+    """Makes a share of a move, or as many halves of it less as do not go too far.
+
+    Beams are stretched on their way, and their moves may raise the energy: they are not judged.
+
+    Args:
+        model: The built scene.
+        positions: Node positions [m], shape (node_count, 3); moved.
+        moves: Displacements of the unknowns [m], shape (free_node_count, 3).
+        forces: Forces before the move [N], shape (free_node_count, 3); overwritten.
+        share: Share of the move that is tried first.
+    """
+    if any(term.is_slender for term in model.forces):
+        model.nodes.advance(positions, moves, share)
+        return
+    start, slope = positions.copy(), float(np.vdot(forces, moves))
+    for _ in range(MOST_HALVINGS):
+        positions[:] = start
+        model.nodes.advance(positions, moves, share)
+        forces[:] = 0.0
+        upright = sum(term.add_forces(positions, forces) for term in model.forces) == 0
+        if upright and -float(np.vdot(forces, moves)) <= OVERSHOOT * abs(slope):
+            return
+        share *= 0.5
 
 
 def _sunk_reduced(model: Model, positions: np.ndarray) -> list[np.ndarray]:

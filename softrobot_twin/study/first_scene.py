@@ -241,7 +241,7 @@ def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
         f"name: {name}",
         "gravity: [0.0, 0.0, -9.81]             # m/s²",
         "# integration: dynamic                 # motion with inertia; by default equilibria",
-        "# solver: {newton_iterations: 4}        # more exact in fast or great motion, and slower",
+        "solver: {newton_iterations: 10}        # at most, in a step; 1 is faster in great motion, but lags",
         "",
         "body:",
         f"  mesh: {{{', '.join(mesh)}}}",
@@ -471,6 +471,6 @@ def _print_guesses(output: Path, source: MeshSource, reading: MeshReading, found
     console().print(made)
     scene = shlex.quote(str(output))
     console().print(f"\nLook at it: softrobot_twin explain {scene}\n"
-                    f"Let it sag:  softrobot_twin simulate {scene} --steps 5 "
+                    f"Let it sag:  softrobot_twin simulate {scene} --steps 20 "
                     "--output first.csv --picture first.png",
                     soft_wrap=True)  # fmt: skip

@@ -70,6 +70,7 @@ class RunSummary:
         self._rows: list[RunRow] = []
         self._limits: Counter[str] = Counter()
         self.statuses: Counter[str] = Counter()
+        self._last_status = ""
         self.sampled_range, self.failed = 0.0, 0
 
     def add(self, row: RunRow) -> None:
@@ -83,7 +84,8 @@ class RunSummary:
             report.linearization_error, report.compute_time)))
         self._limits.update(list(dict.fromkeys(report.active_limits)))
         self.sampled_range = max(self.sampled_range, report.sampled_range)
-        self.statuses[row.result.status.value] += 1
+        self._last_status = row.result.status.value
+        self.statuses[self._last_status] += 1
         self.failed += row.result.status.is_failure
 
     def _series(self, field: str) -> np.ndarray:
@@ -234,8 +236,15 @@ class RunSummary:
             lines.append(("reduction error, max", f"{1e3 * _largest(errors):.3g} mm, estimated"))
         lines.append(("compute time", f"median {compute.median:.2f} ms, p99 {compute.p99:.2f} ms, "
                       f"max {compute.maximum:.2f} ms"))
-        return lines + [(f"status {name}", f"{count} {self._unit}")
-                        for name, count in sorted(self.statuses.items())]
+        return lines + self._of_statuses()
+
+    def _of_statuses(self) -> list[tuple[str, str]]:
+        """How often each status came; of several, which one the run ended with."""
+        lines = []
+        for name, count in sorted(self.statuses.items()):
+            is_end = len(self.statuses) > 1 and name == self._last_status
+            lines.append((f"status {name}", f"{count} {self._unit}{', the last too' * is_end}"))
+        return lines
 
 
 class _Kept(NamedTuple):

@@ -48,6 +48,21 @@ def test_the_expected_sag_is_that_of_the_simulation(cantilever, element, young_m
     assert expected == pytest.approx(settled_sag(simulation), rel=0.1 if small else 1e-3)
 
 
+@pytest.mark.parametrize("size, cells", [((0.2, 0.01, 0.01), (40, 2, 2)),
+                                         ((0.1, 0.1, 0.004), (20, 20, 1))])  # fmt: skip
+def test_thin_rubber_has_the_sag_of_the_simulation(simulate, size, cells):
+    body = {
+        "mesh": {"box": {"size": list(size), "cells": list(cells)}}, "element": "quadratic",
+        "material": {"preset": "dragon_skin_30"},
+        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-9, 1, 1]}}],
+    }  # fmt: skip
+    simulation = simulate(body=body, gravity=[0, 0, -9.81], solver={"newton_iterations": 10})
+    assert not any("inside out" in note for note in simulation.notes)
+    expected = expected_sag(simulation.model)
+    assert expected > 0.7 * size[0]
+    assert expected == pytest.approx(settled_sag(simulation), rel=1e-3)
+
+
 def test_a_stiff_beam_sags_as_beam_theory_predicts(cantilever):
     simulation = cantilever(1e7, cells=(16, 2, 2))
     weight, inertia = DENSITY * 9.81 * SIDE**2, SIDE**4 / 12.0

@@ -77,6 +77,17 @@ def test_the_scene_steps_without_change_and_inflates(scene):
     assert moved[2] < -0.03e-3 and abs(moved[1]) < 0.5 * abs(moved[2])
 
 
+def test_the_first_run_that_is_proposed_ends_at_rest(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_bar(tmp_path / "soft.msh", size=(0.15, 0.02, 0.02))
+    assert main(["init", "soft.msh"]) == 0
+    proposed = next(line for line in capsys.readouterr().out.splitlines() if "Let it sag:" in line)
+    assert main(shlex.split(proposed.partition("softrobot_twin ")[2])) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"status ok +\d+ steps, the last too", told), told
+    assert Path("first.csv").exists() and Path("first.png").exists()
+
+
 def test_the_examples_in_comments_are_a_scene_too(folder, scene):
     text = (folder / "finger.yaml").read_text()
     head, examples = text.split("# Examples at places", 1)

@@ -25,7 +25,8 @@ def scene_of(cables=2, effectors=("tip",), pairs=(), bodies=0):
         state=SimpleNamespace(positions=None))
 
 
-def row(simulation, step, *, errors=(np.nan,), shortening=0.0, tension=1.0, limits=(), sums=()):
+def row(simulation, step, *, errors=(np.nan,), shortening=0.0, tension=1.0, limits=(), sums=(),
+        status=Status.OK):
     """A row in which everything stays but what is given."""
     count, bodies = len(simulation.actuators.kind_of), len(simulation.model.rigid)
     poses = np.tile([0.0, 0, 0, 0, 0, 0, 1], (bodies, 1))
@@ -37,7 +38,7 @@ def row(simulation, step, *, errors=(np.nan,), shortening=0.0, tension=1.0, limi
         effector_positions=np.zeros((len(simulation.effector_names), 3)),
         effector_errors=np.array(errors), orientation_errors=None, stiffness_errors=None,
         displacements=shortening * np.arange(count), efforts=np.full(count, tension),
-        report=report, status=Status.OK)
+        report=report, status=status)
     return RunRow(step, 0.1 * step, result, None, poses, np.zeros((len(sums), 3)),
                   np.array(sums, float))
 
@@ -53,6 +54,12 @@ def test_a_run_without_targets_contacts_or_limits_has_no_rows_of_them():
     lines = lines_of(scene_of(), {}, {"shortening": 1e-3})
     assert list(lines) == ["steps", "tip, at the end", "cable_0", "cable_1", "residual, max",
                            "compute time", "status ok"]
+
+
+def test_of_several_statuses_the_one_at_the_end_is_told():
+    lines = lines_of(scene_of(), {"status": Status.LINEARIZED}, {}, {})
+    assert lines["status linearized"] == "1 steps"
+    assert lines["status ok"] == "2 steps, the last too"
 
 
 def test_errors_are_told_for_each_effector_that_has_targets():
