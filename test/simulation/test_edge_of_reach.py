@@ -62,9 +62,10 @@ TRUNKS = [
 ]  # fmt: skip
 # Pulled straight back, the Trunk buckles several times on its way to the nearest point. On a slide
 # it may come home compressed, snap, and come home again: how late, round-off decides (between the
-# cylinders it took 133 to 315 steps).
-STEPS_TO_REST = {"back": 700}
-BACK, BACK_ON_A_SLIDE = 300, 900
+# cylinders it took 133 to 315 steps). So it does where the free Trunk is pulled sideways: targets
+# that differed by 1 nm took 174 to 398 steps. A robot that is still ends the run earlier.
+STEPS_TO_REST = {"back": 700, "sideways": 700}
+BACK, BACK_ON_A_SLIDE, LENGTHS_HOME = 300, 900, 120
 
 
 @pytest.mark.slow
@@ -88,12 +89,19 @@ def test_the_trunk_comes_to_rest_at_targets_ten_times_too_far(trunk, slides, has
 ])  # fmt: skip
 def test_the_trunk_returns_from_targets_ten_times_too_far(trunk, slides, has_cylinders, way):
     simulation = trunk(has_cylinders, slides)
-    home = simulation.effector_positions()
+    home, rest = simulation.effector_positions(), simulation.state
     follow(simulation, home + WAYS[way], 120)
     back, _ = follow(simulation, home, BACK_ON_A_SLIDE if slides else BACK)
-    # The tip is back; with a slide the rest of the body may still be compressed, which is reported.
-    assert back.effector_errors[0] < 1e-4
-    assert back.status.is_success or back.report.active_limits == (INVERSION,)
+    is_back = back.effector_errors[0] < 1e-4
+    # On a slide, which can press the whole body together, the way home may end in another shape: of
+    # 42 ways from targets that differed by 1 nm two did, and round-off decides which. Then the twin
+    # tells that the tip is not back.
+    assert is_back or (slides and back.status in HELD_BACK)
+    assert back.status.is_success or back.report.active_limits == (INVERSION,) or not is_back
+    # The body keeps nothing of it: at the lengths at rest it has its shape at rest.
+    for _ in range(LENGTHS_HOME):
+        simulation.step(CommandSetpoints(rest.setpoints, 0.02))
+    np.testing.assert_allclose(simulation.state.positions, rest.positions, atol=1e-6)
 
 
 @pytest.mark.parametrize("way", [[1, 0, 0], [0.7, -0.7, 0], [0, 0, -1], [0, 0, 1]])
