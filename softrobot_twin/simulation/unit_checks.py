@@ -20,8 +20,13 @@ SAG_SHARE = 0.5
 """A sag by more than this share of the size is reported as unlikely."""
 LINEAR_SHARE = 0.02
 """A sag below this share of the size is linear in the weight."""
-MOST_SOLVES = 200
-"""Largest number of linearizations to an equilibrium under gravity."""
+MOST_SOLVES = 100
+"""Largest number of linearizations to an equilibrium under gravity; thin rubber took up to 88."""
+MOST_NODES_SOLVED = 600_000
+"""Largest product of linearizations and free nodes: a large mesh with a wrong unit has no equilibrium,
+and its start must not wait for a long search."""
+FEWEST_SOLVES = 20
+"""Linearizations that are tried on the largest meshes too."""
 OVERSHOOT = 0.5
 """A move dq went too far where -r(1)·dq, with the forces r after it, is above this share of r(0)·dq."""
 MOST_HALVINGS = 12
@@ -50,8 +55,8 @@ def unit_slips(model: Model) -> list[str]:
     check = "check the units of young_modulus, the mass and gravity, and what is fixed"
     if sag is None:
         notes.append(
-            f"under gravity alone, without actuators, {_what(model)} would sag until elements turn "
-            f"inside out or fold: {check}"
+            f"under gravity alone, without actuators, no equilibrium of {_what(model)} was found; "
+            f"a linear solution sags by {linear:.3g} m, the size is {size:.3g} m: {check}"
         )
     elif sag > SAG_SHARE * size:
         notes.append(
@@ -156,7 +161,9 @@ def equilibrium_sag(model: Model) -> float | None:
     Returns:
         None where a body floats or no equilibrium was found.
     """
-    return _sag(model, MOST_SOLVES, TOLERANCE * model.nodes.size)
+    affordable = MOST_NODES_SOLVED // max(model.nodes.free_node_count, 1)
+    most_solves = min(MOST_SOLVES, max(FEWEST_SOLVES, affordable))
+    return _sag(model, most_solves, TOLERANCE * model.nodes.size)
 
 
 def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:

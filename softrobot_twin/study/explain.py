@@ -845,7 +845,7 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     if sag is not None:
         sag_text = f"{1e3 * sag:.3g} mm"
     elif are_held(simulation.model):
-        sag_text = "no equilibrium found: elements invert or fold"
+        sag_text = "no equilibrium found"
     else:
         sag_text = "not fixed: the body falls"
     return [*lines, ("sag by gravity alone, without actuators", sag_text)]

@@ -57,7 +57,7 @@ def test_thin_rubber_has_the_sag_of_the_simulation(simulate, size, cells):
         "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-9, 1, 1]}}],
     }  # fmt: skip
     simulation = simulate(body=body, gravity=[0, 0, -9.81], solver={"newton_iterations": 10})
-    assert not any("inside out" in note for note in simulation.notes)
+    assert not any("no equilibrium" in note for note in simulation.notes)
     expected = expected_sag(simulation.model)
     assert expected > 0.7 * size[0]
     assert expected == pytest.approx(settled_sag(simulation), rel=1e-3)
@@ -81,7 +81,7 @@ def test_one_linear_solve_of_a_soft_beam_overestimates_its_sag_several_times(can
 def test_the_collapse_of_a_body_is_reported_without_a_sag(cantilever):
     simulation = cantilever(300.0)
     assert expected_sag(simulation.model) is None
-    assert any("inside out" in note and "units" in note for note in simulation.notes)
+    assert any("no equilibrium of the body" in note and "units" in note for note in simulation.notes)
 
 
 def test_an_unheld_body_has_no_sag_and_a_weightless_one_has_zero_sag(cantilever):
