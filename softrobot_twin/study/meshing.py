@@ -296,8 +296,12 @@ def _print(path: Path, trial: Trial, element: str) -> None:
         shown.add_row("cavities", "none: no closed surface lies inside the part")
     for name, tets in made.regions.items():
         shown.add_row(f"region {name}", f"{len(tets)} tetrahedra")
-    shown.add_row("expected step", f"{_time(trial.step.median)} with {element} elements on this "
-                  f"machine, {MARGIN / trial.step.median:.0f} Hz")  # fmt: skip
+    step = trial.step
+    shown.add_row("expected step", f"{_time(step.median)} with {element} elements on this "
+                  f"machine, {MARGIN / step.median:.0f} Hz")  # fmt: skip
+    if step.slowdown > BUSY:
+        shown.add_row("", f"measured while other programs slowed this one down {step.slowdown:.1f} "
+                      "times")  # fmt: skip
     console().print(shown)
     for note in made.notes:
         warn(note)

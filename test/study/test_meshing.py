@@ -113,6 +113,19 @@ def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
     assert "at most 5 meshes" in out and "step" in out and not lines_of(err)
 
 
+@pytest.mark.parametrize("slowdown, is_told", [(1.0, False), (2.1, True)])
+def test_a_time_that_others_disturbed_is_told_as_such(
+    tmp_path, capsys, monkeypatch, slowdown, is_told
+):
+    need_gmsh()
+    monkeypatch.setattr(meshing, "measured_step", lambda scene: StepTime(0.01, slowdown))
+    monkeypatch.setattr(meshing, "_print_mesh_error", lambda scene: None)
+    part, output = write_stl(tmp_path / "block.stl", box((60, 20, 20))), tmp_path / "block.msh"
+    assert main(["mesh", str(part), "--size", "10mm", "--output", str(output)]) == 0
+    told = capsys.readouterr().out
+    assert ("other programs slowed this one down 2.1 times" in told) == is_told
+
+
 def test_a_scene_of_a_part_of_metres_is_made_by_the_printed_command(tmp_path):
     for extent, unit in ((0.1, []), (1.9, []), (3.0, ["--unit", "m"])):
         words = shlex.split(scene_command(tmp_path / "a part.msh", extent))
