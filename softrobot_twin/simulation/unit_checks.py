@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.simulation.merit import OVERSHOOT
 from softrobot_twin.simulation.model import Model
 
 SIZE_RANGE = (0.002, 5.0)
@@ -27,8 +28,6 @@ MOST_NODES_SOLVED = 600_000
 and its start must not wait for a long search."""
 FEWEST_SOLVES = 20
 """Linearizations that are tried on the largest meshes too."""
-OVERSHOOT = 0.5
-"""A move dq went too far where -r(1)·dq, with the forces r after it, is above this share of r(0)·dq."""
 MOST_HALVINGS = 12
 """Largest number of halvings of a move that went too far."""
 LONGEST_MOVE = 0.1
@@ -179,6 +178,8 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
     forces = np.zeros((nodes.free_node_count, 3))
     # A single solve is the linear solution and is not limited; several are kept from overshooting.
     longest_move = np.inf if most_solves == 1 else LONGEST_MOVE * nodes.size
+    # Beams are stretched on their way: their moves may raise the energy.
+    is_judged = most_solves > 1 and not any(term.is_slender for term in model.forces)
     for _ in range(most_solves):
         for projected in (False, True):
             forces[:] = 0.0
@@ -194,10 +195,10 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
         if not longest < np.inf:
             return None
         share = min(1.0, longest_move / max(longest, 1e-300))
-        if most_solves == 1:
-            nodes.advance(positions, moves, share)
+        if is_judged:
+            _advance_judged(model, positions, moves, forces, share)
         else:
-            _advance(model, positions, moves, forces, share)
+            nodes.advance(positions, moves, share)
         if longest <= tolerance:
             upright = sum(term.add_forces(positions, forces) for term in model.forces) == 0
             sunk = [(positions - nodes.rest_positions)[soft_nodes], *_sunk_reduced(model, positions)]
@@ -205,12 +206,12 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
     return None
 
 
-def _advance(
+def _advance_judged(
     model: Model, positions: np.ndarray, moves: np.ndarray, forces: np.ndarray, share: float
 ) -> None:
-    """Makes a share of a move, or as many halves of it less as do not go too far.
+    """Makes a share of a move dq, halved until it turns no element and does not go too far.
 
-    Beams are stretched on their way, and their moves may raise the energy: they are not judged.
+    It goes too far where -r(1)·dq is above `OVERSHOOT` of r(0)·dq, with the forces r.
 
     Args:
         model: The built scene.
@@ -219,9 +220,6 @@ def _advance(
         forces: Forces before the move [N], shape (free_node_count, 3); overwritten.
         share: Share of the move that is tried first.
     """
-    if any(term.is_slender for term in model.forces):
-        model.nodes.advance(positions, moves, share)
-        return
     start, slope = positions.copy(), float(np.vdot(forces, moves))
     for _ in range(MOST_HALVINGS):
         positions[:] = start

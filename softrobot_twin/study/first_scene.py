@@ -241,7 +241,7 @@ def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
         f"name: {name}",
         "gravity: [0.0, 0.0, -9.81]             # m/s²",
         "# integration: dynamic                 # motion with inertia; by default equilibria",
-        "solver: {newton_iterations: 10}        # at most, in a step; 1 is faster in great motion, but lags",
+        "solver: {newton_iterations: 10}        # at most, in a step; 1 is faster, but lags",
         "",
         "body:",
         f"  mesh: {{{', '.join(mesh)}}}",

@@ -242,8 +242,9 @@ class RunSummary:
         """How often each status came; of several, which one the run ended with."""
         lines = []
         for name, count in sorted(self.statuses.items()):
-            is_end = len(self.statuses) > 1 and name == self._last_status
-            lines.append((f"status {name}", f"{count} {self._unit}{', the last too' * is_end}"))
+            is_last = len(self.statuses) > 1 and name == self._last_status
+            end = ", the last too" if is_last else ""
+            lines.append((f"status {name}", f"{count} {self._unit}{end}"))
         return lines
 
 
