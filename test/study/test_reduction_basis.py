@@ -52,11 +52,15 @@ def body(request, column):
 
 
 def bent(body, rng, count):
-    """Smooth displacements of a column that is held at its foot [m]."""
+    """Smooth displacements of a column that is held at its foot [m].
+
+    They are drawn from a box, as a training draws its states: points found for some of them are
+    asked about others from the same box, not about a rare one far outside.
+    """
     points = body.mesh.node_positions
     height = points[:, 2:] / 0.1
     found = []
-    for a, b, c, d in rng.normal(size=(count, 4)):
+    for a, b, c, d in rng.uniform(-1.5, 1.5, (count, 4)):
         turn = np.column_stack([-points[:, 1], points[:, 0], 0 * points[:, 0]])
         found.append(height**2 * [0.01 * a, 0.01 * b, 0.0] + d * height * turn
                      + height * [0.0, 0.0, 0.002 * c])  # fmt: skip
