@@ -53,8 +53,8 @@ from softrobot_twin.mechanics.springs import segment_vector
 # Iterations of Newton's method, halvings of a step that does not lower the potential enough, and changes
 # of the active set by point.
 MOST_ITERATIONS, MOST_HALVINGS, MOST_SETS = 100, 40, 10
-# Least share of the promised decrease (Armijo), and a share of the potential below which no decrease can
-# be told from round-off.
+# Least share of the promised decrease (Armijo), and a share of the potential's parts below which no
+# decrease can be told from round-off.
 DECREASE, EPSILON = 1.0e-4, 1.0e-12
 # A change of z, and a miss as a share of the cable's length, that counts as none.
 ROUND_OFF = 1.0e-14
@@ -133,18 +133,23 @@ def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begi
     """Convex function of z whose slopes are D F: s_0 D (z²/2 - z_begin z) - D U_begin z + Ψ.
 
     Ψ = Σ ℓ ln(exp(a) + λ / EA) with a_s = Σ_(p ≤ s) D_p z_p, whose slope in z_p is D_p U_p.
+
+    Returns:
+        It, and the sum of the magnitudes of its parts: they may cancel, and their round-off does not.
     """
-    total, a = 0.0, 0.0
+    total, size, a = 0.0, 0.0, 0.0
     for s in range(len(lengths)):
         z = shares[s]
         a += turns[s] * z
-        total += turns[s] * z * (presliding * (0.5 * z - begin_shares[s]) - begin_beyond[s])
+        slid = turns[s] * z * (presliding * (0.5 * z - begin_shares[s]) - begin_beyond[s])
         # ln(exp(a) + c) without overflow.
         if a > 0.0:
-            total += lengths[s] * (a + np.log1p(winch * flexibility * np.exp(-a)))
+            stretched = lengths[s] * (a + np.log1p(winch * flexibility * np.exp(-a)))
         else:
-            total += lengths[s] * np.log(winch * flexibility + np.exp(a))
-    return total
+            stretched = lengths[s] * np.log(winch * flexibility + np.exp(a))
+        total += slid + stretched
+        size += abs(slid) + abs(stretched)
+    return total, size
 
 
 @njit(**INNER)
@@ -235,7 +240,7 @@ def solve_shares(
             largest = max(largest, abs(change[s]))
         if largest <= ROUND_OFF:
             break
-        now = potential(
+        now, size = potential(
             winch, lengths, turns, flexibility, presliding, begin_shares, begin_beyond, shares
         )
         length = 1.0
@@ -245,10 +250,10 @@ def solve_shares(
                 if abs(z) > 1.0 - BOUND:
                     z = 1.0 if z > 0.0 else -1.0
                 tried[s] = z
-            then = potential(
+            then, _ = potential(
                 winch, lengths, turns, flexibility, presliding, begin_shares, begin_beyond, tried
             )
-            if then <= now + DECREASE * length * slope or -slope <= EPSILON * abs(now):
+            if then <= now + DECREASE * length * slope or -slope <= EPSILON * size:
                 break
             length *= 0.5
         for i in range(len(shares)):

@@ -206,8 +206,10 @@ def test_stick_has_no_negative_stiffness():
     assert (term.stick_rows().stiffness > 0.0).all()
 
 
-def test_many_points_of_any_angle_are_solved():
-    seed = np.random.SeedSequence().entropy % 2**32
+# With the first ones the potential of some states is almost zero, and its parts are not.
+@pytest.mark.parametrize("seed", [1343814888, 2951581421, 2261441627, None])
+def test_many_points_of_any_angle_are_solved(seed):
+    seed = np.random.SeedSequence().entropy % 2**32 if seed is None else seed
     print("seed", seed)
     rng = np.random.default_rng(seed)
     for _ in range(20):
