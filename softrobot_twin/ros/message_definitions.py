@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import re
-from importlib import import_module
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, TransformStamped
+from sensor_msgs.msg import PointField
+from std_msgs.msg import ColorRGBA, MultiArrayDimension
+from visualization_msgs.msg import Marker, UVCoordinate
 
 _SEPARATOR = "=" * 80
 _SIMPLE = {"float": "float32", "double": "float64", "boolean": "bool", "octet": "byte"}
 _SEQUENCE = re.compile(r"sequence<(?P<item>[^,>]+(?:<\d+>)?)(?:, *(?P<most>\d+))?>")
 _ARRAY = re.compile(r"(?P<item>.+)\[(?P<count>\d+)\]")
 _BOUNDED = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
+
+# A class of messages tells the name of a sequence's items, and does not hold their class.
+_ITEMS = {
+    f"{kind.__module__.split('.')[0]}/{kind.__name__}": kind
+    for kind in (
+        ColorRGBA, DiagnosticStatus, KeyValue, Marker, MultiArrayDimension, Point, PointField,
+        TransformStamped, UVCoordinate,
+    )
+}  # fmt: skip
 
 
 def type_name(kind: type) -> str:
@@ -23,6 +37,9 @@ def definition(kind: type) -> str:
 
     Args:
         kind: The class that Python has for it.
+
+    Raises:
+        KeyError: It contains a sequence of messages of a type that no topic of this package has.
     """
     texts: dict[str, str] = {}
     _collect(kind, texts)
@@ -37,16 +54,16 @@ def _collect(kind: type, texts: dict[str, str]) -> None:
     if key in texts:
         return
     texts[key] = ""
-    inner, lines = [], []
+    inner, lines, example = [], [], kind()
     for field, idl in kind.get_fields_and_field_types().items():
         written, item = _type_of(idl)
         lines.append(f"{written} {field}\n")
         if "/" in item:
-            inner.append(item)
+            value = getattr(example, field)
+            inner.append(_ITEMS[item] if isinstance(value, list) else type(value))
     texts[key] = "".join(lines)
     for item in inner:
-        inner_package, inner_name = item.split("/")
-        _collect(getattr(import_module(f"{inner_package}.msg"), inner_name), texts)
+        _collect(item, texts)
 
 
 def _type_of(idl: str) -> tuple[str, str]:

@@ -18,7 +18,7 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import JointState, MultiEchoLaserScan, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
@@ -325,3 +325,8 @@ def test_a_definition_names_all_types_inside_it_once():
     text = definition(PointCloud2)
     assert text.startswith("std_msgs/Header header\nuint32 height\n")
     assert text.count("MSG: ") == 3 and "sensor_msgs/PointField[] fields" in text
+
+
+def test_a_sequence_of_a_type_that_no_topic_has_is_refused_by_its_name():
+    with pytest.raises(KeyError, match="sensor_msgs/LaserEcho"):
+        definition(MultiEchoLaserScan)
