@@ -294,7 +294,9 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             # inside, the nearest feature is nearly always the right one.
             front, behind = margin, margin
             if distance < 0.0:
-                front, behind = 0.0, min(depth, ROUND_OFF * -distance + NO_DISTANCE * reach)
+                # Of a vertex that touches, round-off may put the triangle on the other side.
+                front = NO_DISTANCE * reach
+                behind = min(depth, ROUND_OFF * -distance + front)
         near = near_triangles(
             p, outward, limit, stamps, stamps_of_fully_excluded(v), x, links, normals, boxes, items,
             first, last, reach, front, behind, found,

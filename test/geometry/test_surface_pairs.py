@@ -301,3 +301,5 @@ def test_a_vertex_inside_by_round_off_is_pushed_out_on_its_side(block, depth):
         found = detector.detect(moved, turn.apply(y), 0.001)
         assert np.abs(found.gaps).max() < 1e-9
         np.testing.assert_allclose(found.normals @ turn.as_matrix()[:, 2], 1.0, atol=1e-6)
+        # And none of them is missed.
+        assert np.isin(np.flatnonzero(x[:, 2] == 0.0), found.first_points).all()
