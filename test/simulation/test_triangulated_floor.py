@@ -152,6 +152,16 @@ def test_a_body_slides_down_a_slope_as_on_the_analytic_plane(
     assert expected > 0.01
 
 
+@pytest.mark.parametrize("seed", [3, 7, 1003])
+def test_a_cube_that_begins_on_a_slope_touches_it_in_the_first_step(laid, tmp_path, seed):
+    """Round-off decides on which side of the triangles its corners are."""
+    floor = {"surface": {"file": write_slab(tmp_path / "floor.stl", "irregular", seed)}}
+    simulation, step = laid("cube", floor, 1.0, 0.8, tilt=SLOPE)
+    result = simulation.step(Hold(step))
+    assert np.count_nonzero(result.contacts.forces.any(axis=1)) >= 3
+    np.testing.assert_allclose(simulation.state.velocities[0], 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize(("name", "share"), [
     ("sphere", 2 / 5), ("lying cylinder", 1 / 2),
 ])  # fmt: skip
