@@ -50,8 +50,8 @@ from softrobot_twin.geometry.vector3 import cross, divided, dot, norm
 from softrobot_twin.mechanics.force_term import DenseRows, ForceTerm
 from softrobot_twin.mechanics.springs import segment_vector
 
-# Iterations of Newton's method, halvings of a step that does not lower the potential enough, and changes
-# of the active set by point.
+# Iterations of Newton's method, halvings of a step that does not lower the potential enough, and
+# changes of the active set by point.
 MOST_ITERATIONS, MOST_HALVINGS, MOST_SETS = 100, 40, 10
 # Least share of the promised decrease (Armijo), and a share of the potential's parts below which no
 # decrease can be told from round-off.
@@ -135,7 +135,8 @@ def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begi
     Ψ = Σ ℓ ln(exp(a) + λ / EA) with a_s = Σ_(p ≤ s) D_p z_p, whose slope in z_p is D_p U_p.
 
     Returns:
-        It, and the sum of the magnitudes of its parts: they may cancel, and their round-off does not.
+        Its value, and the sum of the magnitudes of its parts. The parts may cancel; their round-off
+        remains.
     """
     total, size, a = 0.0, 0.0, 0.0
     for s in range(len(lengths)):

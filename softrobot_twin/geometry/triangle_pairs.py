@@ -294,7 +294,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             # inside, the nearest feature is nearly always the right one.
             front, behind = margin, margin
             if distance < 0.0:
-                # Of a vertex that touches, round-off may put the triangle on the other side.
+                # Where a vertex touches, round-off decides on which side of a triangle it is.
                 front = NO_DISTANCE * reach
                 behind = min(depth, ROUND_OFF * -distance + front)
         near = near_triangles(
