@@ -198,7 +198,7 @@ class VisualizationOutput:
         node: The twin.
         simulation: Its model.
         frame_id: Frame of all positions.
-        rate: Most messages per second [Hz]; 0 publishes none.
+        rate: Messages per second, on average at most [Hz]; 0 publishes none.
     """
 
     def __init__(self, node: Node, simulation: Simulation, frame_id: str, rate: float):
@@ -228,7 +228,9 @@ class VisualizationOutput:
         self._count = count
         if not count or math.isinf(self._period):
             return
-        self._due = now + self._period
+        # A mean rate: the next one is due a period after this one was, however late the tick came.
+        is_new_start = abs(now - self._due) > self._period
+        self._due = (now if is_new_start else self._due) + self._period
         if self._markers is None:
             lifetime = max(LEAST_LIFETIME, 3.0 * self._period)
             self._markers = RobotMarkers(self._simulation, self._frame, lifetime)
