@@ -168,13 +168,14 @@ class Pair:
 
 
 def test_given_lengths_lead_to_the_same_shape(page, diamond, rng):
-    pair = Pair(page, diamond)
+    pair, moved = Pair(page, diamond), 0.0
     for _ in range(3):
         drives = rng.uniform(0.0, 0.02, 4)
         assert pair.settle(drives=drives).name == "OK"
         np.testing.assert_array_equal(pair.state[1], drives)
         pair.assert_same()
-    assert np.abs(pair.values()[1] - pair.robot["effector_rest"]).max() > 1e-3
+        moved = max(moved, np.abs(pair.values()[1] - pair.robot["effector_rest"]).max())
+    assert moved > 1e-3
 
 
 def test_a_cable_that_others_slacken_pulls_with_nothing(page, diamond):
