@@ -21,6 +21,7 @@ from softrobot_twin.ros.marker_bytes import Content, MarkerBytes
 from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.view import colours as palette
+from softrobot_twin.view.drawing_thread import RateLimit
 from softrobot_twin.view.simulation_frames import BodySurfaces, pressure_range, tension_range
 
 CABLE_WIDTH = 0.006
@@ -204,8 +205,8 @@ class VisualizationOutput:
     def __init__(self, node: Node, simulation: Simulation, frame_id: str, rate: float):
         self._simulation, self._frame = simulation, frame_id
         self._publisher = open_publisher(node, TWIN_TOPICS["~/visualization"])
-        self._period = 1.0 / rate if rate else math.inf
-        self._due = math.inf if rate == 0.0 else -math.inf
+        self._limit = RateLimit(rate) if rate else None
+        self._lifetime = max(LEAST_LIFETIME, 3.0 / rate) if rate else math.inf
         self._obstacles_due = -math.inf
         self._count = 0
         self._markers: RobotMarkers | None = None
@@ -218,22 +219,18 @@ class VisualizationOutput:
             stamp: Its time [ns].
             now: Its time on the clock of the ticks [s].
         """
-        # With simulated time the clock may be set back.
-        if now < self._due and self._due - now <= self._period:
+        if self._limit is None or not self._limit.is_due(now):
             return
         count = self._publisher.get_subscription_count()
         # Who comes late waits for obstacles no longer than for the rest.
         if count > self._count:
             self._obstacles_due = -math.inf
         self._count = count
-        if not count or math.isinf(self._period):
+        if not count:
             return
-        # A mean rate: the next one is due a period after this one was, however late the tick came.
-        is_new_start = abs(now - self._due) > self._period
-        self._due = (now if is_new_start else self._due) + self._period
+        self._limit.take(now)
         if self._markers is None:
-            lifetime = max(LEAST_LIFETIME, 3.0 * self._period)
-            self._markers = RobotMarkers(self._simulation, self._frame, lifetime)
+            self._markers = RobotMarkers(self._simulation, self._frame, self._lifetime)
         has_obstacles = now >= self._obstacles_due or self._obstacles_due - now > OBSTACLES_EVERY
         if has_obstacles:
             self._obstacles_due = now + OBSTACLES_EVERY

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -97,24 +98,35 @@ class RateLimit:
 
     Args:
         rate: Frames a second.
-        clock: Present time [s].
+        clock: Present time [s]; it may be set back.
     """
 
     def __init__(self, rate: float, clock: Callable[[], float] = time.monotonic):
         self._period = 1.0 / rate
         self._clock = clock
-        self._due = clock()
+        self._due = -math.inf
+
+    def is_due(self, now: float) -> bool:
+        """Whether a frame of this time [s] would be chosen."""
+        # Two periods: of one, round-off would let a frame through twice.
+        return now >= self._due or self._due - now > 2.0 * self._period
+
+    def take(self, now: float) -> None:
+        """Chooses a frame that is due.
+
+        The next one is due a period after this one was, or, when it came very late, a period from
+        now [s].
+        """
+        missed = abs(now - self._due) > self._period
+        self._due = (now if missed else self._due) + self._period
 
     def wants_next(self) -> bool:
         """Whether the present frame is chosen."""
         now = self._clock()
-        if now < self._due:
-            return False
-        # The next frame is due one period after this one was, or, when it came very late, one
-        # period from now.
-        missed = now - self._due > self._period
-        self._due = (now if missed else self._due) + self._period
-        return True
+        is_due = self.is_due(now)
+        if is_due:
+            self.take(now)
+        return is_due
 
 
 _log = logging.getLogger(__name__)

@@ -113,6 +113,18 @@ def test_frames_missed_in_a_pause_are_not_drawn_later():
     assert passed(thinning, clock, [200.0 + 0.001 * k for k in range(40)]) == 2
 
 
+@pytest.mark.parametrize("time", [0.1, 66_800.123, 5_711_234.567])
+def test_a_clock_that_stands_draws_one_frame(time):
+    clock = Clock()
+    assert passed(RateLimit(10.0, clock), clock, [time] * 50) == 1
+
+
+def test_frames_are_drawn_at_once_after_the_clock_was_set_back():
+    clock = Clock()
+    thinning = RateLimit(50.0, clock)
+    assert passed(thinning, clock, [100.0, 100.001, 3.0, 3.001, 3.0201]) == 3
+
+
 class FrameDrawing:
     """A drawing that a test can block and let fail."""
 
