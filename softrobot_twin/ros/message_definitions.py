@@ -16,20 +16,26 @@ _SEQUENCE = re.compile(r"sequence<(?P<item>[^,>]+(?:<\d+>)?)(?:, *(?P<most>\d+))
 _ARRAY = re.compile(r"(?P<item>.+)\[(?P<count>\d+)\]")
 _BOUNDED = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
 
-# A class of messages tells the name of a sequence's items, and does not hold their class.
-_ITEMS = {
-    f"{kind.__module__.split('.')[0]}/{kind.__name__}": kind
-    for kind in (
-        ColorRGBA, DiagnosticStatus, KeyValue, Marker, MultiArrayDimension, Point, PointField,
-        TransformStamped, UVCoordinate,
-    )
-}  # fmt: skip
-
 
 def type_name(kind: type) -> str:
     """Full name of a type of messages, such as ``sensor_msgs/msg/JointState``."""
     package, folder, *_ = kind.__module__.split(".")
     return f"{package}/{folder}/{kind.__name__}"
+
+
+def _short_name(kind: type) -> str:
+    """The name within definitions, such as ``sensor_msgs/JointState``."""
+    return type_name(kind).replace("/msg/", "/")
+
+
+# A class of messages tells the name of a sequence's items, and does not hold their class.
+_ITEMS = {
+    _short_name(kind): kind
+    for kind in (
+        ColorRGBA, DiagnosticStatus, KeyValue, Marker, MultiArrayDimension, Point, PointField,
+        TransformStamped, UVCoordinate,
+    )
+}  # fmt: skip
 
 
 def definition(kind: type) -> str:
@@ -49,8 +55,7 @@ def definition(kind: type) -> str:
 
 
 def _collect(kind: type, texts: dict[str, str]) -> None:
-    package, _, name = type_name(kind).split("/")
-    key = f"{package}/{name}"
+    key = _short_name(kind)
     if key in texts:
         return
     texts[key] = ""

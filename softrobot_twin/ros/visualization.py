@@ -205,8 +205,7 @@ class VisualizationOutput:
     def __init__(self, node: Node, simulation: Simulation, frame_id: str, rate: float):
         self._simulation, self._frame = simulation, frame_id
         self._publisher = open_publisher(node, TWIN_TOPICS["~/visualization"])
-        self._limit = RateLimit(rate) if rate else None
-        self._lifetime = max(LEAST_LIFETIME, 3.0 / rate) if rate else math.inf
+        self._rate, self._limit = rate, RateLimit(rate) if rate else None
         self._obstacles_due = -math.inf
         self._count = 0
         self._markers: RobotMarkers | None = None
@@ -230,7 +229,8 @@ class VisualizationOutput:
             return
         self._limit.take(now)
         if self._markers is None:
-            self._markers = RobotMarkers(self._simulation, self._frame, self._lifetime)
+            lifetime = max(LEAST_LIFETIME, 3.0 / self._rate)
+            self._markers = RobotMarkers(self._simulation, self._frame, lifetime)
         has_obstacles = now >= self._obstacles_due or self._obstacles_due - now > OBSTACLES_EVERY
         if has_obstacles:
             self._obstacles_due = now + OBSTACLES_EVERY
