@@ -5,8 +5,7 @@ soft robots", Advanced Robotics 31 (2017). docs/equations.md lists where each of
 computed.
 
 Importing the package sets the number of BLAS threads to one and the folder of numba's compiled
-kernels, unless the environment sets them. Both must be set before numpy and numba are first
-imported.
+kernels, unless the environment sets them. The folder must be set before numba is first imported.
 
     import softrobot_twin as st
     robot = st.load("finger.yaml")
@@ -20,6 +19,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import sys
 import tempfile
 import time
 from hashlib import sha1
@@ -27,6 +27,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softrobot_twin.blas_threads import use_one_blas_thread
 from softrobot_twin.errors import SoftRobotTwinError
 
 if TYPE_CHECKING:
@@ -110,7 +111,10 @@ def _kernel_folder() -> str:
 
 
 # With several threads, small BLAS calls become up to fifty times slower on a busy machine.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if "OPENBLAS_NUM_THREADS" not in os.environ:
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    if "numpy" in sys.modules:
+        use_one_blas_thread()
 if "NUMBA_CACHE_DIR" not in os.environ:
     os.environ["NUMBA_CACHE_DIR"] = _kernel_folder()
 

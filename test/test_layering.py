@@ -34,7 +34,7 @@ ALLOWED_ROOMS = {
     "command_line": {"study", "ros", "demo_command", "replay_command"},
 }
 # The files at the top besides commands, which put rooms together and end in "_command".
-ENTRANCE = {"__init__.py", "__main__.py", "errors.py", "compilation.py"}
+ENTRANCE = {"__init__.py", "__main__.py", "blas_threads.py", "compilation.py", "errors.py"}
 # Where a library may be imported; gmsh only in the process that meshes CAD files.
 HOMES = {
     "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": {"geometry"},

@@ -58,8 +58,9 @@ class LoopSettings:
     Attributes:
         rate: Ticks per second [Hz].
         deadline: Time that a step may take [s]. Remaining time is used for more linearizations;
-            where a new factorization would be late, the step uses the previous one. With 0 there is
-            no deadline, and the scene sets the number of linearizations.
+            where a new factorization would be late, the step uses the previous one. At most the
+            period: a longer one would use the time of later ticks. With 0 there is no deadline, and
+            the scene sets the number of linearizations.
         message_timeout: Oldest accepted stamp [s]; 0 accepts any age.
         future_tolerance: How far in the future a stamp may be [s].
         target_timeout: Without a target for this time the loop holds [s]; 0 waits without limit.
@@ -80,7 +81,8 @@ class LoopSettings:
         touch_timeout: A touch ends after this time without its force or place [s].
 
     Raises:
-        ParameterError: A value is not finite or too small, or the workspace is empty.
+        ParameterError: A value is not finite or too small, the deadline is longer than the period,
+            or the workspace is empty.
     """
 
     rate: float = 20.0
@@ -109,6 +111,12 @@ class LoopSettings:
                 raise ParameterError(name, value, unit, "must be finite and not negative")
             if name in _ABOVE_ZERO and value == 0.0:
                 raise ParameterError(name, value, unit, "must be above zero")
+        if self.deadline > self.period:
+            raise ParameterError(
+                "deadline", self.deadline, "s",
+                f"must not be longer than the period of {self.period:g} s at rate = {self.rate:g} "
+                "Hz: steps would take the time of later ticks",
+            )  # fmt: skip
         for name in ("workspace_min", "workspace_max"):
             corner = getattr(self, name)
             if len(corner) != 3 or not all(map(math.isfinite, corner)):

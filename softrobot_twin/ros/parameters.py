@@ -157,8 +157,8 @@ RUNTIME = (
     Entry("deadline", _DEFAULTS.deadline,
           "Time that a step may take: remaining time is used for more linearizations, and a stale "
           "factor is kept if a new one would be late and the stale one still converges; 0 "
-          "for the scene's number of linearizations.",
-          "s", 0.0, 60.0),
+          "for the scene's number of linearizations. At most the period, 1/rate.",
+          "s", 0.0, 10.0),
     Entry("target_timeout", _DEFAULTS.target_timeout,
           "The twin holds after this time without a target or command; with 0 it never holds.",
           "s", 0.0, 3600.0),

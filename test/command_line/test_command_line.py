@@ -165,3 +165,19 @@ def test_one_blas_thread_is_chosen_before_numpy_is_imported():
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
                           capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["1"]
+
+
+def test_products_take_one_thread_also_where_numpy_was_imported_before_the_package():
+    environment = {key: value for key, value in os.environ.items()
+                   if key != "OPENBLAS_NUM_THREADS"}
+    code = ("import ctypes, numpy, scipy.linalg, softrobot_twin\n"
+            "lines = open('/proc/self/maps').read().splitlines()\n"
+            "for path in {line.split()[-1] for line in lines if 'openblas' in line}:\n"
+            "    library = ctypes.CDLL(path)\n"
+            "    for kind in ('scipy_', ''):\n"
+            "        for end in ('64_', ''):\n"
+            "            name = kind + 'openblas_get_num_threads' + end\n"
+            "            if hasattr(library, name): print(getattr(library, name)())\n")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
+                          capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == {"1"}

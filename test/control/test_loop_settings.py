@@ -36,3 +36,9 @@ def test_swapped_limits_are_refused():
 
 def test_the_period_is_that_of_the_rate():
     assert LoopSettings(rate=40.0).period == 0.025
+
+
+def test_a_deadline_longer_than_the_period_is_refused_and_one_as_long_is_not():
+    assert LoopSettings(rate=30.0, deadline=1.0 / 30.0).budget == 1.0 / 30.0
+    with pytest.raises(ParameterError, match="longer than the period of 0.01 s at rate = 100 Hz"):
+        LoopSettings(rate=100.0, deadline=0.02)
