@@ -71,18 +71,19 @@ class Guidance:
         self._stays = False
         self._aim(self.sent)
 
-    def follow(self, now: float, timeout: float) -> None:
+    def follow(self, now: float, timeout: float, reach_time: float) -> None:
         """Moves them to the newest commanded poses; they stay after a timeout.
 
         Args:
             now: Time on the clock of `Arrival.time` [s].
             timeout: Time without a pose after which they stay [s]; 0 waits without limit.
+            reach_time: Time in which they may move at their speeds [s].
         """
         if 0.0 < timeout < self._poses.age(now):
             self.stay()
             return
         self._stays = False
-        self._aim(self._poses.newest)
+        self._aim_within(reach_time, self._poses.newest)
 
     def stay(self) -> None:
         """Keeps them where they are."""
@@ -90,15 +91,23 @@ class Guidance:
             self._stays = True
             self._aim(self.poses())
 
-    def go_home(self) -> None:
-        """Moves them to their poses at rest."""
+    def go_home(self, reach_time: float) -> None:
+        """Moves them to their poses at rest, at their speeds during a time [s]."""
         self._stays = False
-        self._aim(self._home)
+        self._aim_within(reach_time, self._home)
 
     @property
     def is_home(self) -> bool:
         """True when all of them were sent to their poses at rest."""
         return self._are_alike(self.sent, self._home)
+
+    def _aim_within(self, reach_time: float, poses: dict[str, Pose]) -> None:
+        """Aims at poses no further from the present ones than their speeds allow in a time [s]."""
+        model, here = self._simulation.model, self.poses()
+        self._aim({
+            name: model.guides.towards(name, here[name], pose, reach_time)
+            for name, pose in poses.items()
+        })  # fmt: skip
 
     def _aim(self, poses: dict[str, Pose]) -> None:
         for name, pose in poses.items():

@@ -142,10 +142,9 @@ class LoopSettings:
         """Time from tick to tick [s]."""
         return 1.0 / self.rate
 
-    @property
-    def reach(self) -> float:
-        """Greatest distance that an effector may be sent in one tick [m]."""
-        return self.approach_speed * self.period if self.approach_speed > 0.0 else math.inf
+    def reach(self, time_step: float) -> float:
+        """Greatest distance that an effector may be sent in a tick's time [s], in m."""
+        return self.approach_speed * time_step if self.approach_speed > 0.0 else math.inf
 
 
 SETTING_NAMES = tuple(field.name for field in fields(LoopSettings))

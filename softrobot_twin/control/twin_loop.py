@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -57,6 +58,12 @@ from softrobot_twin.simulation import (
 )
 
 DEVICE_LOST = "device lost"
+_SAME_TIME = 1.0e-6
+"""A time that is shorter than a period by less than this share counts as a period: round-off."""
+_SHORT_TICK = 0.5
+"""A tick that comes sooner than this share of a period after the one before makes a shorter step."""
+_SHORTEST_STEP = 1.0e-4
+"""Shortest step of the simulation [s]."""
 _SHOWN_UNITS = {"m3": "m³", "Pa": "Pa (gauge)"}
 
 
@@ -89,6 +96,21 @@ class Aims(NamedTuple):
         if turns is not None and (~np.isclose(turns, wanted, equal_nan=True)).any():
             return True
         return bool((~self.arrived & np.isfinite(self.wanted)).any())
+
+
+class TickTime(NamedTuple):
+    """The time that a tick stands for.
+
+    Attributes:
+        step: Duration of the simulation's step [s]: a period, less where the tick came sooner than
+            half a period after the one before, as after a change of the rate.
+        reach: Time in which actuators and guided bodies may move at their rates [s]: the time since
+            the last command left, at most a period. It follows the clock: after a late tick the
+            next one comes early, and its command may move less far.
+    """
+
+    step: float
+    reach: float
 
 
 class TickOutcome(NamedTuple):
@@ -222,6 +244,7 @@ class TwinLoop:
         self._history = MarkerHistory(len(simulation.marker_ids))
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
+        self._ticked = self._released = -math.inf
         self._watch = DeviceWatch(simulation.limits)
         self._engagement = Engagement(
             simulation, self._guidance, self.device if use_device else None
@@ -344,16 +367,16 @@ class TwinLoop:
             now: Time on the clock of `Arrival.time` [s].
             ros_time: Time on the clock of `Arrival.stamp` [ns].
         """
-        period = self.settings.period
+        time = self._time_of_tick(now)
         self._watch_device(now)
         self._engagement.begin()
-        aims = self._aims(now)
+        aims = self._aims(now, time.step)
         seen = self.markers.measured(now)
         accepted = self._plausibility.without_left_out(seen)
         activity, cause = self._decide(now, aims.reading, accepted)
-        self._guide(activity, now)
-        command = self._command(activity, cause, aims)
-        result, released, violated = self._step(command, self.touches.read(now))
+        self._guide(activity, now, time.reach)
+        command = self._command(activity, cause, aims, time)
+        result, released, violated = self._step(command, self.touches.read(now), time.reach)
         predicted = self.simulation.marker_positions()
         self._history.add(ros_time, predicted)
         measured, misfit = self._compare(seen, activity)
@@ -362,14 +385,25 @@ class TwinLoop:
         errors = self.measurement.errors(
             aims.reading.targets, result.effector_positions, effectors
         )
-        poses = self._guidance.poses() if released is None else self._guidance.send(period)
-        if cause != DEVICE_LOST and self._engagement.end(result, period):
+        if released is None:
+            poses = self._guidance.poses()
+        else:
+            poses, self._released = self._guidance.send(time.reach), now
+        if cause != DEVICE_LOST and self._engagement.end(result, time.step):
             self._forget_markers()
         return TickOutcome(
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
             measured, misfit, effectors, errors, poses, self._plausibility.left_out,
             aims.is_approaching, self._orientation_errors(aims.reading),
         )  # fmt: skip
+
+    def _time_of_tick(self, now: float) -> TickTime:
+        """The time that a tick at a time [s] stands for."""
+        period = self.settings.period
+        passed, self._ticked = now - self._ticked, now
+        step = period if passed > _SHORT_TICK * period else max(passed, _SHORTEST_STEP)
+        reach = max(0.0, now - self._released)
+        return TickTime(step, reach if reach < (1.0 - _SAME_TIME) * period else period)
 
     def _orientation_errors(self, reading: TargetReading) -> np.ndarray | None:
         """Angles from the orientations that were given [rad]; None where none is asked for."""
@@ -391,13 +425,13 @@ class TwinLoop:
                 self._forget_commands()
             self._engagement.resynchronise("the device is not where it was sent")
 
-    def _aims(self, now: float) -> Aims:
+    def _aims(self, now: float, time_step: float) -> Aims:
         """The targets of this tick and the aims that follow from them."""
         positions = self.simulation.effector_positions()
-        reading = self.targets.read(now, self.settings.period, positions)
+        reading = self.targets.read(now, time_step, positions)
         corrected = reading.targets + self.correction.offsets
         wanted = self.measurement.controlled(corrected, positions)
-        reach = self.settings.reach
+        reach = self.settings.reach(time_step)
         if reading.orientations is None:
             return Aims(reading, wanted, approach(positions, wanted, reach))
         aims, turns = approach_poses(
@@ -447,49 +481,54 @@ class TwinLoop:
             return "no command yet"
         return "no command for target_timeout" if 0.0 < self.settings.target_timeout < age else ""
 
-    def _guide(self, activity: Activity, now: float) -> None:
+    def _guide(self, activity: Activity, now: float, reach_time: float) -> None:
         """Moves the guided bodies in this tick, also without a command of the actuators."""
-        if activity is Activity.RETURNING:
-            self._guidance.go_home()
+        if reach_time == 0.0:
+            self._guidance.stay()
+        elif activity is Activity.RETURNING:
+            self._guidance.go_home(reach_time)
         elif activity is Activity.RESYNCHRONISING:
             self._guidance.go_to_sent()
         elif activity is Activity.DISABLED or self._is_lost:
             self._guidance.stay()
         else:
-            self._guidance.follow(now, self.settings.target_timeout)
+            self._guidance.follow(now, self.settings.target_timeout, reach_time)
 
-    def _command(self, activity: Activity, cause: str, aims: Aims):
+    def _command(self, activity: Activity, cause: str, aims: Aims, time: TickTime):
         """The command of this tick's step."""
-        time_step = self.settings.period
+        if time.reach == 0.0:
+            return Hold(time.step)
         if activity is Activity.FOLLOWING:
             return FollowTargets(
-                aims.aims, time_step, self.selected.setpoints, aims.turns, self.stiffness.wanted
+                aims.aims, time.step, self.selected.setpoints, aims.turns, self.stiffness.wanted,
+                time.reach,
             )
         if activity is Activity.COMMANDED:
-            return self._direct_command(time_step)
+            return self._direct_command(time)
         if activity is Activity.RETURNING and self._engagement.leads_by_model:
-            return CommandSetpoints(self._engagement.gate.home, time_step)
+            return CommandSetpoints(self._engagement.gate.home, *time)
         if activity is Activity.RESYNCHRONISING and cause != DEVICE_LOST:
-            return CommandSetpoints(self._engagement.goal, time_step)
-        return Hold(time_step)
+            return CommandSetpoints(self._engagement.goal, *time)
+        return Hold(time.step)
 
-    def _direct_command(self, time_step: float) -> CommandSetpoints | CommandEfforts:
+    def _direct_command(self, time: TickTime) -> CommandSetpoints | CommandEfforts:
         """The direct command; actuators that it does not name stay where they are."""
         present, direct = self.simulation.state.setpoints, self.direct
         if direct.setpoints is not None:
             wanted = np.where(np.isnan(direct.setpoints), present, direct.setpoints)
-            return CommandSetpoints(wanted, time_step)
+            return CommandSetpoints(wanted, *time)
         is_omitted = np.isnan(direct.efforts) & self.simulation.actuators.is_effort_driven
-        return CommandEfforts(np.where(is_omitted, present, direct.efforts), time_step)
+        return CommandEfforts(np.where(is_omitted, present, direct.efforts), *time)
 
     def _step(
-        self, command, touched: Touched | None
+        self, command, touched: Touched | None, reach_time: float
     ) -> tuple[StepResult, ActuatorCommand | None, tuple[str, ...]]:
         """Steps the simulation and passes its command through the gate.
 
         Args:
             command: The command of this tick.
             touched: What is measured of touches.
+            reach_time: Time in which the actuators may move at their rates [s].
 
         Returns:
             The step, the command that may be published or None, and the limits that the step's own
@@ -501,7 +540,7 @@ class TwinLoop:
             result = simulation.step(command, budget)
         else:
             result = simulation.step(command, budget, touched)
-        passage = self._engagement.release(result, self.settings.period)
+        passage = self._engagement.release(result, reach_time)
         if passage is None:
             return result, None, ()
         if passage.violated:

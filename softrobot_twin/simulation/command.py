@@ -23,6 +23,7 @@ class FollowTargets:
         stiffness: Wanted apparent stiffness of each effector along x, y and z [N/m], NaN where it
             is free, as for effectors that ask for no stiffness, shape (effector_count, 3). None:
             those of the scene.
+        reach_time: Time in which the actuators may move at their rates [s]; None: `time_step`.
     """
 
     targets: np.ndarray
@@ -30,6 +31,7 @@ class FollowTargets:
     commanded: np.ndarray | None = None
     orientations: np.ndarray | None = None
     stiffness: np.ndarray | None = None
+    reach_time: float | None = None
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,12 @@ class CommandSetpoints:
         setpoints: Commanded lengths of cables, pull point to last point, and positions of slides
             [m], shape (actuator_count,).
         time_step: Time since the last step [s].
+        reach_time: See `FollowTargets`.
     """
 
     setpoints: np.ndarray
     time_step: float
+    reach_time: float | None = None
 
 
 @dataclass(frozen=True)
@@ -55,10 +59,12 @@ class CommandEfforts:
         efforts: Commanded tensions of cables [N], shape (actuator_count,); NaN for slides, which
             are held.
         time_step: Time since the last step [s].
+        reach_time: See `FollowTargets`.
     """
 
     efforts: np.ndarray
     time_step: float
+    reach_time: float | None = None
 
 
 @dataclass(frozen=True)

@@ -86,10 +86,13 @@ class Interpretation:
         if isinstance(command, Hold):
             still = limits.bounds(drives, 0.0)
             return Asked(drives, still, still)
-        bounds = limits.bounds(drives, command.time_step)
-        if limits.has_flow and command.time_step > 0.0:
+        moving = command.time_step if command.reach_time is None else command.reach_time
+        if not (math.isfinite(moving) and moving >= 0.0):
+            raise CommandError("reach_time", f"{moving} s is not a duration")
+        bounds = limits.bounds(drives, moving)
+        if limits.has_flow and moving > 0.0:
             grown = actuators.displacements(state.setpoints, state.positions)
-            bounds = limits.with_flow(bounds, grown, command.time_step)
+            bounds = limits.with_flow(bounds, grown, moving)
         if isinstance(command, FollowTargets):
             rows, stiffness = self._target_rows(command, state), self._wanted_stiffness(command)
             if command.commanded is None:

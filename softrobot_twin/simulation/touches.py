@@ -143,7 +143,7 @@ class Touches:
         """
         acts = np.isfinite(self._origins).all(axis=1)
         if isinstance(command, FollowTargets) and (acts & self._holds).any():
-            return CommandSetpoints(state.setpoints, command.time_step)
+            return CommandSetpoints(state.setpoints, command.time_step, command.reach_time)
         return command
 
     @property
