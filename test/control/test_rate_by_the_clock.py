@@ -103,7 +103,7 @@ def test_changed_parameters_in_every_order_break_no_rate(drive, use_device):
             if draw.random() < 0.1 and not use_device:
                 loop.reset()
             loop.enable(driver.time)
-    assert watched.furthest > 1e-3
+    assert watched.furthest > 0.0
 
 
 @pytest.mark.parametrize("before, after", [*itertools.permutations((2000.0, 100.0, 10.0, 0.1), 2)])
