@@ -17,6 +17,10 @@ import numba
 from numba.core import event
 from numba.core.registry import CPUDispatcher
 
+from softrobot_twin.kernel_cache import KernelCache
+
+_PACKAGE = __name__.split(".")[0] + "."
+
 # Strictly by IEEE: no line may be reordered or fused, so that vector code and the scalar code that
 # stands in for it where arrays seem to overlap give the same bits. It costs nothing measurable.
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -51,12 +55,18 @@ class InnerKernel(CPUDispatcher):
 
 
 def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
-    """Compiles a kernel as `numba.njit` does, with the options above."""
+    """Compiles a kernel as `numba.njit` does, with the options above.
+
+    A kernel from outside of this package is not kept on disk; see `kernel_cache.py`.
+    """
 
     is_inner = bool(options.pop("only_kernels_call", False))
+    is_kept = bool(options.pop("cache", False))
 
     def compiled(function):
         kernel = numba.njit(**options, no_cpython_wrapper=is_inner)(function)
+        if is_kept and function.__module__.startswith(_PACKAGE):
+            kernel._cache = KernelCache(function)
         if is_inner:
             kernel.__class__ = InnerKernel
         return kernel

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-import softrobot_twin  # noqa: F401  chooses threads and kernel cache; before numpy and numba
+import softrobot_twin  # noqa: F401  chooses threads; before numpy
 
 # Tests start hundreds of processes, each of which would compile all sources anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -171,8 +171,10 @@ def compile_each_kernel_once() -> None:
     """
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.dispatcher import Dispatcher
+
+    from softrobot_twin.kernel_cache import kernel_folder
     compile_or_load = Dispatcher.compile
-    folder = Path(os.environ["NUMBA_CACHE_DIR"], "locks")
+    folder = kernel_folder() / "locks"
     folder.mkdir(parents=True, exist_ok=True)
     held = set()
 

@@ -108,29 +108,6 @@ def test_each_lower_bound_is_the_version_tested(metadata):
     assert {"numpy", "scipy", "rerun-sdk"} <= set(pinned) <= set(requirements(metadata))
 
 
-@pytest.mark.parametrize("changed, kept", [
-    ("errors.py", True),
-    ("mechanics/polar.py", False),
-    # A law is compiled into the kernels of another file, chosen by a third one.
-    ("mechanics/laws/corotational.py", False),
-    ("mechanics/point_law.py", False),
-])  # fmt: skip
-def test_compiled_kernels_are_kept_when_only_other_files_change(tmp_path, changed, kept):
-    copy = tmp_path / "softrobot_twin"
-    shutil.copytree(PACKAGE, copy, ignore=LEFT_OUT)
-    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    environment["XDG_CACHE_HOME"] = str(tmp_path)
-
-    def kernel_folder() -> str:
-        code = "import os, softrobot_twin; print(os.environ['NUMBA_CACHE_DIR'])"
-        return subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment,
-                              capture_output=True, text=True, check=True).stdout
-
-    before = kernel_folder()
-    (copy / changed).write_text((copy / changed).read_text() + "\n# changed\n")
-    assert (kernel_folder() == before) is kept
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_domain_id):
@@ -144,38 +121,13 @@ def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_do
     # The commands below must not use the sources.
     shutil.rmtree(source)
 
-    prefix, kernels = install / "softrobot_twin", tmp_path / "kernels"
-    (package,) = prefix.glob("lib/python*/site-packages/softrobot_twin")
-    share_kernels(package, kernels)
+    prefix = install / "softrobot_twin"
     log = run_until_ready(
         ["bash", "-c", f'. "{install}/setup.bash" && exec "$@"', "start",
          prefix / "lib/softrobot_twin/twin", "--ros-args",
          "--params-file", prefix / "share/softrobot_twin/config/diamond.yaml"],
-        {**os.environ, "ROS_DOMAIN_ID": str(ros_domain_id),
-         "NUMBA_CACHE_DIR": str(kernels)}, tmp_path)
+        {**os.environ, "ROS_DOMAIN_ID": str(ros_domain_id)}, tmp_path)
     assert str(prefix / "share/softrobot_twin/config/scenes") in log
-
-
-def share_kernels(package: Path, folder: Path) -> None:
-    """Makes a folder of kernels for an installed package from links to those of its sources.
-
-    numba keeps the kernels of a module in a folder named after the module's place, and compiles
-    them anew when its time differs.
-    """
-    from numba.core.caching import _CacheLocator as Locator
-
-    for module in package.rglob("*.py"):
-        source = PACKAGE / module.relative_to(package)
-        times = source.stat()
-        os.utime(module, ns=(times.st_atime_ns, times.st_mtime_ns))
-        compiled, link = (
-            Path(place, Locator.get_suitable_cache_subpath(str(file)))
-            for place, file in ((os.environ["NUMBA_CACHE_DIR"], source), (folder, module))
-        )
-        if not link.is_symlink():
-            compiled.mkdir(parents=True, exist_ok=True)
-            folder.mkdir(exist_ok=True)
-            link.symlink_to(compiled)
 
 
 def run_until_ready(command: list, environment: dict[str, str], folder: Path) -> str:

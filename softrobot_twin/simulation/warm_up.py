@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import logging
-import os
 from functools import cache
-from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
+from softrobot_twin.kernel_cache import count_kept
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.touches import Touched
@@ -23,9 +21,8 @@ _FEW_KERNELS = 50
 
 @cache
 def tell_of_compilation() -> None:
-    """Say once, before a long silence, that this machine has no compiled kernels yet."""
-    kept = Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi")
-    if sum(1 for _ in islice(kept, _FEW_KERNELS)) < _FEW_KERNELS:
+    """Say once, before a long silence, that this machine has few compiled kernels yet."""
+    if count_kept() < _FEW_KERNELS:
         logging.getLogger("softrobot_twin").warning(
             "softrobot_twin: kernels are compiled for this machine, once: about a minute")
 

@@ -1,0 +1,220 @@
+"""Compiled kernels on disk, each kept until a source that it is made of changes.
+
+numba's own cache compiles a kernel anew when its own file changes, but not when a kernel or a
+constant changes that it takes from another file. Here an entry's name contains a hash of the
+kernel's *closure*: its source file and all files of this package that this file imports, directly
+or not. A law is no import of the kernels that call it: numba finds it by the type of its
+parameters. So the closures of the modules that define the types of the arguments are hashed too.
+
+Neither the place of the package nor the times of its files count: checkouts and installed packages
+of the same sources share entries. An entry is one file that is moved into its place as a whole, and
+its name says all that it depends on. So processes may compile the same kernel at the same time.
+
+Kernels and types from outside of this package are not kept: what they import is not known.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import pickle
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from uuid import uuid4
+
+import numba
+from numba.core import sigutils, types
+from numba.core.caching import _Cache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+_ROOT = Path(__file__).parent
+_PACKAGE = __name__.split(".")[0]
+_IMPORT = re.compile(rf"^(?:from|import) ({_PACKAGE}[\w.]*)(?: import (\([^)]*\)|.*))?", re.M)
+_DAY = 24 * 3600
+# An entry that was not used for so long is deleted [s].
+_SECONDS_KEPT = 7 * _DAY
+# Bytes of the hash of an entry's content, at its beginning: the file may be damaged.
+_DIGEST = 32
+# Digits of the hashes in an entry's name.
+_SHORT = 16
+
+
+@cache
+def _source(module: str) -> bytes | None:
+    """Content of a module's file; None where it is none of this package."""
+    name, *parts = module.split(".")
+    path = _ROOT.joinpath(*parts)
+    for file in (path.with_suffix(".py"), path / "__init__.py"):
+        if name == _PACKAGE and file.is_file():
+            return file.read_bytes()
+    return None
+
+
+@cache
+def _imports(module: str) -> frozenset[str]:
+    """Modules of this package that a module imports."""
+    found = set()
+    for origin, names in _IMPORT.findall(_source(module).decode()):
+        parts = {f"{origin}.{name}" for name in re.findall(r"\w+", names)}
+        found |= {name for name in {origin, *parts} if _source(name) is not None}
+    return frozenset(found)
+
+
+@cache
+def closure(module: str) -> frozenset[str]:
+    """Names of a module and all modules of this package that it imports, directly or not.
+
+    Args:
+        module: Its full name.
+    """
+    found, new = {module}, [module]
+    while new:
+        added = _imports(new.pop()) - found
+        found |= added
+        new += added
+    return frozenset(found)
+
+
+@cache
+def closure_hash(module: str) -> str:
+    """Hash of the sources of a module's closure."""
+    state = sha256()
+    for name in sorted(closure(module)):
+        state.update(name.encode() + b"\0" + _source(name) + b"\0")
+    return state.hexdigest()
+
+
+@cache
+def kernel_folder() -> Path:
+    """The folder of the entries, which exists and can be written.
+
+    It is the environment's NUMBA_CACHE_DIR; otherwise one in the user's folder of caches; and where
+    this cannot be written, a temporary one, for this process and those that it starts.
+    """
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(chosen or Path(home, _PACKAGE, "kernels"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        folder = Path(tempfile.mkdtemp(prefix=f"{_PACKAGE}-kernels-"))
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    _delete_unused(folder)
+    return folder
+
+
+def _delete_unused(folder: Path) -> None:
+    """Deletes entries that were not used for a week; it looks once a day."""
+    last = folder / "last_cleaned"
+    if last.is_file() and time.time() - last.stat().st_mtime < _DAY:
+        return
+    last.touch()
+    for entry in folder.glob("*.nbc*"):
+        # Another process may delete the same ones.
+        try:
+            if time.time() - entry.stat().st_mtime > _SECONDS_KEPT:
+                entry.unlink()
+        except FileNotFoundError:
+            pass
+
+
+_modules_with_kernels: set[str] = set()
+
+
+def count_kept() -> int:
+    """Number of entries that are of use today: of the modules with kernels imported so far."""
+    present = {closure_hash(module)[:_SHORT] for module in _modules_with_kernels}
+    entries = (entry.stem.split("-") for entry in kernel_folder().glob("*.nbc"))
+    return sum(len(parts) > 2 and parts[-2] in present for parts in entries)
+
+
+def _modules_of_types(type_: types.Type) -> Iterator[str]:
+    """Names of the modules that define a type of an argument and the types in it."""
+    if isinstance(type_, types.BaseNamedTuple):
+        yield type_.instance_class.__module__
+    if isinstance(type_, types.BaseTuple):
+        for part in type_:
+            yield from _modules_of_types(part)
+
+
+class KernelCache(_Cache):
+    """The entries of one kernel, in place of numba's cache.
+
+    Attributes:
+        cache_path: The folder of all entries.
+    """
+
+    def __init__(self, function) -> None:
+        """Args: function: The kernel's Python function, of this package."""
+        self._function = function
+        _modules_with_kernels.add(function.__module__)
+
+    @property
+    def cache_path(self) -> str:
+        return str(kernel_folder())
+
+    def _entry(self, signature, codegen) -> Path | None:
+        """Where the code for a signature belongs; None where it depends on what is not known."""
+        function = self._function
+        arguments, returned = sigutils.normalize_signature(signature)
+        modules = {name for type_ in arguments for name in _modules_of_types(type_)}
+        if None in map(_source, modules):
+            return None
+        cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
+        depends_on = (
+            numba.__version__, sys.version_info[:2], codegen.magic_tuple(), str(arguments),
+            str(returned), function.__code__.co_firstlineno, function.__code__.co_code,
+            dumps(cells) if cells else None, sorted(map(closure_hash, modules)),
+        )  # fmt: skip
+        name = f"{function.__module__}.{function.__qualname__}".removeprefix(f"{_PACKAGE}.")
+        own, rest = closure_hash(function.__module__), sha256(repr(depends_on).encode()).hexdigest()
+        return kernel_folder() / f"{name}-{own[:_SHORT]}-{rest[:_SHORT]}.nbc"
+
+    def load_overload(self, sig, target_context):
+        """The compiled kernel for a signature; None where it is not kept or its file is damaged."""
+        target_context.refresh()
+        entry = self._entry(sig, target_context.codegen())
+        if entry is None or not entry.is_file():
+            return None
+        content = entry.read_bytes()
+        digest, code = content[:_DIGEST], content[_DIGEST:]
+        if sha256(code).digest() != digest:
+            return None
+        if time.time() - entry.stat().st_mtime > _DAY:
+            entry.touch()
+        return CompileResult._rebuild(target_context, *pickle.loads(code))
+
+    def save_overload(self, sig, data) -> None:
+        """Keeps a compiled kernel."""
+        entry = self._entry(sig, data.codegen)
+        if entry is None:
+            return
+        if data.lifted or data.library.has_dynamic_globals:
+            raise TypeError(f"{entry.stem} holds addresses of this process and cannot be kept")
+        code = dumps(data._reduce())
+        unfinished = entry.with_suffix(f".nbc{uuid4().hex}")
+        try:
+            unfinished.write_bytes(sha256(code).digest() + code)
+            unfinished.replace(entry)
+        except OSError as error:
+            unfinished.unlink(missing_ok=True)
+            logging.getLogger(_PACKAGE).warning("a compiled kernel is not kept: %s", error)
+
+    def enable(self) -> None:
+        """Does nothing: it is always on."""
+
+    def disable(self) -> None:
+        """Refuses; numba never asks for it."""
+        raise NotImplementedError
+
+    def flush(self) -> None:
+        """Refuses; numba never asks for it."""
+        raise NotImplementedError
