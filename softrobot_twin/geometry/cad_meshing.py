@@ -35,7 +35,7 @@ CAD_SUFFIXES = (".stl", ".step", ".stp")
 """Suffixes of files that gmsh meshes."""
 MOST_TETS = 1_000_000
 """A size that would make more tetrahedra than this is refused."""
-MOST_BYTES, MOST_FACETS = 500_000_000, 1_000_000
+MOST_BYTES, MOST_FACETS = 200_000_000, 1_000_000
 """Greatest CAD file, and greatest number of triangles of an STL file."""
 VOLUME_TOLERANCE = 0.01
 """A mesh whose volume differs from the part's by a greater share is told."""

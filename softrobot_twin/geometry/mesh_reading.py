@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import meshio
 import meshio.vtk
-import meshio.vtu
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -22,6 +21,7 @@ from softrobot_twin.geometry.hexahedral_mesh import (
     corner_determinants,
     scaled_jacobians,
 )
+from softrobot_twin.geometry.mesh_file_checks import check_positions, check_size
 from softrobot_twin.geometry.mesh_parts import (
     NO_PARTS,
     FileParts,
@@ -46,6 +46,7 @@ from softrobot_twin.geometry.mesh_repair import (
 from softrobot_twin.geometry.quadratic_mesh import place_mid_edge_nodes
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.geometry.vtu_reading import read_vtu
 
 _SUFFIXES = (".msh", ".vtk", ".vtu", ".inp")
 # Number of nodes of each kind of cell that is read.
@@ -53,7 +54,7 @@ _NODES_OF = {"tetra": 4, "tetra10": 10, "hexahedron": 8}
 _READERS = {
     "Gmsh": read_gmsh,
     "legacy VTK": meshio.vtk.read,
-    "VTK XML": meshio.vtu.read,
+    "VTK XML": read_vtu,
     "Abaqus": read_abaqus,
 }
 _FORMAT_OF_SUFFIX = {
@@ -109,6 +110,7 @@ def read_mesh_file(path: Path) -> MeshFile:
     if not path.is_file():
         found = "is a folder, not a file" if path.is_dir() else "there is no such file"
         raise MeshError(path, found)
+    check_size(path)
     format_name = _format_of_content(path)
     # The reader prints to the terminal; the relevant part becomes the error message.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -291,7 +293,7 @@ def read_solid_mesh(
     path = Path(path)
     _check_placement(path, scale, translation, rotation, merge_tolerance)
     file = read_mesh_file(path)
-    _check_nodes(path, file)
+    _check_nodes(path, file, scale)
     notes = _content_notes(path, file)
     notes += _rotation_notes(rotation)
 
@@ -433,7 +435,7 @@ def _check_placement(
         raise MeshError(path, f"merge_tolerance is {merge_tolerance} m, not a length")
 
 
-def _check_nodes(path: Path, file: MeshFile) -> None:
+def _check_nodes(path: Path, file: MeshFile, scale: float) -> None:
     node_count = len(file.node_positions)
     outside = np.flatnonzero(((file.tets < 0) | (file.tets >= node_count)).any(axis=1))
     if len(outside):
@@ -455,11 +457,7 @@ def _check_nodes(path: Path, file: MeshFile) -> None:
             path, f"tetrahedron {tet} has the nodes {file.mid_nodes[tet].tolist()} on its edges, "
             f"but there are only {node_count}",
         )  # fmt: skip
-    wrong = np.flatnonzero(~np.isfinite(file.node_positions).all(axis=1))
-    if len(wrong):
-        raise MeshError(
-            path, f"node {wrong[0]} is at {file.node_positions[wrong[0]].tolist()}, not finite"
-        )
+    check_positions(path, file.node_positions, scale, "node")
 
 
 def _content_notes(path: Path, file: MeshFile) -> list[str]:

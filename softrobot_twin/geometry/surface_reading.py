@@ -19,8 +19,10 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.closed_surface import closed_surface, flatten_regions
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
+from softrobot_twin.geometry.mesh_file_checks import check_positions, check_size
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 from softrobot_twin.geometry.point_location import closest_on_triangles
+from softrobot_twin.geometry.vtu_reading import read_vtu
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,9 +257,10 @@ def read_surface(
         raise MeshError(path, f"surface files end in {', '.join(SUFFIXES)}, not '{path.suffix}'")
     if not path.is_file():
         raise MeshError(path, "there is no such file")
+    check_size(path)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
-            content = meshio.read(path)
+            content = read_vtu(str(path)) if path.suffix.lower() == ".vtu" else meshio.read(path)
         except (Exception, SystemExit) as error:  # a damaged file may raise any exception
             detail = " ".join(str(error).split()) or "no reason given"
             raise MeshError(path, f"cannot be read ({type(error).__name__}: {detail})") from None
@@ -265,8 +268,7 @@ def read_surface(
     if sum(map(len, triangles)) == 0:
         raise MeshError(path, "has no triangles")
     points = np.asarray(content.points, float)
-    if not np.isfinite(points).all():
-        raise MeshError(path, "has points that are not finite")
+    check_positions(path, points, scale, "point")
     placed = Rotation.from_euler("xyz", rotation).apply(scale * points) + translation
     return _merged(placed, np.concatenate(triangles).astype(np.int64))
 

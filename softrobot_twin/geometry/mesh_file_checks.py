@@ -1,0 +1,61 @@
+"""What is checked of each file of a mesh or a surface: its size, its counts and its positions."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from softrobot_twin.errors import MeshError
+
+MOST_BYTES = 200_000_000
+"""A larger file is not read."""
+# Coordinates beyond it [m] are refused: their products in volumes and inertias could overflow.
+_FARTHEST = 1e9
+# Lines that state how many nodes or cells follow, for which readers allocate memory.
+_COUNTS = re.compile(
+    rb"(?:^|\n)\s*(?:\$(Nodes|Elements)\s*\n|(POINTS|CELLS|CELL_TYPES) |element (vertex|face) )"
+    rb"([0-9 ]{1,200})"
+)
+
+
+def check_size(path: Path) -> None:
+    """Checks a file before it is read.
+
+    Args:
+        path: The file.
+
+    Raises:
+        MeshError: It is larger than `MOST_BYTES`, or states more nodes or cells than it has bytes.
+    """
+    byte_count = path.stat().st_size
+    if byte_count > MOST_BYTES:
+        raise MeshError(path, f"has {byte_count / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} MB")
+    for *words, counts in _COUNTS.findall(path.read_bytes()):
+        most = max(map(int, counts.split()), default=0)
+        if most > byte_count:
+            word = b"".join(words).decode()
+            raise MeshError(path, f"is damaged: it has {byte_count} bytes, and states {most} for "
+                            f"{word}")  # fmt: skip
+
+
+def check_positions(path: Path, positions: np.ndarray, scale: float, what: str) -> None:
+    """Checks the positions of a file.
+
+    Args:
+        path: The file, for the error.
+        positions: In the unit of the file, shape (count, 3).
+        scale: Metres in one unit of the file.
+        what: What is there, such as ``node``.
+
+    Raises:
+        MeshError: One is not finite or farther away than any robot is.
+    """
+    # A comparison with NaN is false.
+    wrong = np.flatnonzero(~(np.abs(positions) <= _FARTHEST / scale).all(axis=1))
+    if len(wrong):
+        place = positions[wrong[0]]
+        why = (f"farther than {_FARTHEST:g} m: is the file damaged, or its scale wrong?"
+               if np.isfinite(place).all() else "not finite")  # fmt: skip
+        raise MeshError(path, f"{what} {wrong[0]} is at {place.tolist()}, {why}")

@@ -1,0 +1,241 @@
+"""Reading of VTK XML files (.vtu), whose arrays may be compressed, in bounded time and memory.
+
+A compressed array of a few bytes can stand for gigabytes. Each array is unpacked only as far as all
+arrays together remain below `MOST_UNPACKED`.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import lzma
+import re
+import warnings
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import meshio
+import numpy as np
+
+MOST_UNPACKED = 64_000_000
+"""Greatest number of bytes of all arrays of a file together."""
+
+_TYPES = {"Float32": "f4", "Float64": "f8", "Int8": "i1", "Int16": "i2", "Int32": "i4",
+          "Int64": "i8", "UInt8": "u1", "UInt16": "u2", "UInt32": "u4", "UInt64": "u8"}  # fmt: skip
+# VTK's number of each kind of cell, as meshio names it, and its number of nodes.
+_CELLS = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4),
+          12: ("hexahedron", 8), 13: ("wedge", 6), 14: ("pyramid", 5), 21: ("line3", 3),
+          22: ("triangle6", 6), 23: ("quad8", 8), 24: ("tetra10", 10), 25: ("hexahedron20", 20),
+          26: ("wedge15", 15), 27: ("pyramid13", 13), 28: ("quad9", 9),
+          29: ("hexahedron27", 27)}  # fmt: skip
+_DECOMPRESSORS: dict[str, Callable[[], Any]] = {
+    "vtkZLibDataCompressor": zlib.decompressobj,
+    "vtkLZMADataCompressor": lambda: lzma.LZMADecompressor(memlimit=MOST_UNPACKED),
+}
+
+
+def read_vtu(path: str) -> meshio.Mesh:
+    """Reads nodes, cells and the numbers of cells of an unstructured grid.
+
+    Args:
+        path: File to read: its arrays as text, base64 or raw, compressed by zlib, LZMA or not.
+
+    Returns:
+        The content, one block of cells for each kind of cell, in the order of VTK's numbers.
+
+    Raises:
+        ValueError: The file is no unstructured grid, is damaged, or unpacks to more than
+            `MOST_UNPACKED`.
+    """
+    return _VtuFile(Path(path).read_bytes()).content()
+
+
+class _VtuFile:
+    """A file, and how much of it may still be unpacked."""
+
+    def __init__(self, text: bytes):
+        if b"<!DOCTYPE" in text[:4096]:
+            raise ValueError("it has a document type, which VTK does not write")
+        # Raw data in it is no XML.
+        self._raw = None
+        opening = re.search(rb'<AppendedData[^>]*encoding="raw"[^>]*>', text)
+        if opening is not None:
+            end = text.rfind(b"</AppendedData>")
+            self._raw = text[opening.end() : end].partition(b"_")[2]
+            text = text[: opening.end()] + text[end:]
+        root = ElementTree.fromstring(text)
+        grid = root.find("UnstructuredGrid")
+        if root.tag != "VTKFile" or grid is None:
+            raise ValueError("it is no UnstructuredGrid")
+        self._pieces = grid.findall("Piece")
+        if not self._pieces:
+            raise ValueError("it has no Piece")
+        compressor = root.get("compressor")
+        if compressor is not None and compressor not in _DECOMPRESSORS:
+            raise ValueError(f"its compressor is {compressor}; {', '.join(_DECOMPRESSORS)} are read")
+        self._decompressor = None if compressor is None else _DECOMPRESSORS[compressor]
+        self._order = ">" if root.get("byte_order") == "BigEndian" else "<"
+        self._counts = self._type(root.get("header_type", "UInt32"))
+        appended = root.find("AppendedData")
+        text_of_appended = "" if appended is None else appended.text or ""
+        self._base64 = text_of_appended.strip().removeprefix("_")
+        self._left = MOST_UNPACKED
+
+    def content(self) -> meshio.Mesh:
+        points, rows, numbers = [], dict[int, list[np.ndarray]](), dict[str, dict[int, list]]()
+        first = 0
+        for piece in self._pieces:
+            places = self._arrays(piece, "Points")
+            if len(places) != 1:
+                raise ValueError("a Piece has no Points")
+            points.append(next(iter(places.values())).reshape(-1, 3))
+            cells = self._arrays(piece, "Cells")
+            if not {"connectivity", "offsets", "types"} <= cells.keys():
+                raise ValueError("Cells need connectivity, offsets and types")
+            nodes, ends = (cells[name].ravel().astype(np.int64)
+                           for name in ("connectivity", "offsets"))  # fmt: skip
+            types = cells["types"].ravel().astype(np.int64)
+            if len(ends) != len(types) or (np.diff(ends, prepend=0) < 0).any() or (
+                    len(ends) and ends[-1] > len(nodes)):  # fmt: skip
+                raise ValueError("the offsets of its cells fit neither types nor connectivity")
+            of_cells = self._arrays(piece, "CellData")
+            for kind in np.unique(types).tolist():
+                own = np.flatnonzero(types == kind)
+                rows.setdefault(kind, []).append(first + _rows(kind, own, nodes, ends))
+                for name, values in of_cells.items():
+                    if len(values) == len(types):
+                        numbers.setdefault(name, {}).setdefault(kind, []).append(values[own])
+            first += len(points[-1])
+        kinds = sorted(rows)
+        return meshio.Mesh(
+            np.concatenate(points),
+            [(_name(kind), np.concatenate(rows[kind])) for kind in kinds],
+            cell_data={name: [np.concatenate(found[kind]) for kind in kinds]
+                       for name, found in numbers.items() if sorted(found) == kinds},
+        )  # fmt: skip
+
+    def _arrays(self, piece: ElementTree.Element, section: str) -> dict[str, np.ndarray]:
+        """The arrays of a section by their names, those of several components as rows."""
+        found = {}
+        for array in piece.findall(f"{section}/DataArray"):
+            if array.get("type") not in _TYPES:
+                continue  # words
+            values = self._values(array)
+            components = int(array.get("NumberOfComponents") or 1)
+            found[array.get("Name", section)] = (
+                values if components == 1 else values.reshape(-1, components)
+            )
+        return found
+
+    def _type(self, name: str | None) -> np.dtype:
+        if name not in _TYPES:
+            raise ValueError(f"an array has the type {name}")
+        return np.dtype(self._order + _TYPES[name])
+
+    def _values(self, array: ElementTree.Element) -> np.ndarray:
+        kind = self._type(array.get("type"))
+        form = array.get("format", "ascii")
+        if form == "ascii":
+            text = array.text or ""
+            self._take(len(text) // 2 * kind.itemsize)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # of words that are no numbers
+                return np.fromstring(text, dtype=kind.newbyteorder("="), sep=" ")
+        if form == "binary":
+            return np.frombuffer(self._unpacked(_Base64((array.text or "").strip())), kind)
+        if form != "appended":
+            raise ValueError(f"an array has the format {form}")
+        start = int(array.get("offset", "0"))
+        if start < 0:
+            raise ValueError("an array begins before the appended data")
+        source = _Base64(self._base64, start) if self._raw is None else _Raw(self._raw, start)
+        return np.frombuffer(self._unpacked(source), kind)
+
+    def _unpacked(self, source: _Bytes) -> bytes:
+        """The bytes of an array: its size or the sizes of its compressed blocks come first."""
+        width = self._counts.itemsize
+        if self._decompressor is None:
+            size = int(np.frombuffer(source.take(0, width), self._counts)[0])
+            self._take(size)
+            return source.whole(width, size)
+        block_count = int(np.frombuffer(source.take(0, width), self._counts)[0])
+        head_size = (3 + block_count) * width
+        sizes = np.frombuffer(source.take(0, head_size), self._counts)[3:].astype(np.int64)
+        blocks, start = [], 0
+        packed = source.after(head_size, int(sizes.sum()))
+        for size in sizes.tolist():
+            part = packed[start : start + size]
+            blocks.append(self._decompressor().decompress(part, self._left + 1))
+            self._take(len(blocks[-1]))
+            start += size
+        return b"".join(blocks)
+
+    def _take(self, size: int) -> None:
+        self._left -= size
+        if self._left < 0:
+            raise ValueError(f"its arrays unpack to more than {MOST_UNPACKED / 1e6:.0f} MB")
+
+
+class _Raw:
+    """Bytes of raw data from a start on."""
+
+    def __init__(self, data: bytes, start: int):
+        self._data, self._start = data, start
+
+    def take(self, start: int, size: int) -> bytes:
+        first = self._start + start
+        if size < 0 or first + size > len(self._data):
+            raise ValueError("an array ends before its last byte")
+        return self._data[first : first + size]
+
+    after = whole = take
+
+
+class _Base64:
+    """Bytes of base64 text from a start on."""
+
+    def __init__(self, text: str, start: int = 0):
+        self._text, self._start = text, start
+
+    def take(self, start: int, size: int) -> bytes:
+        first = self._start + start
+        length = 4 * -(-size // 3)
+        if size < 0 or first + length > len(self._text):
+            raise ValueError("an array ends before its last byte")
+        try:
+            return base64.b64decode(self._text[first : first + length])[:size]
+        except binascii.Error as error:
+            raise ValueError(f"an array is no base64 ({error})") from None
+
+    def after(self, header_size: int, size: int) -> bytes:
+        return self.take(4 * -(-header_size // 3), size)
+
+    def whole(self, header_size: int, size: int) -> bytes:
+        """An array without compression, encoded with its header or, as the padding shows, apart."""
+        is_apart = self._text[self._start : self._start + 4 * -(-header_size // 3)].endswith("=")
+        if is_apart:
+            return self.after(header_size, size)
+        return self.take(0, header_size + size)[header_size:]
+
+
+_Bytes = _Base64 | _Raw
+
+
+def _rows(kind: int, own: np.ndarray, nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Nodes of the cells of a kind, shape (cell_count, nodes_per_cell)."""
+    if kind == 7:  # polygons have any number of nodes; only their number is told
+        return np.zeros((len(own), 3), np.int64)
+    width = _CELLS[kind][1] if kind in _CELLS else 0
+    starts = np.concatenate([[0], ends[:-1]])[own]
+    if width == 0 or (ends[own] - starts != width).any():
+        what = f"cells of VTK's type {kind}"
+        raise ValueError(f"its {what} have other than {width} nodes" if width
+                         else f"it has {what}, which are not read")  # fmt: skip
+    return nodes[starts[:, None] + np.arange(width)]
+
+
+def _name(kind: int) -> str:
+    return "polygon" if kind == 7 else _CELLS[kind][0]
