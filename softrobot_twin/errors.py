@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 
 class SoftRobotTwinError(Exception):
@@ -24,7 +26,7 @@ class MeshError(SoftRobotTwinError):
 
 
 class SceneError(SoftRobotTwinError):
-    """A scene contains an entry that cannot be used.
+    """A scene contains entries that cannot be used.
 
     Attributes:
         path: Scene file, or None for a scene made in memory.
@@ -32,16 +34,31 @@ class SceneError(SoftRobotTwinError):
         value: Value of the entry.
         unit: Unit the value is read in, or an empty string.
         reason: What is required.
+        line: Line of the entry in the file; None where the file does not have it.
+        others: Further errors of the same scene.
+        further: Number of errors beyond these.
     """
 
-    def __init__(self, path: Path | str | None, key: str, value: object, unit: str, reason: str):
+    line_of_key: ClassVar[Callable[[Path, str], int | None]] = staticmethod(lambda path, key: None)
+    """Finds the line of a key in a scene file; `softrobot_twin.scene.loading` sets it."""
+
+    def __init__(
+        self, path: Path | str | None, key: str, value: object, unit: str, reason: str,
+        others: Sequence[SceneError] = (), further: int = 0,
+    ):  # fmt: skip
         self.path = None if path is None else Path(path)
         self.key = key
         self.value = value
         self.unit = unit
         self.reason = reason
+        self.line = None if self.path is None else type(self).line_of_key(self.path, key)
+        self.others, self.further = tuple(others), further
         stated = f"{value!r} {unit}".rstrip()
-        super().__init__(f"{path or 'scene'}: {key} = {stated}: {reason}")
+        place = str(path or "scene") if self.line is None else f"{path}:{self.line}"
+        shown = [f"{place}: {key} = {stated}: {reason}", *map(str, self.others)]
+        if further:
+            shown.append(f"and {further} more error{'s' if further > 1 else ''}")
+        super().__init__("\n".join(shown))
 
 
 class CommandError(SoftRobotTwinError):

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import SceneError, SoftRobotTwinError
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -68,7 +68,8 @@ def run_node(
     try:
         _run(name, load, arguments, stop, about)
     except SoftRobotTwinError as error:
-        print(f"{name}: {_one_line(error)}", file=sys.stderr)
+        words = str(error) if isinstance(error, SceneError) else _one_line(error)
+        print(f"{name}: {words}", file=sys.stderr)
         return REFUSED
     except BaseException:
         # A library may turn an interrupt into an error of its own.

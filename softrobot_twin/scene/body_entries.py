@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -31,6 +32,7 @@ from softrobot_twin.scene.entry import (
     unit,
 )
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO, UNFITTED
+from softrobot_twin.scene.refusal_messages import nearest
 
 # --- deformable bodies ---------------------------------------------------------------------------
 
@@ -181,8 +183,12 @@ def with_preset(entry: Mapping) -> Mapping:
     if name in UNFITTED:
         raise refusal("preset", name, f"is refused: {UNFITTED[name]}; give law and constants")
     if not isinstance(name, str) or name not in MATERIAL_PRESETS:
-        known = ", ".join(MATERIAL_PRESETS)
-        raise refusal("preset", name, f"is none of the presets: {known}")
+        word = re.sub(r"[\W_]+", "", str(name)).lower()
+        alike = [one for one in MATERIAL_PRESETS if word and one.replace("_", "").startswith(word)]
+        if alike:
+            raise refusal("preset", name, f"is no preset; is {' or '.join(alike)} meant?")
+        raise refusal("preset", name, f"is none of the presets: {', '.join(MATERIAL_PRESETS)}"
+                      f"{nearest(name, MATERIAL_PRESETS)}")  # fmt: skip
     preset = MATERIAL_PRESETS[name]
     own = {"law": preset.law, "constants": preset.constants, "young_modulus": None}
     for key, value in own.items():
@@ -246,6 +252,8 @@ class ElasticEntry(Entry):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, entry: Any) -> Any:
+        if isinstance(entry, str):
+            entry = {"preset": entry}
         return with_preset(entry) if isinstance(entry, Mapping) else entry
 
     @model_validator(mode="after")

@@ -6,19 +6,32 @@ In a scene file ``on`` is a key, not the truth value, and a key occurs once per 
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydantic import ValidationError
+from yaml.composer import Composer
+from yaml.constructor import SafeConstructor
+from yaml.parser import Parser
+from yaml.reader import Reader
+from yaml.resolver import Resolver
+from yaml.scanner import Scanner
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.patterns import Source, as_written, expand_patterns
-from softrobot_twin.scene.refusal_messages import scene_error
+from softrobot_twin.scene.refusal_messages import parts, scene_error
 from softrobot_twin.scene.schema import Scene
 
-MOST_ENTRIES = 1_000_000
-"""A text whose expanded anchors have more entries than this is not read."""
+try:
+    from yaml.cyaml import CParser
+except ImportError:
+    CParser = None
+
+MOST_BYTES, MOST_ENTRIES, MOST_LEVELS = 4_000_000, 50_000, 100
+"""A text of more bytes, more entries with its anchors expanded, or sections nested more deeply is
+not read."""
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -39,6 +52,10 @@ def load_scene(path: Path | str) -> Scene:
         return SceneError(path, "scene_file", str(path), "", reason)
 
     try:
+        byte_count = path.stat().st_size
+        if byte_count > MOST_BYTES:
+            raise refused(f"has {byte_count / 1e6:.0f} MB; a scene has at most "
+                          f"{MOST_BYTES / 1e6:.0f} MB")
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise refused(error.strerror or str(error)) from None
@@ -86,6 +103,49 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
     return scene
 
 
+def line_of_key(path: Path, key: str) -> int | None:
+    """The line of a scene file in which a key is, or else the section that lacks it.
+
+    Args:
+        path: YAML file.
+        key: Dotted path, such as ``cables[0].rate``.
+
+    Returns:
+        The line, counted from 1; None where the file cannot be read or has no such section.
+    """
+    try:
+        found = path.stat()
+        node = _root(path, found.st_mtime_ns, found.st_size)
+    except (OSError, ValueError, yaml.YAMLError):
+        return None
+    line = None
+    for part in parts(key):
+        if isinstance(part, int):
+            if isinstance(node, yaml.SequenceNode) and part < len(node.value):
+                node = node.value[part]
+                line = node.start_mark.line + 1
+            elif not isinstance(node, yaml.MappingNode):  # one entry in place of a list
+                break
+        else:
+            pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+            named = [pair for pair in pairs if pair[0].value == part]
+            if not named:
+                break
+            line, node = named[0][0].start_mark.line + 1, named[0][1]
+    return line
+
+
+@lru_cache(maxsize=1)
+def _root(path: Path, changed: int, byte_count: int) -> yaml.Node | None:
+    """The entries of a file with their lines."""
+    if byte_count > MOST_BYTES:
+        return None
+    return _SceneYaml(path.read_text(encoding="utf-8-sig")).get_single_node()
+
+
+SceneError.line_of_key = staticmethod(line_of_key)
+
+
 def written_out(mapping: Any, path: Path | None = None) -> Any:
     """A scene with copies in place of its repeated entries, as one would write it by hand.
 
@@ -124,13 +184,36 @@ class DuplicateKeyError(yaml.YAMLError):  # type: ignore[misc]
         super().__init__(f"{key} is given twice, in lines {lines[0]} and {lines[1]}")
 
 
-class _SceneYaml(yaml.SafeLoader):  # type: ignore[misc]
-    """Accepts only ``true`` and ``false`` as truth values, as YAML 1.2 does."""
+# The parser of libyaml is ten times as fast; PyYAML has it wherever it is installed as a wheel.
+_PARSER: tuple = (Reader, Scanner, Parser) if CParser is None else (CParser,)
+
+
+class _SceneYaml(Composer, *_PARSER, SafeConstructor, Resolver):  # type: ignore[misc]
+    """Accepts only ``true`` and ``false`` as truth values, as YAML 1.2 does, and refuses a text
+    while it is read when its entries are too many or nested too deeply."""
+
+    def __init__(self, text: str):
+        for base in _PARSER:
+            base.__init__(self, *((text,) if base in (CParser, Reader) else ()))
+        for base in (Composer, SafeConstructor, Resolver):
+            base.__init__(self)
+        self._count = self._level = 0
+
+    def compose_node(self, parent, index):
+        self._count, self._level = self._count + 1, self._level + 1
+        if self._count > MOST_ENTRIES:
+            raise yaml.YAMLError(f"it has more than {MOST_ENTRIES} entries")
+        if self._level > MOST_LEVELS:
+            raise yaml.YAMLError("its sections are nested too deeply")
+        node = super().compose_node(parent, index)
+        self._level -= 1
+        return node
 
 
 TRUTH = re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$")
 BOOL = "tag:yaml.org,2002:bool"
-_MERGE = "tag:yaml.org,2002:merge"
+_MERGE, _INT = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:int"
+_MOST_DIGITS = 300
 _SceneYaml.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if tag != BOOL]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -160,8 +243,6 @@ def read_yaml(text: str) -> Any:
             return loader.construct_document(node)
         finally:
             loader.dispose()
-    except RecursionError:
-        raise yaml.YAMLError("its sections are nested too deeply") from None
     except (ValueError, OverflowError) as error:  # an invalid date or number
         raise yaml.YAMLError(str(error)) from None
 
@@ -174,6 +255,8 @@ def _check(node: yaml.Node, key: str, counts: dict[int, int], above: set[int]) -
         raise _marked("an anchor contains itself", node)
     above.add(id(node))
     count = 1
+    if isinstance(node, yaml.ScalarNode) and node.tag == _INT and len(node.value) > _MOST_DIGITS:
+        raise _marked(f"a whole number has more than {_MOST_DIGITS} digits", node)
     if isinstance(node, yaml.SequenceNode):
         for index, item in enumerate(node.value):
             count += _check(item, f"{key}[{index}]", counts, above)
@@ -219,6 +302,6 @@ def yaml_words(error: yaml.YAMLError) -> str:
         return " ".join(str(error).split())
     place = f"line {mark.line + 1}, column {mark.column + 1}"
     problem = " ".join(" ".join(filter(None, (error.context, error.problem))).split())
-    if r"'\t'" in problem:
+    if r"'\t'" in problem or "found a tab" in problem:
         return f"a tab in {place}; YAML requires spaces for indentation"
     return f"{problem} in {place}"

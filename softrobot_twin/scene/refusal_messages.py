@@ -31,6 +31,8 @@ _LIMITS = {
 }  # fmt: skip
 _WRONG_KIND = ("_type", "_parsing", "_from_float", "_unicode", "_size")
 _LONGEST_VALUE = 80
+_MOST_ERRORS = 10
+"""So many errors of a scene are written out."""
 _repr = reprlib.Repr()
 _repr.maxstring = _repr.maxother = _repr.maxlong = _LONGEST_VALUE
 _repr.maxlist = _repr.maxtuple = 12
@@ -40,7 +42,7 @@ def scene_error(
     error: ValidationError, root: type[BaseModel], path: Path | None, above: tuple = (),
     as_written: Callable[[tuple], tuple] = lambda location: (location, None),
 ) -> SceneError:  # fmt: skip
-    """The first error of a scene, with the number of the others.
+    """The errors of a scene: one, with the others in it.
 
     Args:
         error: The errors of the whole scene.
@@ -52,31 +54,46 @@ def scene_error(
     """
     details = error.errors(include_url=False)
     # A misspelt key also makes the correct one missing; the message names the misspelt one.
-    first = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
-    location = tuple(first["loc"])
-    value, reason, own_unit = first.get("input"), "", ""
-    if first["type"] == "refusal":
-        context = first["ctx"]
+    misspelt = {tuple(d["loc"][:-1]) for d in details if d["type"] == "extra_forbidden"}
+    details = [d for d in details if d["type"] != "missing" or tuple(d["loc"][:-1]) not in misspelt]
+    # What is wrong inside an entry makes lists around it too short.
+    around = {tuple(d["loc"][:end]) for d in details for end in range(len(d["loc"]))}
+    details = [d for d in details if tuple(d["loc"]) not in around or d["type"] == "refusal"]
+    details.sort(key=lambda d: d["type"] != "extra_forbidden")
+    # An error of a repeated entry as it was written is one error, not one for each copy.
+    alike: dict[tuple, list] = {}
+    for one in details:
+        alike.setdefault((as_written(tuple(one["loc"]))[0], one["type"]), []).append(one)
+    found = [_one_error(same, root, path, above, as_written)
+             for same in list(alike.values())[:_MOST_ERRORS]]  # fmt: skip
+    first = found[0]
+    return SceneError(path, first.key, first.value, first.unit, first.reason, found[1:],
+                      len(alike) - len(found))  # fmt: skip
+
+
+def _one_error(
+    alike: list, root: type[BaseModel], path: Path | None, above: tuple, as_written: Callable
+) -> SceneError:
+    """The error at one place of the file, which several copies of an entry may have."""
+    one = alike[0]
+    location = tuple(one["loc"])
+    value, reason, own_unit = one.get("input"), "", ""
+    if one["type"] == "refusal":
+        context = one["ctx"]
         below = parts(context["key"])
         location, value, reason = (*location, *below), context["value"], context["reason"]
         if context["also"]:
             reason += _also(as_written, parts(context["also"]))
         own_unit = context["unit"]
-    elif first["type"] == "missing":
+    elif one["type"] == "missing":
         location, value, reason = _missing(root, location, value)
-    elif first["type"] == "extra_forbidden":
+    elif one["type"] == "extra_forbidden":
         reason = _unknown_key(root, location)
     else:
-        reason = _reason(root, location, first)
-    # An error of a repeated entry as it was written is one error, not one for each copy.
-    places = [(as_written(tuple(d["loc"]))[0], d["type"]) for d in details]
+        reason = _reason(root, location, one)
     written, copy = as_written(location)
-    alike = places.count((as_written(tuple(first["loc"]))[0], first["type"]))
-    if copy is not None and alike < copy.count:
+    if copy is not None and len(alike) < copy.count:
         reason += f" (copy {copy.number} of {copy.count})"
-    if len(set(places)) > 1:
-        others = len(set(places)) - 1
-        reason += f" (and {others} more error{'s' if others > 1 else ''})"
     return SceneError(path, dotted((*above, *written)) or "scene", short(value),
                       own_unit or unit_at(root, location), reason)  # fmt: skip
 

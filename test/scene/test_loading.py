@@ -117,12 +117,73 @@ def test_a_region_of_two_kinds_is_refused():
     assert "exactly one" in error.reason
 
 
-def test_several_errors_are_reported_as_one_with_their_number():
-    def spoil(mapping):
-        mapping["body"]["material"]["density"] = -1
-        mapping["body"]["material"]["young_modulus"] = -1
+SPOILT = """
+name: robot
+body:
+  mesh: part.msh
+  material:
+    young_modulos: 1.0e5
+    poisson_ratio: 0.7
+    density: -3
+  fixed:
+    - box: {minimum: [0, 0, 0],
+            maximum: [1, 1]}
+effectors: {name: tip, points: [[0, 0, 0]]}
+cables:
+  - name: a#
+    repeat: {count: 3, about: z}
+    rate: fast
+    pull_point: [0.1, 0, 0]
+    points: [[0, 0, 0.1]]
+"""
 
-    assert "1 more" in refused(spoil).reason
+
+def test_all_errors_of_a_scene_are_reported_with_their_lines(tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text(SPOILT)
+    with pytest.raises(SceneError) as error:
+        load_scene(file)
+    lines = str(error.value).splitlines()
+    assert [line.split(" = ")[0] for line in lines] == [
+        f"{file}:6: body.material.young_modulos",
+        f"{file}:7: body.material.poisson_ratio",
+        f"{file}:8: body.material.density",
+        f"{file}:11: body.fixed[0].box.maximum",
+        f"{file}:16: cables[0].rate",
+    ]
+    assert [error.value.line, *(one.line for one in error.value.others)] == [6, 7, 8, 11, 16]
+
+
+def test_a_missing_key_has_the_line_of_its_section(tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text(SPRING.replace("    stiffness: 10.0\n", ""))
+    with pytest.raises(SceneError) as error:
+        load_scene(file)
+    assert str(error.value).startswith(f"{file}:8: springs[0].stiffness = '(nothing)'")
+
+
+def test_errors_beyond_the_tenth_are_counted(tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text("".join(f"key_{number}: 1\n" for number in range(300)))
+    with pytest.raises(SceneError) as error:
+        load_scene(file)
+    assert len(str(error.value).splitlines()) == 11
+    assert str(error.value).endswith("and 290 more errors")
+
+
+@pytest.mark.parametrize("content, words", [
+    ("a: " + "x" * 5_000_000, "has 5 MB; a scene has at most 4 MB"),
+    ("".join(f"key_{number}: 1\n" for number in range(60_000)), "more than 50000 entries"),
+    ("a: [" + "1, " * 60_000 + "]", "more than 50000 entries"),
+    ("- " * 400_000, "nested too deeply"),
+    ("{a: " * 100_000, "nested too deeply"),
+    ("a: 0b" + "1" * 3_000_000, "digits"),
+])  # fmt: skip
+def test_a_text_too_large_for_a_scene_is_refused_before_it_is_read_whole(tmp_path, content, words):
+    file = tmp_path / "scene.yaml"
+    file.write_text(content)
+    with pytest.raises(SceneError, match=words):
+        load_scene(file)
 
 
 @pytest.mark.parametrize("text, word", [("a: [", "not YAML"), ("- 1", "mapping"), ("", "mapping")])

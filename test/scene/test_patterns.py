@@ -46,7 +46,7 @@ def repeated(section: str, entry: dict, repeat, **others) -> tuple:
 def refused(mapping: dict) -> SceneError:
     with pytest.raises(SceneError) as error:
         scene_from_mapping(mapping, Path("robot.yaml"))
-    assert str(error.value).startswith("robot.yaml: ") and "\n" not in str(error.value)
+    assert all(line.startswith("robot.yaml: ") for line in str(error.value).splitlines())
     return error.value
 
 

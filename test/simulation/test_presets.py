@@ -12,8 +12,8 @@ from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATI
 from softrobot_twin.simulation import Hold
 
 
-def scene_of(tmp_path, **material):
-    body = {"mesh": "none.vtk", "material": material, "fixed": [{"nodes": [0]}]}
+def scene_of(tmp_path, whole=None, **material):
+    body = {"mesh": "none.vtk", "material": whole or material, "fixed": [{"nodes": [0]}]}
     return scene_from_mapping({"name": "scene", "body": body}, tmp_path / "scene.yaml")
 
 
@@ -42,6 +42,11 @@ def test_a_preset_gives_law_constants_density_and_range(tmp_path, name):
     assert material.strain_range == preset.strain_range
 
 
+def test_the_name_of_a_preset_stands_for_its_section(tmp_path):
+    by_name = scene_of(tmp_path, "ecoflex_00_30").body.material
+    assert by_name == scene_of(tmp_path, preset="ecoflex_00_30").body.material
+
+
 def test_density_mass_poisson_ratio_and_range_may_be_given_beside_a_preset(tmp_path):
     given = {"poisson_ratio": 0.45, "density": 1000.0, "strain_range": (-0.2, 0.3)}
     material = scene_of(tmp_path, preset="ecoflex_00_30", **given).body.material
@@ -56,6 +61,9 @@ def test_density_mass_poisson_ratio_and_range_may_be_given_beside_a_preset(tmp_p
     ("material", "key", "reason"),
     [
         *(({"preset": name}, "preset", "no published tensile curve") for name in UNFITTED),
+        ({"preset": "ecoflex"}, "preset", "is ecoflex_00_30 or ecoflex_00_50 meant?"),
+        ({"preset": "Dragon Skin 10"}, "preset", "is dragon_skin_10 meant?"),
+        ("ecoflex", "preset", "is ecoflex_00_30 or ecoflex_00_50 meant?"),
         ({"preset": "dragonskin"}, "preset", "dragon_skin_30"),
         ({"preset": "tpu_85a", "law": "corotational"}, "law", "tpu_85a"),
         ({"preset": "tpu_85a", "young_modulus": 1e6}, "young_modulus", "tpu_85a"),
@@ -65,7 +73,7 @@ def test_density_mass_poisson_ratio_and_range_may_be_given_beside_a_preset(tmp_p
 )
 def test_what_a_preset_does_not_allow_is_refused_by_name(tmp_path, material, key, reason):
     with pytest.raises(SceneError) as refused:
-        scene_of(tmp_path, **material)
+        scene_of(tmp_path, **material) if isinstance(material, dict) else scene_of(tmp_path, material)
     assert refused.value.key == f"body.material.{key}" and reason in str(refused.value)
 
 

@@ -341,7 +341,7 @@ def test_what_the_lines_cannot_step_is_refused_by_name(column, change, key, tmp_
     parts.get(next(iter(change), ""), mapping).update(change)
     scene = tmp_path / "scene.yaml"
     scene.write_text(yaml.safe_dump(mapping))
-    with pytest.raises(SceneError, match=f"scene.yaml: {key} = .*not built for a reduced"):
+    with pytest.raises(SceneError, match=rf"scene.yaml:\d+: {key} = .*not built for a reduced"):
         controller_arrays(load_scene(scene))
 
 
