@@ -23,6 +23,7 @@ class Refusal(Enum):
     OUT_OF_ORDER = "out_of_order"
     WRONG_FRAME = "wrong_frame"
     WRONG_SIZE = "wrong_size"
+    TOO_LARGE = "too_large"
     WRONG_FIELDS = "wrong_fields"
     WRONG_NAMES = "wrong_names"
     DUPLICATE_ID = "duplicate_id"
@@ -41,6 +42,7 @@ class Refusal(Enum):
 _HINTS = {
     Refusal.STALE: "its stamp is older than message_timeout; do the clocks of both machines agree?",
     Refusal.FROM_THE_FUTURE: "its stamp is later than now; do the clocks of both machines agree?",
+    Refusal.TOO_LARGE: "it has more bytes than any message needs that is meant for this topic",
     Refusal.WRONG_NAMES: "its names must be those of the scene's actuators",
     Refusal.BELOW_VACUUM: "the pressure must be absolute, in Pa, and above 0",
     Refusal.VOLUME_CONTROLLED: "the scene controls this cavity by volume: command its volume [m³] "

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -40,7 +39,7 @@ from softrobot_twin.ros.parameters import DEVICE, Entry, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import DEVICE_TOPICS as TOPICS
-from softrobot_twin.ros.topics import open_publisher, open_subscription
+from softrobot_twin.ros.topics import open_publisher
 from softrobot_twin.simulation import Simulation
 
 
@@ -143,10 +142,12 @@ class DeviceNode(TickingNode):
             open_publisher(self, TOPICS["~/bodies/<rigid body>"], name)
             for name in (() if carried is None else carried.rigid_names)
         ]
-        commands = [self._listen("<twin>/cables", self._take, "", twin)]
+        topic, names = TOPICS["<twin>/cables"], self.device.actuator_names
+        commands = [self.listen(topic, self._take, self.refusals, "", twin, names)]
+        topic = TOPICS["<twin>/poses/<guided body>"]
         for name in () if carried is None else carried.guided_names:
             take = partial(self._take_pose, name)
-            commands.append(self._listen("<twin>/poses/<guided body>", take, name, twin))
+            commands.append(self.listen(topic, take, self.poses.refusals, name, twin))
         angles = () if self._pulleys is None else (self._angles,)
         self.watch_topics((self._cables, *angles, self._markers, *self._pressures.values(),
                            *(one for _, one in self._touches), *commands))
@@ -172,16 +173,6 @@ class DeviceNode(TickingNode):
                 is_touched = touches.is_touched[index]
                 place = touches.points[index] if is_touched else np.full(3, np.nan)
                 one.publish(point_message(place, header))
-
-    def _listen(self, topic: str, take, name: str, twin: str) -> Subscription:
-        """Receives a topic of the table; logs a warning for each refused message."""
-        warn = self.warner()
-        shown = self.resolve_topic_name(TOPICS[topic].full_name(name, twin))
-
-        def receive(message) -> None:
-            warn(shown, take(message))
-
-        return open_subscription(self, TOPICS[topic], receive, name, twin)
 
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
         arrival = self.arrival(message.header)

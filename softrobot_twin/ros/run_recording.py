@@ -92,13 +92,13 @@ class RunRecording:
         Args:
             kind: Type of the messages.
             topic: Full name of the topic.
-            receive: The other function.
+            receive: The other function; what it returns is returned.
         """
         note, described = self.recorder.note_message, _described(kind, topic, "in")
 
-        def receive_and_note(message) -> None:
+        def receive_and_note(message):
             note(described, message)
-            receive(message)
+            return receive(message)
 
         return receive_and_note
 

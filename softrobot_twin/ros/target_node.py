@@ -13,6 +13,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from softrobot_twin.control.arrival import RefusalCounts
 from softrobot_twin.control.target_path import (
     ClosedCurve,
     RampedIn,
@@ -27,7 +28,7 @@ from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TARGET_TOPICS as TOPICS
-from softrobot_twin.ros.topics import open_publisher, open_subscription
+from softrobot_twin.ros.topics import open_publisher
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.input_tables import CommandTable, read_commands
 
@@ -76,7 +77,7 @@ class TargetNode(TickingNode):
         topic = TOPICS[f"<twin>/{group}/<effector>"]
         self._topic = self.resolve_topic_name(topic.full_name(self._effector, self._twin))
         take = self._take_start_pose if self._turns else self._take_start
-        self._listener = open_subscription(self, topic, take, self._effector, self._twin)
+        self._listener = self.listen(topic, take, RefusalCounts(), self._effector, self._twin)
         self.get_logger().info(f"ready: {what}")
 
     def _open_path(self, values: Mapping[str, object]) -> str:

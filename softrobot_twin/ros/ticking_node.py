@@ -10,8 +10,10 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
-from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.arrival import Arrival, Refusal, RefusalCounts
 from softrobot_twin.control.loop_timing import (
     NANOSECONDS,
     ClockWatch,
@@ -22,6 +24,7 @@ from softrobot_twin.control.loop_timing import (
 from softrobot_twin.ros.messages import arrival_of
 from softrobot_twin.ros.parameters import ALL_TABLES, Entry, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
+from softrobot_twin.ros.topics import Topic, largest_message, open_subscription
 
 _MOST_NAMES = 4
 """Most names that one sentence lists."""
@@ -228,6 +231,38 @@ class TickingNode(Node):
             self.get_logger().warning(f"{topic}: refused, {refusal.value}{hint}")
 
         return warn
+
+    def listen(
+        self, topic: Topic, take: Callable, refusals: RefusalCounts, name: str = "",
+        twin: str = "", names: Iterable[str] = (),
+    ) -> Subscription:
+        """Receives a declared topic; counts and logs refused messages.
+
+        A message that is too large is refused unread: reading it would delay the ticks.
+
+        Args:
+            topic: The topic.
+            take: Takes a message, and returns the reason to refuse it, or None.
+            refusals: Counts messages that are too large.
+            name: Name of the topic's object; see `Topic.full_name`.
+            twin: Name of the twin.
+            names: Names of actuators that messages may contain.
+        """
+        kind, most, warn = topic.kind, largest_message(topic.kind, names), self.warner()
+        shown = self.resolve_topic_name(topic.full_name(name, twin))
+        take = self.noted(kind, shown, take)
+
+        def receive(content: bytes) -> None:
+            if len(content) > most:
+                warn(shown, refusals.add(Refusal.TOO_LARGE))
+            else:
+                warn(shown, take(deserialize_message(content, kind)))
+
+        return open_subscription(self, topic, receive, name, twin)
+
+    def noted(self, kind: type, topic: str, take: Callable) -> Callable:
+        """A function that takes messages of a topic as `take` does, and may record them."""
+        return take
 
     def refuse_request(self, error: Exception) -> None:
         """Counts and logs a message that rclpy failed to process; the node continues."""

@@ -6,7 +6,7 @@ The nodes open topics by these tables only; ``docs/topics.md`` and ``--help`` ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import Enum
 from typing import NamedTuple
 
@@ -130,14 +130,33 @@ def open_publisher(node: Node, topic: Topic, name: str = "", twin: str = "") -> 
     return node.create_publisher(topic.kind, topic.full_name(name, twin), topic.quality)
 
 
+_LARGEST = {PointCloud2: 2**20}
+_LARGEST_OTHER = 4096
+_SIZE_OF_JOINT = 64
+"""Most bytes of a joint's values and of the length of its name, twice as many as needed."""
+
+
+def largest_message(kind: type, names: Iterable[str] = ()) -> int:
+    """Size above which a received message is refused unread [bytes].
+
+    Reading a message takes time that grows with its size: 20 ms for 10⁵ names.
+
+    Args:
+        kind: Type of the messages.
+        names: Names of actuators that messages may contain.
+    """
+    of_names = sum(2 * len(name.encode()) + _SIZE_OF_JOINT for name in names)
+    return _LARGEST.get(kind, _LARGEST_OTHER + of_names)
+
+
 def open_subscription(
-    node: Node, topic: Topic, receive: Callable, name: str = "", twin: str = ""
+    node: Node, topic: Topic, receive: Callable[[bytes], None], name: str = "", twin: str = ""
 ) -> Subscription:
-    """Receives a declared topic; see `Topic.full_name`."""
+    """Receives a declared topic as serialized messages; see `Topic.full_name`."""
     if topic.direction is not IN:
         raise ValueError(f"{topic.name} is declared as a topic that the node publishes")
     return node.create_subscription(
-        topic.kind, topic.full_name(name, twin), receive, topic.quality
+        topic.kind, topic.full_name(name, twin), receive, topic.quality, raw=True
     )
 
 

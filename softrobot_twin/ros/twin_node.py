@@ -5,6 +5,7 @@ results.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -20,8 +21,9 @@ from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.arrival import Refusal, RefusalCounts
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
@@ -49,7 +51,7 @@ from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
-from softrobot_twin.ros.topics import open_publisher, open_subscription
+from softrobot_twin.ros.topics import open_publisher
 from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
@@ -230,12 +232,9 @@ class TwinNode(TickingNode):
         publisher = super().create_publisher(*arguments, **options)
         return publisher if self.recording is None else self.recording.publisher(publisher)
 
-    def create_subscription(self, kind, topic, callback, *arguments, **options) -> Subscription:
-        """Opens a subscription, whose messages are recorded with `record`."""
-        if self.recording is not None:
-            name = self.resolve_topic_name(topic)
-            callback = self.recording.receiver(kind, name, callback)
-        return super().create_subscription(kind, topic, callback, *arguments, **options)
+    def noted(self, kind: type, topic: str, take: Callable) -> Callable:
+        """A function that also records the messages with `record`; see `TickingNode.noted`."""
+        return take if self.recording is None else self.recording.receiver(kind, topic, take)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
         name, names = self._values["velocity_effector"], simulation.effector_names
@@ -293,51 +292,70 @@ class TwinNode(TickingNode):
         self._commands: list[Subscription] = []
         self._measurements: list[Subscription] = []
         commands, measurements = self._commands, self._measurements
-        simulation = self.loop.simulation
-        if self.loop.mode is Mode.INVERSE:
+        loop, simulation = self.loop, self.loop.simulation
+        of_points, of_commands, of_device = (
+            loop.targets.point_refusals, self._actuator_commands.refusals, loop.device.refusals
+        )  # fmt: skip
+        if loop.mode is Mode.INVERSE:
             for index, name in enumerate(simulation.effector_names):
-                commands.append(
-                    self._listen("~/target/<effector>", partial(self._take_target, index), name)
-                )
+                take = partial(self._take_target, index)
+                commands.append(self._listen("~/target/<effector>", take, of_points, name))
                 if simulation.oriented_effectors[index]:
                     take = partial(self._take_target_pose, index)
-                    commands.append(self._listen("~/target_pose/<effector>", take, name))
+                    commands.append(self._listen("~/target_pose/<effector>", take, of_points, name))
                 if simulation.stiff_effectors[index]:
-                    take = partial(self._take_target_stiffness, index)
-                    commands.append(self._listen("~/target_stiffness/<effector>", take, name))
+                    take, refusals = partial(self._take_target_stiffness, index), loop.stiffness.refusals
+                    commands.append(
+                        self._listen("~/target_stiffness/<effector>", take, refusals, name)
+                    )
             if simulation.effector_names:
-                commands.append(self._listen("~/target_velocity", self._take_velocity))
-        commands.append(self._listen("~/command/cables", self._take_command))
+                refusals = loop.targets.velocity_refusals
+                commands.append(self._listen("~/target_velocity", self._take_velocity, refusals))
+        commands.append(self._listen("~/command/cables", self._take_command, of_commands))
         for name in simulation.guided_names:
-            commands.append(
-                self._listen("~/command/pose/<guided body>", partial(self._take_pose, name), name)
-            )
-        for name in self.loop.cavities.names:
+            take, refusals = partial(self._take_pose, name), loop.poses.refusals
+            commands.append(self._listen("~/command/pose/<guided body>", take, refusals, name))
+        for name in loop.cavities.names:
             take, take_measured = (partial(take, name) for take in (
                 self._take_pressure, self._take_measured_pressure))  # fmt: skip
-            commands.append(self._listen("~/command/pressures/<cavity>", take, name))
-            measurements.append(self._listen("~/measured_pressures/<cavity>", take_measured, name))
-        if self.loop.pulleys.count:
-            commands.append(self._listen("~/command/angles", self._take_angles))
-            measurements.append(self._listen("~/measured_angles", self._take_measured_angles))
-        for index, name in enumerate(self.loop.touches.names):
+            commands.append(
+                self._listen("~/command/pressures/<cavity>", take, of_commands, name)
+            )
+            measurements.append(
+                self._listen("~/measured_pressures/<cavity>", take_measured, of_device, name)
+            )
+        if loop.pulleys.count:
+            commands.append(self._listen("~/command/angles", self._take_angles, of_commands))
+            measurements.append(
+                self._listen("~/measured_angles", self._take_measured_angles, of_device)
+            )
+        for index, name in enumerate(loop.touches.names):
             take_force, take_place = (partial(take, index) for take in (
                 self._take_touch_force, self._take_touch_position))  # fmt: skip
-            measurements.append(self._listen("~/touch_force/<touch>", take_force, name))
-            measurements.append(self._listen("~/touch_position/<touch>", take_place, name))
-        measurements.append(self._listen("~/markers", self._take_markers))
-        measurements.append(self._listen("~/measured_cables", self._take_measured))
+            refusals = loop.touches.refusals
+            measurements.append(
+                self._listen("~/touch_force/<touch>", take_force, refusals, name)
+            )
+            measurements.append(
+                self._listen("~/touch_position/<touch>", take_place, refusals, name)
+            )
+        measurements.append(self._listen("~/markers", self._take_markers, loop.markers.refusals))
+        measurements.append(self._listen("~/measured_cables", self._take_measured, of_device))
         self.create_service(SetBool, "~/enable", self._enable)
         self.create_service(Trigger, "~/reset", self._reset)
 
-    def _listen(self, topic: str, take, name: str = "") -> Subscription:
-        """Receives a topic of the table; logs a warning for each refused message."""
-        warn, shown = self.warner(), TOPICS[topic].full_name(name)
+    @property
+    def _actuator_commands(self) -> ActuatorInput:
+        """Commands of actuators; in inverse mode they exclude these from the optimisation."""
+        return self.loop.direct if self.loop.mode is Mode.DIRECT else self.loop.selected
 
-        def receive(message) -> None:
-            warn(shown, take(message))
-
-        return open_subscription(self, TOPICS[topic], receive, name)
+    def _listen(
+        self, topic: str, take: Callable, refusals: RefusalCounts, name: str = ""
+    ) -> Subscription:
+        """Receives a topic of the table; see `TickingNode.listen`."""
+        simulation = self.loop.simulation
+        names = (*simulation.actuator_names, *simulation.motors, *simulation.pulleys.names)
+        return self.listen(TOPICS[topic], take, refusals, name, names=names)
 
     def _take_target(self, effector: int, message: PointStamped) -> Refusal | None:
         point = message.point
@@ -363,10 +381,7 @@ class TwinNode(TickingNode):
         )
 
     def _take_command(self, message: JointState) -> Refusal | None:
-        # In inverse mode this commands only the actuators that are excluded from the optimisation.
-        direct = self.loop.mode is Mode.DIRECT
-        commands = self.loop.direct if direct else self.loop.selected
-        return commands.accept(
+        return self._actuator_commands.accept(
             message.name, message.position, message.effort, self.arrival(message.header)
         )
 

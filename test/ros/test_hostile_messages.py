@@ -3,10 +3,12 @@ its limits.
 """
 
 import array
+import itertools
 import math
 import random
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,18 +18,25 @@ from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.ros import ticking_node
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import markers_message
+from softrobot_twin.ros.parameters import ALL_TABLES
 from softrobot_twin.ros.process import spin
 from softrobot_twin.ros.target_node import TargetNode
+from softrobot_twin.ros.topics import largest_message
 from softrobot_twin.ros.twin_node import TwinNode
 
+NODES = (TwinNode, DeviceNode, TargetNode)
+"""In the order of `ALL_TABLES`."""
 AIR = 101325.0
 ROOT = Path(__file__).resolve().parents[2]
 MESHES = {"diamond": "diamond_200", "trunk": "trunk_700"}
@@ -242,7 +251,7 @@ class Witness:
         """Sends what a correct device measures."""
         for end in inputs(self._twin):
             if is_measurement(end):
-                end.callback(self.measurement(draw, end))
+                end.callback(serialize_message(self.measurement(draw, end)))
                 self.heard()
 
     def heard(self):
@@ -376,7 +385,7 @@ def run_hostile(world, parameters, case, seed, count, every):
             hostile.header(message.header, True)
         else:
             message = hostile.message(end.msg_type)
-        end.callback(message)
+        end.callback(serialize_message(message))
         if is_measured:
             witness.heard()
         if draw.random() < 0.01 and not twin.loop.is_enabled:
@@ -420,7 +429,7 @@ def test_no_message_ends_a_device(world, parameters, robot):
     device.tick_clock = TickClock(period, lambda: times[-1])
     for number in range(COUNT):
         end = hostile.random.choice(ends)
-        end.callback(hostile.message(end.msg_type))
+        end.callback(serialize_message(hostile.message(end.msg_type)))
         if number % every == every - 1:
             times.append(times[-1] + period)
             device.tick()
@@ -436,12 +445,50 @@ def test_no_message_ends_a_target(world):
     sent = []
     target._targets.publish = sent.append
     for _ in range(1000):
-        end.callback(hostile.message(PointStamped))
+        end.callback(serialize_message(hostile.message(PointStamped)))
     for _ in range(10):
         target.tick()
     assert len(sent) == 10
     assert all(math.isfinite(value) for message in sent
                for value in (message.point.x, message.point.y, message.point.z))
+
+
+@pytest.mark.parametrize("robot", ["diamond", "trunk", "grasper", "air"])
+@pytest.mark.parametrize("node_class", [TwinNode, DeviceNode, TargetNode])
+def test_a_message_that_is_too_large_is_refused_unread_on_every_topic(
+    world, parameters, monkeypatch, robot, node_class
+):
+    def read(content, kind):
+        raise AssertionError(f"{len(content)} bytes of a {kind.__name__} are read")
+
+    given = {} if node_class is TargetNode else parameters(robot)
+    known = {entry.name for entry in ALL_TABLES[NODES.index(node_class)]}
+    node = world.add(node_class, **{key: given[key] for key in given.keys() & known})
+    node.stop()
+    told = []
+    monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(warning=told.append))
+    monkeypatch.setattr(ticking_node, "deserialize_message", read)
+    ends = inputs(node)
+    for end in ends:
+        end.callback(bytes(2**21))
+        end.callback(bytes(2**21))
+    assert len(ends) == len(told)  # Once in two seconds.
+    assert all("refused, too_large" in line for line in told)
+    if node_class is TwinNode:
+        loop = node.loop
+        assert loop.markers.refusals.by_word() == {"too_large": 2}
+        assert loop.device.refusals.of(Refusal.TOO_LARGE) >= 2
+
+
+def test_a_message_that_names_all_actuators_is_never_too_large():
+    for count, length in itertools.product((1, 30, 1000), (1, 20, 200)):
+        names = ["é" * length + f"_{number}" for number in range(count)]
+        values = [0.1] * count
+        message = JointState(name=names, position=values, velocity=values, effort=values)
+        message.header.frame_id = "x" * 1000
+        assert len(serialize_message(message)) < largest_message(JointState, names)
+    cloud = markers_message(np.arange(10_000), np.zeros((10_000, 3)), Header())
+    assert len(serialize_message(cloud)) < largest_message(PointCloud2)
 
 
 @pytest.mark.parametrize("seed", [3, None])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from rcl_interfaces.msg import Log
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
@@ -90,7 +91,7 @@ def test_a_volume_is_not_commanded_by_a_pressure_and_the_log_says_what_does(worl
     world.until(lambda: any("syringe: refused" in message.msg for message in told))
     line = next(message.msg for message in told if "syringe: refused" in message.msg)
     assert line == (
-        "~/command/pressures/syringe: refused, volume_controlled: the scene controls this cavity "
+        "/twin/command/pressures/syringe: refused, volume_controlled: the scene controls this cavity "
         "by volume: command its volume [m³] on ~/command/cables"
     )
     assert twin.loop.direct.setpoints is None
@@ -256,7 +257,8 @@ def test_no_pressure_causes_an_unsafe_command(world, make_air, mode):
                 pressure = float(draw.choice(NUMBERS))
             frame = "base_link" if draw.random() < 0.8 else "map"
             ago = 0.0 if draw.random() < 0.8 else float(draw.choice([-3600.0, 0.01, 5.0]))
-            ends[draw.integers(len(ends))].callback(pressure_of(world, pressure, ago, frame))
+            message = pressure_of(world, pressure, ago, frame)
+            ends[draw.integers(len(ends))].callback(serialize_message(message))
         if draw.random() < 0.03:
             twin._reset(Trigger.Request(), Trigger.Response())
         if draw.random() < 0.05:

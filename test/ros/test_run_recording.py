@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, MultiEchoLaserScan, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
@@ -78,7 +78,7 @@ def live_run(world, make_twin, small_scene_file, tmp_path):
     world.until(lambda: is_following(twin))
     for number in range(30):
         for end in inputs(twin):
-            end.callback(hostile.message(end.msg_type))
+            end.callback(serialize_message(hostile.message(end.msg_type)))
         if number == 10:
             set_gain(world, 3.5)
         run_ticks(world, twin, 2)
@@ -154,7 +154,7 @@ def test_hostile_messages_of_every_kind_are_replayed_to_the_bit(
     for _ in range(25):
         for end in inputs(twin):
             for _ in range(4):
-                end.callback(hostile.message(end.msg_type))
+                end.callback(serialize_message(hostile.message(end.msg_type)))
         twin.tick()
     twin.recording.close()
     again = Replay(RunFile(path))
