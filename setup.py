@@ -52,7 +52,7 @@ setup(
         "shtab>=1.7.1",
     ],
     extras_require={
-        "study": ["matplotlib>=3.8", "pillow>=8"],
+        "study": ["matplotlib>=3.8", "pandas>=2.2", "pillow>=8"],
         # Only for `workspace --scheduler`.
         "cluster": ["dask>=2024.2.1", "distributed>=2024.2.1"],
         # Only for comparisons by tools/compare_solvers.py; pypardiso installs the proprietary MKL.
@@ -71,7 +71,6 @@ setup(
             "ipykernel>=6",
             "mypy>=1.11",
             "nbclient>=0.10",
-            "pandas>=2.2",
             "pytest>=8",
             "pytest-timeout>=2.3",
             "pytest-xdist>=3.5",

@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "softrobot_twin"
@@ -55,6 +56,21 @@ def test_package_xml_and_setup_py_agree(metadata, manifest):
     assert told["License"] == manifest.findtext("license") == "Apache-2.0"
     assert told["Maintainer"] == maintainer.text
     assert told["Maintainer-email"] == maintainer.get("email")
+
+
+def test_the_installation_of_the_readme_has_what_its_example_needs(metadata):
+    sections = (metadata / "requires.txt").read_text().split("[")
+    study = next(section for section in sections if section.startswith("study]"))
+    assert "pandas" in study and "matplotlib" in study
+    assert "pip install '.[study]'" in (ROOT / "README.md").read_text()
+
+
+def test_citation_manifest_and_changelog_name_the_same_version(manifest):
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    version = manifest.findtext("version")
+    assert citation["version"] == version and citation["license"] == "Apache-2.0"
+    assert citation["references"][0]["doi"] == "10.1080/01691864.2017.1395362"
+    assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_colcon_takes_the_manifest_without_a_warning():

@@ -36,7 +36,8 @@ TEXT_WIDTH = 78
 """Columns of the texts of a command's help."""
 
 EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or "
-                  "an argument cannot be used, 130 stopped by Ctrl-C", TEXT_WIDTH)
+                  "an argument cannot be used, 3 simulate: the last row is not_converged or "
+                  "inverted, 130 stopped by Ctrl-C", TEXT_WIDTH)
 
 
 class OptionError(SoftRobotTwinError):
@@ -167,7 +168,7 @@ def add_simulate(commands) -> None:
                         help="with --targets: run the first row N times before recording "
                         "(default 0)")
     parser.add_argument("--rate", type=rate, metavar="HZ",
-                        help="steps a second (default 250); not with --targets")
+                        help="steps a second (default 50); not with --targets")
     parser.add_argument("--picture", metavar="FILE.png", type=Path,
                         help="draw the last state (needs matplotlib)")
     parser.add_argument("--picture-at", nargs="+", type=float, metavar="S",

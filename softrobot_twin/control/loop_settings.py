@@ -10,6 +10,7 @@ import numpy as np
 
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.interpretation import why_not_followed
 
 
@@ -85,7 +86,7 @@ class LoopSettings:
             or the workspace is empty.
     """
 
-    rate: float = 20.0
+    rate: float = 1.0 / DEFAULT_TIME_STEP
     deadline: float = 0.0
     message_timeout: float = 0.5
     future_tolerance: float = 0.1

@@ -195,8 +195,8 @@ RUNTIME = (
 
 _SCENE_FILE = Entry(
     "scene_file", "scenes/diamond.yaml",
-    "Path of the scene: absolute, or relative to the working directory or the package's config "
-    "folder.", read_only=True,
+    "Path of the scene: absolute, or relative to the working directory, the folder of the parameter "
+    "file or the package's config folder.", read_only=True,
 )
 
 TWIN = COMMON + RUNTIME + (

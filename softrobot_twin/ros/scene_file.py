@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -24,11 +25,22 @@ def config_folders() -> list[Path]:
     return folders
 
 
+def parameter_folders(arguments: Sequence[str]) -> list[Path]:
+    """Folders of the parameter files of a command line.
+
+    Args:
+        arguments: The command line of the process.
+    """
+    pairs = zip(arguments, arguments[1:], strict=False)
+    return [Path(file).absolute().parent for word, file in pairs if word == "--params-file"]
+
+
 def find_scene_file(name: str, parameter: str) -> Path:
     """Finds the file of a scene or of a path.
 
     Args:
-        name: Absolute path, or path relative to the working directory or a configuration folder.
+        name: Absolute path, or path relative to the working directory, the folder of a parameter file of the
+            process, or a configuration folder.
         parameter: Name of the parameter, for the error.
 
     Raises:
@@ -39,7 +51,8 @@ def find_scene_file(name: str, parameter: str) -> Path:
     if Path(name).is_absolute():
         candidates = [Path(name)]
     else:
-        candidates = [folder / name for folder in (Path.cwd(), *config_folders())]
+        candidates = [folder / name for folder in (
+            Path.cwd(), *parameter_folders(sys.argv), *config_folders())]  # fmt: skip
     for candidate in candidates:
         if candidate.is_file():
             return candidate.resolve()

@@ -20,6 +20,7 @@ from yaml.resolver import Resolver
 from yaml.scanner import Scanner
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES
 from softrobot_twin.scene.patterns import Source, as_written, expand_patterns
 from softrobot_twin.scene.refusal_messages import parts, scene_error
 from softrobot_twin.scene.schema import Scene
@@ -32,6 +33,9 @@ except ImportError:
 MOST_BYTES, MOST_ENTRIES, MOST_LEVELS = 4_000_000, 50_000, 100
 """A text of more bytes, more entries with its anchors expanded, or sections nested more deeply is
 not read."""
+
+
+_MESHES = (".msh", ".vtk", ".vtu", ".inp", *CAD_SUFFIXES)
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -51,6 +55,9 @@ def load_scene(path: Path | str) -> Scene:
     def refused(reason: str) -> SceneError:
         return SceneError(path, "scene_file", str(path), "", reason)
 
+    if path.suffix.lower() in _MESHES:
+        raise refused(f"is a mesh, not a scene: `softrobot_twin init {path.name}` writes a first "
+                      "scene for it, a .yaml file that names it")
     try:
         byte_count = path.stat().st_size
         if byte_count > MOST_BYTES:

@@ -47,6 +47,7 @@ from softrobot_twin.simulation import (
     StepResult,
 )
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
+from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.input_tables import (
     TARGETS_EXAMPLE,
     open_columns,
@@ -55,7 +56,8 @@ from softrobot_twin.simulation.input_tables import (
 )
 from softrobot_twin.simulation.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.table_columns import column, position_columns
-from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
+from softrobot_twin.simulation.unit_checks import unlikely_commands
+from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands, unlikely_commands_of
 from softrobot_twin.study.equilibrium import STILL
 from softrobot_twin.study.figure import load_pyplot
 from softrobot_twin.study.offline_run import columns_of, far_target_warning
@@ -66,8 +68,6 @@ from softrobot_twin.study.scene_picture import draw_snapshots, figure_of, take_s
 if TYPE_CHECKING:
     from softrobot_twin.simulation.contact_forces import ContactForces
 
-TIME_STEP = 0.02
-"""Default duration of a step [s]."""
 MOST_STEPS = 1000
 """Steps in which `Robot.settle` waits for rest, by default."""
 # A target this many sizes of the robot away is probably in millimetres.
@@ -298,7 +298,7 @@ class Robot:
         self,
         command: AnyCommand | None = None,
         *,
-        time_step: float = TIME_STEP,
+        time_step: float = DEFAULT_TIME_STEP,
         poses: Mapping[str, Any] = NOTHING,
         touches: Mapping[str, Any] = NOTHING,
     ) -> Result:
@@ -322,7 +322,7 @@ class Robot:
         asked = self._reader.read(hold() if command is None else command, _duration(time_step))
         aims = self._reader.poses(poses)
         touched = self._reader.touches(touches)
-        self._warn_of_far_targets(asked)
+        self._warn_of_unlikely(asked)
         self._aim(aims)
         before = self.simulation.state.positions
         outcome = self.simulation.step(asked, None, touched)
@@ -353,7 +353,7 @@ class Robot:
         self,
         command: AnyCommand | None = None,
         *,
-        time_step: float = TIME_STEP,
+        time_step: float = DEFAULT_TIME_STEP,
         most_steps: int = MOST_STEPS,
         poses: Mapping[str, Any] = NOTHING,
         touches: Mapping[str, Any] = NOTHING,
@@ -389,8 +389,20 @@ class Robot:
         still = STILL * (size if math.isfinite(size) else 1.0)
         return bool(np.abs(self.positions - before).max(initial=0.0) <= still)
 
-    def _warn_of_far_targets(self, asked: Command) -> None:
-        if self._has_warned or not isinstance(asked, FollowTargets):
+    def _warn_of_unlikely(self, asked: Command) -> None:
+        """Warns once of targets, setpoints or efforts that suggest a wrong unit."""
+        if self._has_warned:
+            return
+        actuators = self.simulation.actuators
+        if not isinstance(asked, FollowTargets):
+            words = None
+            if isinstance(asked, CommandSetpoints):
+                words = unlikely_commands(actuators, asked.setpoints)
+            elif isinstance(asked, CommandEfforts):
+                words = unlikely_commands(actuators, actuators.rest_setpoints, asked.efforts)
+            if words:
+                self._has_warned = True
+                warnings.warn(words, SceneWarning, stacklevel=3)
             return
         size = self.simulation.model.nodes.size
         offsets = np.linalg.norm(asked.targets - self.simulation.effector_positions(), axis=1)
@@ -429,7 +441,7 @@ class Robot:
 
             steps: Number of steps, for one command; by default one.
             seconds: Duration in place of `steps` [s].
-            rate: Steps per second [Hz]; by default 50, for commands of a table and without any 250.
+            rate: Steps per second [Hz]; by default 50.
             poses: See `step`; for all steps.
             touches: See `step`; for all steps.
 
@@ -447,7 +459,7 @@ class Robot:
             return self._run_table(command, rate)
         if command is None and not (poses or touches):
             return self._run_alone(steps, seconds, _rate(rate, DEFAULT_RATE))
-        hertz = _rate(rate, 1.0 / TIME_STEP if command is not None else DEFAULT_RATE)
+        hertz = _rate(rate, DEFAULT_RATE)
         if command is None or _is_command(command):
             count = _step_count(steps, seconds, hertz)
             one = hold() if command is None else cast(AnyCommand, command)
@@ -479,6 +491,8 @@ class Robot:
         rows: Iterator[RunRow]
         if not self._is_by_rows(source):
             commanded = read_commands(source, self.simulation)
+            if unlikely := unlikely_commands_of(self.simulation, commanded):
+                warnings.warn(unlikely, SceneWarning, stacklevel=4)
             columns = RunColumns(self.simulation)
             rows = run_commands(self.simulation, commanded, _rate(rate, DEFAULT_RATE), columns)
             end = commanded.times[-1]
@@ -664,8 +678,8 @@ def _listed(word: str, names: Iterable[str]) -> str:
 
 def _duration(time_step: float) -> float:
     number = _number("time_step", time_step)
-    if number < 0.0:
-        raise CommandError("time_step", f"{time_step} s is not a duration")
+    if number <= 0.0:
+        raise CommandError("time_step", f"{time_step} s must be above 0")
     return number
 
 

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+DEFAULT_TIME_STEP = 0.02
+"""Duration of a step where nothing else is asked [s]: of Python, of the command line and of a
+node."""
+
 
 @dataclass(frozen=True)
 class FollowTargets:

@@ -27,6 +27,7 @@ from softrobot_twin.scene.refusal_messages import nearest
 from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
 from softrobot_twin.simulation.command import (
+    DEFAULT_TIME_STEP,
     Command,
     CommandEfforts,
     CommandSetpoints,
@@ -277,9 +278,6 @@ def open_columns(source: Path | str | Mapping, example: str) -> Columns:
     return Columns(table, names, range(1, len(columns[0]) + 1), list(zip(*columns, strict=True)))
 
 
-SINGLE_ROW_TIME_STEP = 0.02
-"""Time step of a file with only one row [s]."""
-
 NOT_UNIT = 1.0e-2
 """A quaternion that is off unit length by more is not rounded but a mistake."""
 TARGETS_EXAMPLE = ",".join((TIME, *position_columns("tip")))
@@ -293,7 +291,7 @@ class TargetTable:
         kind: ``targets``, ``setpoints`` or ``efforts``.
         times: Column ``time_s`` [s], shape (row_count,).
         time_steps: Time since the row before [s], shape (row_count,); for the first row that of the
-            second, or `SINGLE_ROW_TIME_STEP`.
+            second, or `DEFAULT_TIME_STEP`.
         values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
             that the file does not name; or setpoints or efforts of the actuators, such as lengths
             [m], pressures [Pa] or tensions [N], shape (row_count, actuator_count), NaN for those
@@ -630,7 +628,7 @@ def _setpoint_columns(kind_of: Mapping[str, ActuatorKind]) -> str:
 
 def _time_steps(times: np.ndarray) -> np.ndarray:
     if len(times) == 1:
-        return np.array([SINGLE_ROW_TIME_STEP])
+        return np.array([DEFAULT_TIME_STEP])
     steps = np.diff(times)
     return np.concatenate([steps[:1], steps])
 

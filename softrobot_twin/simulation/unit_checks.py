@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.merit import OVERSHOOT
 from softrobot_twin.simulation.model import Model
 
@@ -34,6 +35,38 @@ LONGEST_MOVE = 0.1
 """Largest displacement of a node in one of them, as a share of the size."""
 TOLERANCE = 1.0e-4
 """An equilibrium is found when no node moves by more than this share of the size."""
+
+UNLIKELY_SHARE = 10.0
+"""A setpoint or effort of more than this many times a large one is reported as unlikely."""
+
+
+def unlikely_commands(
+    actuators: Actuators, setpoints: np.ndarray, efforts: np.ndarray | None = None
+) -> str | None:
+    """A warning of setpoints or efforts that suggest a wrong unit, else None.
+
+    Args:
+        actuators: The actuators of the scene.
+        setpoints: Each in the unit of its kind, shape (..., count); NaN where none is given.
+        efforts: The same of efforts.
+    """
+    drives = np.abs(actuators.drives(setpoints))
+    scales = np.where(actuators.is_effort_driven, actuators.effort_scale,
+                      actuators.displacement_scale)  # fmt: skip
+    asked = [(drives, scales, actuators.driven_quantities(np.zeros(actuators.count, bool)))]
+    if efforts is not None:
+        asked.append((np.abs(efforts), actuators.effort_scale,
+                      actuators.driven_quantities(np.ones(actuators.count, bool))))  # fmt: skip
+    for values, scale, quantities in asked:
+        if not actuators.count:
+            break
+        shares = np.nan_to_num(values / scale, nan=0.0).reshape(-1, actuators.count).max(axis=0)
+        if shares.max(initial=0.0) > UNLIKELY_SHARE:
+            worst = int(shares.argmax())
+            word, unit = quantities[worst]
+            return (f"{actuators.names[worst]}: a {word} of {shares[worst] * scale[worst]:.3g} "
+                    f"{unit} is {shares[worst]:.3g} times a large one: is it in {unit}?")
+    return None
 
 
 def unit_slips(model: Model) -> list[str]:

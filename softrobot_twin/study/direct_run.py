@@ -10,9 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, CommandEfforts, CommandSetpoints
 from softrobot_twin.simulation.input_tables import CommandTable, read_commands
 from softrobot_twin.simulation.run_columns import RunColumns, RunRow
-from softrobot_twin.study.offline_run import load_with_notes, print_run, run_file
+from softrobot_twin.simulation.unit_checks import unlikely_commands
+from softrobot_twin.study.offline_run import end_of_run, load_with_notes, print_run, run_file
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
@@ -58,8 +60,26 @@ def run_commands(
         yield columns.row(step, float(time), result, command)
 
 
-DEFAULT_RATE = 250.0
+DEFAULT_RATE = 1.0 / DEFAULT_TIME_STEP
 """Default number of steps per second [Hz]."""
+
+
+def unlikely_commands_of(simulation: Simulation, table: CommandTable) -> str | None:
+    """A warning of commands that suggest a wrong unit, else None.
+
+    Args:
+        simulation: The scene.
+        table: Its commands.
+    """
+    actuators, wanted, efforts = simulation.actuators, [], []
+    for time in table.times:
+        command = table.command(float(time), DEFAULT_TIME_STEP)
+        if isinstance(command, CommandSetpoints):
+            wanted.append(command.setpoints)
+        elif isinstance(command, CommandEfforts):
+            efforts.append(command.efforts)
+    setpoints = np.array(wanted or [actuators.rest_setpoints])
+    return unlikely_commands(actuators, setpoints, np.array(efforts) if efforts else None)
 
 
 class Picture(NamedTuple):
@@ -88,13 +108,15 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
         picture: Picture to draw, or None.
 
     Returns:
-        Exit code: 0, or 1 when a step found no solution.
+        Exit code: see `RunSummary.exit_code`.
 
     Raises:
         SoftRobotTwinError: The scene, its mesh, the commands or an output cannot be used.
     """
     simulation = load_with_notes(scene)
     commanded = read_commands(commands, simulation)
+    if unlikely := unlikely_commands_of(simulation, commanded):
+        warn(unlikely)
     summary = RunSummary(simulation, commanded.longest_hold)
     return _run_and_report(simulation, commanded, output, rate, summary, picture)
 
@@ -111,7 +133,7 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
         picture: Picture to draw, or None.
 
     Returns:
-        Exit code: 0, or 1 when a step found no solution.
+        Exit code: see `RunSummary.exit_code`.
 
     Raises:
         SoftRobotTwinError: The scene, its mesh or an output cannot be used.
@@ -134,7 +156,7 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
     if summary.failed:
         warn(f"{summary.failed} steps found no solution; their rows contain the last safe "
              f"state, see column status of {output}")
-    return 1 if summary.failed else 0
+    return end_of_run(summary)
 
 
 def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,

@@ -12,9 +12,10 @@ import numpy as np
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.input_tables import TargetTable, read_targets
 from softrobot_twin.simulation.run_columns import RunColumns, RunRow
+from softrobot_twin.simulation.unit_checks import unlikely_commands
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.study.output_file import csv_output
-from softrobot_twin.study.run_summary import RunSummary
+from softrobot_twin.study.run_summary import BAD_END, RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import (
     FirstSteps,
@@ -53,12 +54,16 @@ def columns_of(simulation: Simulation, table: TargetTable) -> RunColumns:
 
 
 def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None:
-    """A warning when targets are so far away that their unit is probably wrong, else None.
+    """A warning when targets, setpoints or efforts are so far away that their unit is probably
+    wrong, else None.
 
     A target ten body sizes away is possible, but such targets are more often in millimetres.
     """
-    if table.kind != "targets":
-        return None
+    actuators = simulation.actuators
+    if table.kind == "setpoints":
+        return unlikely_commands(actuators, table.values)
+    if table.kind == "efforts":
+        return unlikely_commands(actuators, actuators.rest_setpoints, table.values)
     surface = simulation.surface_positions()
     size = float(np.linalg.norm(np.ptp(surface, axis=0)))
     offsets = table.values - simulation.effector_positions()
@@ -106,7 +111,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
         picture: Picture of the last state to write, or None.
 
     Returns:
-        Exit code: 0, or 1 when a row found no solution.
+        Exit code: see `RunSummary.exit_code`.
 
     Raises:
         SoftRobotTwinError: The scene, its mesh, the targets or an output cannot be used.
@@ -127,7 +132,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     if summary.failed:
         warn(f"{summary.failed} of {len(rows.times)} rows found no solution and contain the last "
              f"safe command, see column status of {output}")
-    return 1 if summary.failed else 0
+    return end_of_run(summary)
 
 
 def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, settle: int,
@@ -156,6 +161,18 @@ def _draw(
     name = simulation.scene.name
     goal = rows.values[-1] if rows.kind == "targets" else None
     draw_snapshots([take_snapshot(simulation, None, name, goal, effector_path)], picture, name)
+
+
+def end_of_run(summary: RunSummary) -> int:
+    """The exit code of a run; a warning says that its last row is not good.
+
+    Args:
+        summary: Summary of the run.
+    """
+    if summary.exit_code == BAD_END:
+        warn(f"the last row is {summary.last_status}: see its residual, and docs/statuses.md "
+             f"(exit code {BAD_END})")  # fmt: skip
+    return summary.exit_code
 
 
 def print_run(simulation: Simulation, how: str, summary: RunSummary,

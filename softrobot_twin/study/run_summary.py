@@ -9,12 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation import Simulation, Status
 from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.run_columns import RunRow, pair_names, rigid_poses
 
 _SHOWN = 6
 """Most rows of things that are alike; more are put together."""
+
+BAD_END = 3
+"""Exit code of a run whose last row is not good."""
+_BAD_ENDS = (Status.NOT_CONVERGED.value, Status.INVERTED.value)
 
 _TOLD = {"m": (1e3, "mm"), "m3": (1e6, "cm³"), "Pa": (1e-3, "kPa"), "rad": (180.0 / math.pi, "°"),
          "Nm": (1.0, "N m")}
@@ -46,6 +50,7 @@ class RunSummary:
         statuses: Number of rows of each status.
         sampled_range: Largest share of the range of reduced bodies.
         failed: Number of rows without a solution.
+        last_status: Status of the last row.
     """
 
     def __init__(self, simulation: Simulation, hold: tuple[float, float] = (math.nan, math.nan),
@@ -70,7 +75,7 @@ class RunSummary:
         self._rows: list[RunRow] = []
         self._limits: Counter[str] = Counter()
         self.statuses: Counter[str] = Counter()
-        self._last_status = ""
+        self.last_status = ""
         self.sampled_range, self.failed = 0.0, 0
 
     def add(self, row: RunRow) -> None:
@@ -84,9 +89,17 @@ class RunSummary:
             report.linearization_error, report.compute_time)))
         self._limits.update(list(dict.fromkeys(report.active_limits)))
         self.sampled_range = max(self.sampled_range, report.sampled_range)
-        self._last_status = row.result.status.value
-        self.statuses[self._last_status] += 1
+        self.last_status = row.result.status.value
+        self.statuses[self.last_status] += 1
         self.failed += row.result.status.is_failure
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the run: 1 where a row has no solution, `BAD_END` where the last row's state
+        is not in balance or inside out, else 0."""
+        if self.failed:
+            return 1
+        return BAD_END if self.last_status in _BAD_ENDS else 0
 
     def _series(self, field: str) -> np.ndarray:
         """A field of all rows; empty where it is None."""
@@ -242,7 +255,7 @@ class RunSummary:
         """How often each status came; of several, which one the run ended with."""
         lines = []
         for name, count in sorted(self.statuses.items()):
-            is_last = len(self.statuses) > 1 and name == self._last_status
+            is_last = len(self.statuses) > 1 and name == self.last_status
             end = ", the last too" if is_last else ""
             lines.append((f"status {name}", f"{count} {self._unit}{end}"))
         return lines

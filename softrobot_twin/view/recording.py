@@ -103,6 +103,9 @@ def record_to(path: Path, application: str, blueprint: rrb.Blueprint) -> Recordi
     Raises:
         ViewError: The file cannot be written.
     """
+    if path.suffix.lower() != ".rrd":
+        raise ViewError("record", str(path), "a recording of rerun is a .rrd file; plot draws "
+                        "pictures, save_vtu writes shapes")  # fmt: skip
     stream = _new_stream(application)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -37,6 +37,16 @@ def test_the_working_directory_is_searched_before_the_package(places):
     assert find_scene_file(NAME, "scene_file") == here / NAME
 
 
+def test_the_folder_of_the_parameter_file_is_searched_before_the_package(places, monkeypatch):
+    here, share = places
+    put(share)
+    beside = put(here.parent / "robots")
+    command = ["twin", "--ros-args", "--params-file", "../robots/my.yaml", "-p", "view:=false"]
+    monkeypatch.setattr(scene_file.sys, "argv", command)
+    assert find_scene_file(NAME, "scene_file") == beside
+    assert find_scene_file(NAME, "scene_file") != put(here)
+
+
 def test_the_source_tree_is_searched_when_the_package_is_not_installed(monkeypatch, tmp_path):
     def not_installed(name):
         raise LookupError(name)

@@ -169,7 +169,7 @@ def test_numbers_are_checked_before_there_is_a_robot(call, said):
      "fingertip is given twice"),
     ({"poses": [0, 0, 0]}, "poses: takes names"),
     ({"touches": 1.0}, "touches: takes names"),
-    ({"time_step": -1.0}, "is not a duration"),
+    ({"time_step": -1.0}, "must be above 0"),
     ({"time_step": float("nan")}, "time_step: holds nan"),
     ({"time_step": "fast"}, "time_step: must be a number"),
 ])

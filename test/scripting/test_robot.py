@@ -1,9 +1,11 @@
 """A robot in Python: results, states, copies, read-outs, pictures, files."""
 
 import copy
+import inspect
 import pickle
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import meshio
@@ -11,7 +13,11 @@ import numpy as np
 import pytest
 
 import softrobot_twin as st
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
+from softrobot_twin.study.direct_run import DEFAULT_RATE
+from softrobot_twin.view import ViewError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -217,7 +223,7 @@ def test_a_view_writes_every_step(finger, tmp_path):
     with finger.view(tmp_path / "finger.rrd") as view:
         finger.step()
         finger.run(st.hold(), steps=3)
-        finger.run(seconds=0.008)
+        finger.run(seconds=0.04)
     assert (tmp_path / "finger.rrd").stat().st_size > 10_000
     assert view.shown_count == 1 + 1 + 3 + 2
     finger.step()
@@ -244,3 +250,53 @@ def test_names_of_the_package_are_imported_when_they_are_used():
 def test_an_unknown_name_of_the_package_is_an_attribute_error():
     with pytest.raises(AttributeError, match="has no attribute 'lode'"):
         st.lode
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".vtk", ".vtu", ".inp", ".stl", ".step"])
+def test_loading_a_mesh_says_how_a_scene_is_made_of_it(suffix):
+    with pytest.raises(SceneError, match=f"`softrobot_twin init part{suffix}` writes"):
+        st.load(f"meshes/part{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (st.setpoints(upper_shortening_m=5.0), "upper: a shortening of 5 m is .*: is it in m?"),
+        (st.setpoints(upper_length_m=110.0), "upper: a shortening of 110 m is"),
+        (st.efforts(lower_tension_N=3000.0), "lower: a tension of 3e.03 N is .*: is it in N?"),
+    ],
+)
+def test_setpoints_and_efforts_far_out_of_scale_are_questioned(entries, command, words):
+    robot = st.build(**entries)
+    with pytest.warns(st.SceneWarning, match=words):
+        robot.step(command)
+
+
+def test_large_setpoints_in_the_range_of_the_scene_are_not_questioned(entries):
+    robot = st.build(**entries)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", st.SceneWarning)
+        robot.step(st.setpoints(upper_shortening_m=0.02, lower_shortening_m=0.0))
+        robot.step(st.efforts(upper_tension_N=20.0))
+
+
+@pytest.mark.parametrize("time_step", [0.0, -0.01])
+def test_a_step_takes_time(finger, time_step):
+    with pytest.raises(CommandError, match="time_step: .* s must be above 0"):
+        finger.step(time_step=time_step)
+    with pytest.raises(CommandError, match="time_step: .* s must be above 0"):
+        finger.settle(time_step=time_step)
+
+
+def test_a_view_into_a_file_of_another_kind_is_refused(finger, tmp_path):
+    with pytest.raises(ViewError, match="is a .rrd file"):
+        finger.view(tmp_path / "finger.txt")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_time_step_is_the_same_by_default_wherever_a_robot_runs(finger):
+    step = inspect.signature(st.Robot.step).parameters["time_step"].default
+    assert step == inspect.signature(st.Robot.settle).parameters["time_step"].default
+    assert 1.0 / step == DEFAULT_RATE == LoopSettings().rate
+    for table in (finger.run(steps=2), finger.run(st.hold(), steps=2)):
+        assert np.diff(table["time_s"]) == pytest.approx(step)

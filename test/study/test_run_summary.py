@@ -56,6 +56,22 @@ def test_a_run_without_targets_contacts_or_limits_has_no_rows_of_them():
                            "compute time", "status ok"]
 
 
+@pytest.mark.parametrize(
+    ("statuses", "code"),
+    [
+        (["ok"], 0), (["not_converged", "ok"], 0), (["ok", "rate_limited"], 0),
+        (["ok", "unreachable"], 0), (["ok", "not_converged"], 3), (["ok", "inverted"], 3),
+        (["refused", "ok"], 1), (["ok", "refused", "not_converged"], 1),
+    ],
+)  # fmt: skip
+def test_the_exit_code_tells_rows_without_solution_and_a_last_row_that_is_not_good(statuses, code):
+    simulation = scene_of()
+    summary = RunSummary(simulation)
+    for step, status in enumerate(statuses):
+        summary.add(row(simulation, step, status=Status(status)))
+    assert summary.exit_code == code
+
+
 def test_of_several_statuses_the_one_at_the_end_is_told():
     lines = lines_of(scene_of(), {"status": Status.LINEARIZED}, {}, {})
     assert lines["status linearized"] == "1 steps"
