@@ -63,6 +63,7 @@ class TargetInput:
         point_refusals: Refused target points and poses, by reason.
         velocity_refusals: Refused velocities, by reason.
         clamped: How often a point or a velocity was limited to the workspace.
+        slowed: How often a velocity was limited to `speed_limit`.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class TargetInput:
             self._orientations = np.full((effector_count, 4), np.nan)
         self.point_refusals = RefusalCounts()
         self.velocity_refusals = RefusalCounts()
-        self.clamped = 0
+        self.clamped = self.slowed = 0
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)
         self._headers = [HeaderCheck(frame_id) for _ in range(effector_count)]
@@ -176,6 +177,9 @@ class TargetInput:
             return self.velocity_refusals.add(Refusal.WRONG_SIZE)
         if not np.isfinite(velocity).all():
             return self.velocity_refusals.add(Refusal.NOT_FINITE)
+        # The square of a very large component is infinite, which is above the limit too.
+        with np.errstate(over="ignore"):
+            self.slowed += bool(np.linalg.norm(velocity) > self._settings.speed_limit)
         self._velocity, self._velocity_time = velocity, time
         self._newest, self._source = time, "velocity"
         return None

@@ -19,6 +19,8 @@ FAR_OFF = 0.1
 """A pressure or volume that differs from its command by more than this share of its scale is a
 cause."""
 _MILLI = 1.0e3
+_GOES_ON = (Status.OK, Status.LINEARIZED, Status.RATE_LIMITED)
+"""Statuses of steps towards a target."""
 
 
 class TrackingSigns(NamedTuple):
@@ -103,8 +105,10 @@ def _what_slows(signs: TrackingSigns) -> str:
         return "rate limit: " + ", ".join(rates)
     if others:
         return "limit: " + ", ".join(others)
-    if signs.approaching:
+    if signs.approaching and signs.worst in _GOES_ON:
         return "approaching at approach_speed"
+    if signs.worst is Status.UNREACHABLE:
+        return f"step {signs.worst.value}"
     if signs.device_lag > signs.reported_above / 2.0:
         return f"the device differs from its command by {_MILLI * signs.device_lag:.1f} mm"
     if signs.device_off:

@@ -550,12 +550,16 @@ def kept_mesh(path: Path, size: float, scale: float = 1.0) -> KeptMesh:
     key = hashlib.sha256(path.read_bytes())
     key.update(f" {size:.9g} {scale:.9g} {_WAY}".encode())
     kept = mesh_cache() / f"{path.stem}_{key.hexdigest()[:16]}.msh"
-    if kept.is_file():
-        return KeptMesh(kept, (f"meshed before, kept in {kept}",))
+    found = kept.with_suffix(".notes")
+    if kept.is_file() and found.is_file():
+        before = found.read_text(encoding="utf-8").splitlines()
+        return KeptMesh(kept, (*before, f"meshed before, kept in {kept}"))
     made = mesh_cad(path, size, scale)
     partial = kept.with_name(f".{kept.stem}.{os.getpid()}.msh")
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text("\n".join(made.notes), encoding="utf-8")
+        os.replace(partial, found)
         write_msh(partial, made)
         os.replace(partial, kept)
     except OSError as error:

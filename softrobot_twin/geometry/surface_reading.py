@@ -97,7 +97,7 @@ class RepairedSurface(NamedTuple):
 def repair_surface(points: np.ndarray, triangles: np.ndarray) -> RepairedSurface:
     """Repairs common errors in files of closed surfaces.
 
-    Triangles without area are dropped, triangles are cut where points of others lie on their edges
+    Triangles without area and repeated ones are dropped, triangles are cut where points of others lie on their edges
     (T-junctions), and triangles with the wrong orientation are reversed, so that neighbours have
     opposite directions along their common edge and normals point outwards.
 
@@ -114,6 +114,11 @@ def repair_surface(points: np.ndarray, triangles: np.ndarray) -> RepairedSurface
     if flat.any() and not flat.all():
         triangles = triangles[~flat]
         notes.append(f"dropped {flat.sum()} triangles without area")
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    if len(first) < len(triangles):
+        notes.append(f"dropped {len(triangles) - len(first)} triangles that the file contains more "
+                     "than once")  # fmt: skip
+        triangles = triangles[np.sort(first)]
     cut = _cut_at_junctions(points, triangles, tolerance)
     if len(cut) > len(triangles):
         notes.append(
@@ -230,8 +235,8 @@ def _outward(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, boo
 
 SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtu", ".msh")
 # Distance, relative to the size of the surface, below which points are merged: STL files repeat
-# the corners of every triangle.
-_COINCIDENT = 1.0e-7
+# the corners of every triangle, and CAD programs round the corners of two faces differently.
+_COINCIDENT = 1.0e-5
 
 
 def read_surface(

@@ -422,7 +422,8 @@ class TwinDiagnostics:
                   loop.stiffness.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
         clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
-        values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped}
+        values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped,
+                                     "slowed": self._new("slowed", loop.targets.slowed)}
         for counts in inputs:
             for key, count in _refusals(counts).items():
                 values[key] = values.get(key, 0) + count

@@ -43,12 +43,22 @@ class Entry(NamedTuple):
     choices: tuple[str, ...] = ()
     read_only: bool = False
 
+    @property
+    def is_switch(self) -> bool:
+        """Whether it is ``on`` or ``off``, which YAML reads as truth values."""
+        return "on" in self.choices
+
+    def in_words(self, value: object) -> object:
+        """A value, a truth value of a switch as its word."""
+        return ("off", "on")[value] if self.is_switch and isinstance(value, bool) else value
+
     def descriptor(self) -> ParameterDescriptor:
         """Descriptor that ``ros2 param describe`` shows and rclpy checks."""
         description = f"{self.description} [{self.unit}]" if self.unit else self.description
         descriptor = ParameterDescriptor(
-            name=self.name, description=description, read_only=self.read_only
-        )
+            name=self.name, description=description, read_only=self.read_only,
+            dynamic_typing=self.is_switch,
+        )  # fmt: skip
         if self.choices:
             descriptor.additional_constraints = "one of " + ", ".join(self.choices)
         if self.low is not None and isinstance(self.default, float):
@@ -95,7 +105,7 @@ def declare(node: Node, table: Iterable[Entry]) -> dict[str, object]:
             raise ParameterError(
                 entry.name, given_values(node).get(entry.name), entry.unit, str(error)
             ) from None
-        values[entry.name] = plain(parameter)
+        values[entry.name] = entry.in_words(plain(parameter))
         entry.check(values[entry.name])
     return values
 
@@ -131,10 +141,14 @@ def unknown_parameters(node: Node, tables: Iterable[Iterable[Entry]]) -> list[st
         # rclpy itself declares these.
         if name == "use_sim_time" or name.startswith(_OF_RCLPY):
             continue
-        near = get_close_matches(name.replace(".", "_"), sorted(known), n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        sentences.append(f"parameter {name} is unknown and ignored{hint}")
+        sentences.append(f"parameter {name} is unknown and ignored{similar(name, known)}")
     return sentences
+
+
+def similar(name: str, known: Iterable[str]) -> str:
+    """A hint at the known name most similar to an unknown one; empty when none is similar."""
+    near = get_close_matches(name.replace(".", "_"), sorted(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 _LOST = tuple(choice.value for choice in WhenLost)

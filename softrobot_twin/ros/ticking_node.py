@@ -22,7 +22,7 @@ from softrobot_twin.control.loop_timing import (
     TickClock,
 )
 from softrobot_twin.ros.messages import arrival_of
-from softrobot_twin.ros.parameters import ALL_TABLES, Entry, unknown_parameters
+from softrobot_twin.ros.parameters import ALL_TABLES, Entry, similar, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.topics import Topic, largest_message, open_subscription
 
@@ -271,6 +271,15 @@ class TickingNode(Node):
         self.get_logger().error(
             f"a message or request was refused: {words}", throttle_duration_sec=_WARN_EVERY
         )
+
+    def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Sets all parameters or none; a name that the node does not have is refused by name."""
+        known = self.get_parameters_by_prefix("")
+        for parameter in parameters:
+            if parameter.name not in known:
+                return SetParametersResult(successful=False, reason=f"parameter {parameter.name} is "
+                                           f"unknown{similar(parameter.name, known)}")  # fmt: skip
+        return super().set_parameters_atomically(parameters)
 
     def warn_about_unknown_parameters(self, more: Sequence[Entry] = ()) -> None:
         """Logs given parameters that no node declares, which rclpy ignores silently.

@@ -143,6 +143,15 @@ def test_a_velocity_that_is_stopped_at_the_workspace_is_counted(targets):
     assert targets.clamped == 1
 
 
+@pytest.mark.parametrize(("speed", "count"), [(0.02, 0), (0.021, 1), (1e200, 1)])
+def test_a_velocity_above_the_speed_limit_is_counted(targets, speed, count):
+    assert targets._settings.speed_limit == 0.02
+    targets.accept_velocity((0.0, -speed, 0.0), 0.1)
+    for _ in range(3):
+        targets.read(0.1, STEP, REST)
+    assert targets.slowed == count and targets.velocity_refusals.total == 0
+
+
 def test_a_point_stops_a_velocity(targets):
     targets.accept_velocity((0.02, 0.0, 0.0), 0.0)
     targets.accept_point(0, (0.0, 0.0, 0.125), at(0.05))

@@ -21,6 +21,7 @@ from softrobot_twin.geometry.cad_meshing import (
 )
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.shapes import Sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from test.cad_parts import box, finger, joined, need_gmsh, write_step, write_stl
 
@@ -91,6 +92,29 @@ def test_inverted_triangles_are_turned_and_told(tmp_path):
     shells = read_shells(write_stl(tmp_path / "cube.stl", (points, turned)), MM)
     assert shells.volume == pytest.approx((20 * MM) ** 3, rel=1e-6)
     assert any("reversed 1 triangles" in note for note in shells.notes)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_repeated_triangles_are_dropped_and_told(tmp_path, turned):
+    points, triangles = CUBE
+    again = triangles[:3, ::-1] if turned else np.roll(triangles[:3], 1, axis=1)
+    part = points, np.vstack([triangles, again])
+    shells = read_shells(write_stl(tmp_path / "cube.stl", part), MM)
+    assert shells.volume == pytest.approx((20 * MM) ** 3, rel=1e-6)
+    assert any("dropped 3 triangles that the file contains more than once" in note
+               for note in shells.notes)  # fmt: skip
+
+
+def test_corners_a_tenth_of_a_micrometre_apart_are_one(tmp_path):
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print("seed", seed)
+    points, triangles = CUBE
+    corners = points[triangles].reshape(-1, 3)
+    apart = np.random.default_rng(seed).uniform(-1e-4, 1e-4, corners.shape)  # mm
+    part = corners + apart, np.arange(len(corners)).reshape(-1, 3)
+    shells = read_shells(write_stl(tmp_path / "cube.stl", part), MM)
+    assert len(shells.points) == 8 and len(shells.triangles) == 12
+    assert shells.volume == pytest.approx((20 * MM) ** 3, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +245,21 @@ def test_a_mesh_is_kept_by_the_content_of_its_file(tmp_path, monkeypatch):
     assert kept_mesh(path, 12 * MM, MM).path != first.path
     write_stl(path, box((20, 20, 24)))
     assert kept_mesh(path, 10 * MM, MM).path != first.path
-    assert len(list(mesh_cache().iterdir())) == 3
+    assert len(list(mesh_cache().glob("*.msh"))) == 3
+
+
+def test_a_kept_mesh_tells_what_was_repaired_and_how_much_its_volume_is_off(tmp_path, monkeypatch):
+    need_gmsh()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    ball = Sphere(np.zeros(3), 10.0).surface(1.0)
+    turned = ball[1].copy()
+    turned[3] = turned[3][::-1]
+    path = write_stl(tmp_path / "ball.stl", (ball[0], turned))
+    first, again = (kept_mesh(path, 9 * MM, MM) for _ in range(2))
+    assert first.path == again.path
+    assert first.notes[:-1] == again.notes[:-1] and len(first.notes) > 1
+    assert any("reversed 1 triangles" in note for note in again.notes)
+    assert "meshed before" in again.notes[-1]
 
 
 def test_every_inner_shell_of_a_mesh_is_a_cavity_with_its_normals_out_of_the_gas(meshed):

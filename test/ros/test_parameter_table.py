@@ -81,7 +81,16 @@ TABLE = (
     Entry("gain", 1.0, "Gain.", "1/s", 0.0, 10.0),
     Entry("count", 3, "Count.", "", 1, 5),
     Entry("word", "a", "Word.", choices=("a", "b")),
+    Entry("switch", "auto", "Switch.", choices=("auto", "on", "off"), read_only=True),
 )
+
+
+@pytest.mark.parametrize(
+    ("given", "word"), [(True, "on"), (False, "off"), ("on", "on"), ("off", "off"), ("auto", "auto")]
+)
+def test_a_switch_takes_the_truth_values_that_yaml_makes_of_on_and_off(world, given, word):
+    node = world.add(rclpy.create_node, "some", switch=given)
+    assert declare(node, TABLE)["switch"] == word
 
 
 @pytest.mark.parametrize(
@@ -92,6 +101,7 @@ TABLE = (
         ("gain", "fast", "must be of the type"),
         ("count", 6, "range"),
         ("word", "c", "must be one of"),
+        ("switch", "no", "must be one of"), ("switch", 1, "must be one of"),
     ],
 )
 def test_an_invalid_value_is_refused_by_name_and_value(world, name, value, reason):
@@ -103,7 +113,7 @@ def test_an_invalid_value_is_refused_by_name_and_value(world, name, value, reaso
 
 def test_a_value_is_described_with_unit_and_range(world):
     node = world.add(rclpy.create_node, "some")
-    assert declare(node, TABLE) == {"gain": 1.0, "count": 3, "word": "a"}
+    assert declare(node, TABLE) == {"gain": 1.0, "count": 3, "word": "a", "switch": "auto"}
     gain = node.describe_parameter("gain")
     assert gain.description == "Gain. [1/s]"
     assert gain.floating_point_range[0].to_value == 10.0

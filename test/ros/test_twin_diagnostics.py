@@ -148,6 +148,14 @@ def set_parameter(world):
     return set_one
 
 
+@pytest.mark.parametrize(("name", "hint"), [("ratte", "rate"), ("workspace.max", "workspace_max")])
+def test_an_unknown_parameter_is_refused_by_its_name(make_twin, set_parameter, name, hint):
+    make_twin()
+    answer = set_parameter(name, 80.0)
+    assert not answer.successful
+    assert answer.reason == f"parameter {name} is unknown; did you mean {hint}?"
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
