@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -61,25 +60,3 @@ def _constants(part: MaterialPart) -> tuple:
     if law_named(part.law).own is None:
         return part.young_modulus, part.poisson_ratio
     return part.law_parameters
-
-
-def changed_since(path: Path, prints: dict[str, str]) -> tuple[str, ...]:
-    """What has changed since a file was made.
-
-    Args:
-        path: The file, an archive of numpy with an array `prints`.
-        prints: Fingerprints of the scene's body.
-
-    Returns:
-        Names of what changed; ``file`` where there is none.
-    """
-    if not path.is_file():
-        return ("file",)
-    with np.load(path) as saved:
-        found = dict(entry.split("=", 1) for entry in saved["prints"].tolist())
-    return tuple(name for name, value in prints.items() if found.get(name) != value)
-
-
-def saved_prints(prints: dict[str, str]) -> np.ndarray:
-    """Fingerprints as the array `prints` of a file."""
-    return np.array([f"{name}={value}" for name, value in prints.items()])

@@ -19,12 +19,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.mechanics.reduced_elements import SampledPoints
-from softrobot_twin.simulation.body_fingerprints import digest, fingerprints_of, saved_prints
+from softrobot_twin.geometry.cell_mesh import points_of
+from softrobot_twin.mechanics.reduced_elements import SampledPoints, point_gradients
+from softrobot_twin.simulation.body_fingerprints import digest, fingerprints_of
 from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.model_file import LEAST, MOST, ModelFile, saved_prints
 
 # Version of the file; one of another version is made anew.
 FORMAT = 1
+# Greatest displacement of a fixed node by a mode, whose largest is one: rounding of long sums.
+FIXED = 1.0e-6
+# Least eigenvalue of the stiffness at rest of modes that are scaled to unit stiffness: rounding.
+LEAST_STIFFNESS = 1.0e-10
 
 
 class BodyReduction(NamedTuple):
@@ -93,14 +99,78 @@ def write_body_reduction(path: Path, reduction: BodyReduction, prints: dict[str,
     np.savez(path, **arrays)
 
 
-def read_body_reduction(path: Path) -> BodyReduction:
-    """Read a file that `changed_since` found current."""
-    with np.load(path) as saved:
-        points = (
-            SampledPoints(*(saved[f"{name}_{field}"] for field in SampledPoints._fields))
-            for name in ("sampled", "spare_sampled")
-        )
-        return BodyReduction(
-            saved["basis"].astype(float), int(saved["mode_count"]), *points, saved["ranges"],
-            saved["measured"], json.loads(str(saved["training"])),
-        )  # fmt: skip
+def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> BodyReduction:
+    """Read a reduction.
+
+    Args:
+        file: The file.
+        body: The body that it is for; None to read it alone.
+
+    Raises:
+        ModelFileError: It was made of another body, or is damaged.
+    """
+    if not isinstance(file, ModelFile):
+        file = ModelFile(file)
+    if body is not None:
+        file.check_prints(reduction_fingerprints(body))
+    basis = file.taken("basis", None if body is None else body.mesh.node_count, 3, None)
+    total = basis.shape[2]
+    count = int(file.taken("mode_count", kind="i", least=3, most=total))
+    if count % 3 or total % 3:
+        raise file.damaged(f"{count} modes of {total}: multiples of three are needed")
+    sampled, spare_sampled = (
+        _sampled_points(file, name, body) for name in ("sampled", "spare_sampled")
+    )
+    try:
+        training = json.loads(str(file.taken("training", kind="U")))
+    except ValueError as error:
+        raise file.damaged(f"training is no JSON: {error}") from None
+    reduction = BodyReduction(
+        basis, count, sampled, spare_sampled, file.taken("ranges", total, least=0.0),
+        file.taken("measured", 2, least=0.0, may_be_nan=True), training,
+    )  # fmt: skip
+    if body is not None:
+        _check_on_body(file, reduction, body)
+    return reduction
+
+
+def _sampled_points(file: ModelFile, name: str, body: Body | None) -> SampledPoints:
+    most = MOST if body is None else body.mesh.cell_count - 1
+    cells = file.taken(f"{name}_cells", None, kind="i", least=0, most=most)
+    points = file.taken(f"{name}_points", len(cells), kind="i", least=0)
+    weights = file.taken(f"{name}_weights", len(cells), least=LEAST)
+    if len(np.unique(np.stack([cells, points]), axis=1).T) < max(len(cells), 1):
+        raise file.damaged(f"{name} has no points, or the same twice")
+    return SampledPoints(cells, points, weights)
+
+
+def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> None:
+    """Refuse modes that move fixed nodes, and points that do not hold the modes.
+
+    Raises:
+        ModelFileError: It says which.
+    """
+    if np.abs(reduction.basis[body.fixed]).max(initial=0.0) > FIXED:
+        raise file.damaged("its modes move fixed nodes")
+    for name, model in (("sampled", reduction), ("spare_sampled", reduction.with_spare_modes())):
+        stiffness = np.zeros((model.mode_count, model.mode_count))
+        for part in body.materials:
+            lame_lambda, shear_modulus = part.lame_parameters
+            for block in body.mesh.blocks(part.cells):
+                own = np.arange(body.mesh.cell_count)[block.places]
+                inside = np.isin(model.sampled.cells, own)
+                if model.sampled.points[inside].max(initial=0) >= points_of(
+                        block.mesh).weights.shape[1]:  # fmt: skip
+                    raise file.damaged(f"{name}_points has points that its cells do not have")
+                found = point_gradients(block, model.sampled, model.basis[:, :, :model.mode_count])
+                weighted = found.weights[:, None, None] * found.gradients
+                turned = found.gradients.reshape(len(weighted), 3, 3, -1).transpose(0, 2, 1, 3)
+                traces = found.gradients[:, ::4].sum(axis=1)
+                both = found.gradients + turned.reshape(found.gradients.shape)
+                stiffness += shear_modulus * np.tensordot(weighted, both, ((0, 1), (0, 1)))
+                stiffness += lame_lambda * (found.weights * traces.T) @ traces
+        size = np.sqrt(np.diag(stiffness))
+        if not (size > 0.0).all() or not np.linalg.eigvalsh(
+                stiffness / np.outer(size, size))[0] > LEAST_STIFFNESS:  # fmt: skip
+            raise file.damaged(f"at the points {name} the stiffness at rest is not positive "
+                               "definite: too few points, or modes that depend on each other")

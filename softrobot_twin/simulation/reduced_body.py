@@ -12,7 +12,6 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,13 +21,9 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.reduced_points import Platform, ReducedPoints
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.body_fingerprints import changed_since
-from softrobot_twin.simulation.body_reduction import (
-    BodyReduction,
-    read_body_reduction,
-    reduction_fingerprints,
-)
+from softrobot_twin.simulation.body_reduction import BodyReduction, read_body_reduction
 from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.model_file import ModelFileError
 
 COMMAND = "softrobot_twin reduce"
 
@@ -234,27 +229,19 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
         scene: The scene.
 
     Raises:
-        SceneError: The file is not there, or of another body; or the scene asks for something that
+        SceneError: The file is not there, of another body, or damaged; or the scene asks for something that
             is not built for reduced bodies.
     """
     path: Path = scene.file_path(body.entry.reduced.file)
     key = f"{body.key}.reduced"
     _refuse(body, key, scene)
     try:
-        changed = changed_since(path, reduction_fingerprints(body))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise SceneError(
-            scene.path, f"{key}.file", str(path), "", f"is no reduced model: {error}"
-        ) from None
-    if changed:
-        reason = "does not exist" if changed == ("file",) else (
-            f"was made of another {', '.join(changed)}"
-        )
+        reduction = read_body_reduction(path, body)
+    except ModelFileError as error:
         command = f"{COMMAND} {shlex.quote(str(scene.path))}"
         raise SceneError(
-            scene.path, f"{key}.file", str(path), "", f"{reason}; run: {command}"
-        )
-    reduction = read_body_reduction(path)
+            scene.path, f"{key}.file", str(path), "", f"{error.reason}; run: {command}"
+        ) from None
     if body.entry.reduced.spare_modes:
         reduction = reduction.with_spare_modes()
     turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()

@@ -36,18 +36,23 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
-from softrobot_twin.mechanics.superelements import SuperelementFit
+from softrobot_twin.mechanics.polynomials import Monomials
+from softrobot_twin.mechanics.superelements import CENTRE_DEGREE, DEFORMATIONS, SuperelementFit
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body_fingerprints import (
-    changed_since,
     digest,
     fingerprints_of,
     mesh_coordinates,
     rounded_places,
-    saved_prints,
 )
 from softrobot_twin.simulation.deformable_body import Body, part_named
 from softrobot_twin.simulation.frame_part import FramePart
+from softrobot_twin.simulation.model_file import (
+    LEAST,
+    ModelFile,
+    ModelFileError,
+    saved_prints,
+)
 
 _SAVED = tuple(name for name in SuperelementFit._fields if name != "shares")
 # Version of the file; one of another version is made anew.
@@ -361,19 +366,60 @@ def write_reduction(path: Path, reduction: Reduction, prints: dict[str, str]) ->
     np.savez_compressed(path, **arrays)
 
 
-def read_reduction(path: Path) -> Reduction:
-    """Read the superelements of a file that `changed_since` found current."""
-    with np.load(path) as saved:
-        count = int(saved["count"])
-        fits = tuple(
-            SuperelementFit(*(saved[f"{name}_{s}"] for name in _SAVED))
-            for s in range(count)
-        )
-        return Reduction(
-            fits, int(saved["degree"]), tuple(saved[f"samples_{s}"] for s in range(count)),
-            tuple(saved[f"residuals_{s}"] for s in range(count)), saved["rest_volumes"],
-            saved["rest_areas"], saved["measured"],
+def read_reduction(path: Path, division: Division) -> Reduction:
+    """Read the superelements of a body.
+
+    Args:
+        path: The file.
+        division: The body's vertebrae and soft parts.
+
+    Raises:
+        ModelFileError: It was made of another body, or is damaged.
+    """
+    file = ModelFile(path)
+    file.check_prints(fingerprints(division))
+    degree = int(file.taken("degree", kind="i", least=2, most=division.body.entry.vertebrae.degree))
+    count = int(file.taken("count", kind="i"))
+    if count != len(division.parts):
+        raise file.damaged(f"it has {count} superelements for {len(division.parts)} soft parts")
+    fits, samples, residuals = [], [], []
+    for s, part in enumerate(division.parts):
+        n = DEFORMATIONS + len(part.cavities)
+        fit = SuperelementFit(
+            ends=file.taken(f"ends_{s}", 2, kind="i"),
+            end_points=file.taken(f"end_points_{s}", 2, 3), rest=file.taken(f"rest_{s}", 6),
+            cavities=file.taken(f"cavities_{s}", n - DEFORMATIONS, kind="i"),
+            middle=file.taken(f"middle_{s}", n), scaling=file.taken(f"scaling_{s}", n, n),
+            coefficients=file.taken(f"coefficients_{s}", Monomials(n, degree).count),
+            centres=file.taken(f"centres_{s}", 3, Monomials(n, CENTRE_DEGREE).count),
+            mass=float(file.taken(f"mass_{s}", least=0.0)),
         )  # fmt: skip
+        if tuple(fit.ends) != part.ends or tuple(fit.cavities) != part.cavities:
+            raise file.damaged(f"superelement {s} is not between its vertebrae")
+        if not np.abs(fit.scaling).max(axis=0).all() or not np.linalg.eigvalsh(
+                _rest_stiffness(fit, degree))[0] > 0.0:  # fmt: skip
+            raise file.damaged(f"the stiffness at rest of superelement {s} is not positive definite")
+        fits.append(fit)
+        samples.append(file.taken(f"samples_{s}", None, n))
+        residuals.append(file.taken(f"residuals_{s}", len(samples[-1]), 6))
+    cavity_count = len(division.cavities)
+    return Reduction(
+        tuple(fits), degree, tuple(samples), tuple(residuals),
+        file.taken("rest_volumes", cavity_count, least=LEAST),
+        file.taken("rest_areas", cavity_count, least=LEAST),
+        file.taken("measured", 2, least=0.0, may_be_nan=True),
+    )  # fmt: skip
+
+
+def _rest_stiffness(fit: SuperelementFit, degree: int) -> np.ndarray:
+    """∂²Π/∂e² of a superelement at rest without pressure, by coordinates of unit range, (6, 6)."""
+    n = len(fit.middle)
+    monomials, low = Monomials(n, degree), Monomials(n, degree - 2)
+    values = np.prod((-fit.scaling @ fit.middle) ** low.exponents, axis=1)
+    curvature = monomials.curvature_coefficients(fit.coefficients) @ values
+    ranges = np.linalg.norm(fit.scaling, axis=0)
+    slopes = fit.scaling[:, :DEFORMATIONS] / ranges[:DEFORMATIONS]
+    return slopes.T @ curvature @ slopes
 
 
 # --- the reduced body ------------------------------------------------------------------------------
@@ -444,20 +490,17 @@ def reduced_body(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Body:
         scene: The scene.
 
     Raises:
-        SceneError: There are no superelements, or they are of another mesh or material.
+        SceneError: There are no superelements, or they are of another mesh or material, or damaged.
     """
     division = divide(body, walls, scene)
     path, key = reduction_path(body, scene), f"{body.key}.vertebrae"
-    changed = changed_since(path, fingerprints(division))
-    if changed:
-        reason = "does not exist" if changed == ("file",) else (
-            f"was made of another {', '.join(changed)}"
-        )
+    try:
+        reduction = read_reduction(path, division)
+    except ModelFileError as error:
         command = f"{COMMAND} {shlex.quote(str(scene.path))}"
         raise SceneError(
-            scene.path, key, str(path), "", f"{reason}; run: {command}"
-        )
-    reduction = read_reduction(path)
+            scene.path, key, str(path), "", f"{error.reason}; run: {command}"
+        ) from None
     parts = _vertebra_parts(division)
     ends = np.array([
         [fit.end_points[k] - mesh_coordinates(body, parts[fit.ends[k]].origin) for k in range(2)]

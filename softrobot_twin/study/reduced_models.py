@@ -15,18 +15,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.body_fingerprints import changed_since
 from softrobot_twin.simulation.body_reduction import (
     BodyReduction,
     read_body_reduction,
     reduction_fingerprints,
     write_body_reduction,
 )
+from softrobot_twin.simulation.model_file import ModelFile, ModelFileError
 from softrobot_twin.study.accuracy_study import (
     POSE_SHARES,
     REDUCED,
@@ -112,11 +111,10 @@ def reduced_models(
             continue
         try:
             model = _model_of(path, levels)
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        except ModelFileError as error:
             if path not in given:
                 continue
-            reason = f"is no reduced model: {error}" if path.is_file() else "does not exist"
-            raise AccuracyError(str(path), reason) from None
+            raise AccuracyError(str(path), error.reason) from None
         if model is not None:
             models[path.resolve()] = model
         elif path in given:
@@ -128,17 +126,22 @@ def reduced_models(
 
 def _model_of(path: Path, levels: Sequence[MeshLevel]) -> ReducedModel | None:
     """The reduced model of a file; None where it is of none of the meshes."""
-    reduction = read_body_reduction(path)
+    file = ModelFile(path)
+    nodes = len(file.taken("basis", None, 3, None))
     for level in levels:
         # Fingerprints take longer than a look at the number of nodes. To the corners come nodes at
         # mid-edges, and those within hexahedra.
-        nodes, corners = len(reduction.basis), level.node_count
+        corners = level.node_count
         has_more = level.scene.body.element != "linear"
         if not (corners < nodes < 10 * corners if has_more else nodes == corners):
             continue
-        if not changed_since(path, reduction_fingerprints(only_body(level.scene))):
-            points = len(reduction.sampled.cells)
-            return ReducedModel(path, level, reduction.mode_count, points)
+        try:
+            reduction = read_body_reduction(file, only_body(level.scene))
+        except ModelFileError as error:
+            if not error.changed:
+                raise
+            continue
+        return ReducedModel(path, level, reduction.mode_count, len(reduction.sampled.cells))
     return None
 
 

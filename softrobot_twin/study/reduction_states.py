@@ -19,7 +19,6 @@ import hashlib
 import json
 import math
 import shutil
-import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -33,6 +32,7 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.model_file import ModelFile, ModelFileError
 from softrobot_twin.simulation.reduced_body import rides_on_a_slide, without_reductions
 from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.study.equilibrium import ANY_TIME
@@ -563,7 +563,10 @@ class StateStore:
         self.path = output.with_name(output.name + BROKEN_OFF)
         try:
             if (self.path / _RUN).is_file():
-                self._check(json.loads((self.path / _RUN).read_text(encoding="utf-8")), run)
+                before = json.loads((self.path / _RUN).read_text(encoding="utf-8"))
+                if not isinstance(before, dict):
+                    raise OutputError(self.path, f"{_RUN} does not say which run it is of")
+                self._check(before, run)
                 return
             self.path.mkdir(parents=True, exist_ok=True)
             with output_file(self.path / _RUN) as partial:
@@ -585,13 +588,9 @@ class StateStore:
 
     def find(self, chain: np.ndarray) -> States | None:
         """The states of a chain; None where they are not there, or cannot be read."""
-        file = self._file(chain)
-        if not file.is_file():
-            return None
         try:
-            with np.load(file) as saved:
-                return States(*(saved[name] for name in States._fields))
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            return _saved_states(ModelFile(self._file(chain)), chain)
+        except ModelFileError:
             return None
 
     def add(self, chain: np.ndarray, states: States) -> None:
@@ -606,6 +605,28 @@ class StateStore:
     def remove(self) -> None:
         """Remove the folder: the run is done."""
         shutil.rmtree(self.path, ignore_errors=True)
+
+
+def _saved_states(file: ModelFile, chain: np.ndarray) -> States:
+    """The states of a chain; refuses a file of other samples, or with NaN in states that are found.
+    """
+    count = len(chain)
+    is_found = file.taken("is_found", count, kind="b")
+
+    def values(name: str, *shape: int | None, dtype=float) -> np.ndarray:
+        found = file.taken(name, count, *shape, may_be_nan=True).astype(dtype)
+        if not np.isfinite(found[is_found]).all():
+            raise file.damaged(f"{name} of found states are not finite")
+        return found
+
+    samples = file.taken("samples", *chain.shape, may_be_nan=True)
+    if not np.array_equal(samples, chain, equal_nan=True):
+        raise file.damaged("samples are others")
+    return States(
+        samples, is_found, values("displacements", None, 3, dtype=np.float32),
+        values("setpoints", None), values("efforts", None), values("effectors", None, 3),
+        file.taken("iterations", count, kind="i"),
+    )  # fmt: skip
 
 
 def find_states(

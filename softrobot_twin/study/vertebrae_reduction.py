@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.scene_layout import lay_out, walls_on, whole_layout
-from softrobot_twin.simulation.body_fingerprints import changed_since
+from softrobot_twin.simulation.model_file import ModelFileError
 from softrobot_twin.simulation.vertebrae import (
     Division,
     Reduction,
@@ -335,12 +336,10 @@ def reduce_vertebrae(scene_path, seed: int = 1, states: int = TEST_STATES, again
     outdated = []
     for division in found:
         path = reduction_path(division.body, scene)
-        changed = changed_since(path, fingerprints(division))
-        if again or changed:
+        why = _outdated(path, division)
+        if again or why:
             outdated.append(division.body.name)
-            missing = "made for the first time" if changed == ("file",) else "made again"
-            why = f": changed since are {', '.join(changed)}" if missing == "made again" else ""
-            out.print(f"{division.body.name}: superelements are {missing}{why if changed else ''}")
+            out.print(f"{division.body.name}: superelements are {why or 'made again'}")
         else:
             out.print(f"{division.body.name}: superelements in {path} are current")
     if outdated:
@@ -351,10 +350,22 @@ def reduce_vertebrae(scene_path, seed: int = 1, states: int = TEST_STATES, again
         measured = np.array([np.median(accuracy.shares), accuracy.shares.max()])
         for division in found:
             path = reduction_path(division.body, scene)
-            saved = read_reduction(path)._replace(measured=measured)
+            saved = read_reduction(path, division)._replace(measured=measured)
             write_reduction(path, saved, fingerprints(division))
         return 1 if accuracy.lost else 0
     return 0
+
+
+def _outdated(path: Path, division: Division) -> str:
+    """Why the superelements of a file have to be made; empty where they are current."""
+    try:
+        read_reduction(path, division)
+    except ModelFileError as error:
+        if error.changed == ("file",):
+            return "made for the first time"
+        changed = f"changed since are {', '.join(error.changed)}"
+        return f"made again: {changed if error.changed else f'the file {error.reason}'}"
+    return ""
 
 
 def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, out) -> None:
