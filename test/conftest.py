@@ -1,14 +1,15 @@
 """Environment of all tests, set before numpy, rclpy, numba or rerun is first imported."""
 
-import fcntl
 import itertools
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import pytest
+from compile_kernels import compile_each_kernel_once
 
 import softrobot_twin  # noqa: F401  chooses threads; before numpy
 
@@ -121,16 +122,84 @@ LIBRARIES = {
 }  # fmt: skip
 
 
+# `make test-all` runs all tests. `make test` leaves out, as `exhaustive`, those that are marked
+# `slow` and not named in `KEPT`, those of `LONG`, and most seeds. What it leaves out are long runs,
+# finer meshes, other robots and studies: a shorter test holds each of them to the same bar, or the
+# change that would break them breaks tests of its parts. What keeps a command safe is in `KEPT`.
+KEPT = {
+    "": (
+        "readme::test_its_python_runs_and_brings_the_tip_to_the_target",
+        "package::test_colcon_builds_a_twin_that_starts_from_its_share_folder",
+    ),
+    "control": (
+        "closed_loop::test_the_closed_loop_cuts_the_mean_error_to_a_fifth",
+        "hostile_input::test_long_runs_of_random_inputs_lead_to_no_unsafe_command", "trunk",
+    ),
+    "ros": (
+        "demo::test_ctrl_c_ends_all_three_processes_and_writes_the_report",
+        "demo::test_the_demo_leads_the_robot[diamond]",
+        "demo::test_the_demo_leads_the_robot[grasper]", "hostile_messages",
+    ),
+    "scripting": ("python_page",),
+    "simulation": (
+        "balloon::test_pressure_control_stops_at_the_limit_point_and_says_so",
+        "edge_of_reach::test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached",
+        "hostile_cavities",
+        "inverse_trunk::test_the_path_between_the_cylinders_crosses_neither_and_would_without_contact",
+    ),
+    "view": ("live_viewer::test_a_frozen_viewer_of_an_ordinary_robot_has_no_effect",),
+}  # fmt: skip
+# Not slow by themselves, but together.
+LONG = {
+    "examples": (
+        "examples::test_a_camera_cuts_the_error_of_the_finger_to_less_than_a_half",
+        "examples::test_a_policy_learns_within_a_few_generations",
+        "examples::test_the_gripper_lifts_the_ball_with_its_palm",
+    ),
+    "geometry": ("pneumatic_meshes::test_the_script_makes_the_committed_mesh",),
+    "simulation": (
+        "contact_rest::test_a_beam_beside_a_rod_comes_to_rest_with_ten_drawn_shortenings",
+        "edge_of_reach::"
+        "test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far",
+        "fibres::test_a_braided_tube_contracts_as_inextensible_threads_make_it",
+        "generalized_alpha::test_a_mass_on_a_spring_converges_at_the_order_of_its_scheme",
+    ),
+}  # fmt: skip
+# Of a test with more seeds than these, `make test` takes the first.
+SEEDS = 5
+
+
 @cache
-def tests_of_libraries() -> dict[Path, set[str]]:
-    """Files of `LIBRARIES`, and the names of their tests; none stands for all but slow ones."""
+def tests_of(table: str) -> dict[Path, set[str]]:
+    """Files of a table, and the names of their tests; none stands for a whole file."""
     found, folder = {}, Path(__file__).parent
-    for room, entries in LIBRARIES.items():
+    for room, entries in globals()[table].items():
         for entry in entries:
             file, _, test = entry.partition("::")
             path = folder / room / file
             found.setdefault(path.with_name(f"test_{path.name}.py"), set()).update({test} - {""})
     return found
+
+
+def is_exhaustive(item, own: set[str], drawn: Counter) -> bool:
+    """Whether `make test` leaves a test out.
+
+    Args:
+        item: The test.
+        own: Its names.
+        drawn: Seeds so far of each test, which is changed.
+    """
+    places = dict(item.callspec.indices) if hasattr(item, "callspec") else {}
+    if places.pop("seed", None) is not None:
+        same = (item.path, item.originalname, *places.items())
+        drawn[same] += 1
+        if drawn[same] > SEEDS:
+            return True
+    kept, long = (tests_of(table).get(item.path) for table in ("KEPT", "LONG"))
+    if long is not None and (own & long or long == set()):
+        return True
+    is_kept = kept is not None and (own & kept or kept == set())
+    return item.get_closest_marker("slow") is not None and not is_kept
 
 
 def only_libraries(config) -> bool:
@@ -140,19 +209,22 @@ def only_libraries(config) -> bool:
 def pytest_ignore_collect(collection_path, config):
     """With -m libraries, files without such tests are not even read."""
     is_test = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
-    is_other = is_test and collection_path not in tests_of_libraries()
+    is_other = is_test and collection_path not in tests_of("LIBRARIES")
     return True if only_libraries(config) and is_other else None
 
 
 def pytest_collection_modifyitems(config, items):
-    """Marks the tests of `LIBRARIES`; one that is named there and is nowhere is an error."""
-    wanted = tests_of_libraries()
+    """Marks the tests of the tables; one of `LIBRARIES` that is nowhere is an error."""
+    wanted = tests_of("LIBRARIES")
     missing = {(path, "") for path in wanted if not path.is_file()}
     missing |= {(path, name) for path in {item.path for item in items}
                 for name in wanted.get(path, ())}  # fmt: skip
+    drawn = Counter()
     for item in items:
-        names = wanted.get(item.path)
         own = {item.name, item.originalname}
+        if is_exhaustive(item, own, drawn):
+            item.add_marker(pytest.mark.exhaustive)
+        names = wanted.get(item.path)
         if names is None:
             continue
         if own & names if names else item.get_closest_marker("slow") is None:
@@ -160,38 +232,6 @@ def pytest_collection_modifyitems(config, items):
             missing -= {(item.path, name) for name in own}
     if only_libraries(config) and missing:
         raise pytest.UsageError(f"conftest.LIBRARIES names what is not there: {sorted(missing)}")
-
-
-def compile_each_kernel_once() -> None:
-    """Lets only one of several test processes compile a kernel; the others load the result.
-
-    numba looks for a kernel on disk at the beginning of `Dispatcher.compile`, so whoever waited
-    for the lock finds it there. Kernels call each other without a circle: no two processes can
-    wait for each other.
-    """
-    from numba.core.compiler_lock import global_compiler_lock
-    from numba.core.dispatcher import Dispatcher
-
-    from softrobot_twin.kernel_cache import kernel_folder
-    compile_or_load = Dispatcher.compile
-    folder = kernel_folder() / "locks"
-    folder.mkdir(parents=True, exist_ok=True)
-    held = set()
-
-    def compile_or_wait(dispatcher, signature):
-        name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
-        # Every thread takes numba's own lock first, so that no deadlock is possible.
-        with global_compiler_lock, open(folder / name, "w") as lock:
-            if name in held:
-                return compile_or_load(dispatcher, signature)
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            held.add(name)
-            try:
-                return compile_or_load(dispatcher, signature)
-            finally:
-                held.discard(name)
-
-    Dispatcher.compile = compile_or_wait
 
 
 if "PYTEST_XDIST_WORKER" in os.environ:
