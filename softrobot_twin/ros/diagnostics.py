@@ -21,6 +21,7 @@ from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.result import RATE
+from softrobot_twin.simulation.vertebrae_watch import LARGE_BY_SIZE, LARGE_SHARE
 
 if TYPE_CHECKING:
     from softrobot_twin.record.run_recorder import RunRecorder
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
 
 _MILLI = 1.0e3
-# An error of a reduced body is a warning above both of these: by the displacement of the effector,
-# and by the size of the scene.
-_LARGE_SHARE, _LARGE_BY_SIZE = 0.05, 0.001
 
 
 _EXCEEDED = ".force_limit_exceeded"
@@ -247,8 +245,7 @@ class TwinDiagnostics:
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
         if window.overloaded and level == OK:
             return WARN, f"overload: {window.overloaded} ticks without time to linearize", values
-        outside = ", ".join(name for name, state in reduced.items() if state.range > 1.0)
-        doubts = [f"{outside}: outside of the range of its reduction"] if outside else []
+        doubts = [f"{name}: {state.doubt}" for name, state in reduced.items() if state.doubt]
         doubts += [wrong] if (wrong := self._wrong_bodies()) else []
         if doubts and level == OK:
             return WARN, "; ".join(doubts), values
@@ -295,12 +292,12 @@ class TwinDiagnostics:
         """Reduced bodies that the full model finds far from where it has them, in words."""
         if self._reduction is None or self._loop.simulation.falls_back:
             return ""
-        least = _LARGE_BY_SIZE * self._loop.simulation.model.nodes.size
+        least = LARGE_BY_SIZE * self._loop.simulation.model.nodes.size
         return "; ".join(
             f"{name}: {error.distance * _MILLI:.2g} mm ({100.0 * error.share:.0f} % of the "
             "displacement) from the full model"
             for name, error in self._reduction.newest.items()
-            if error.distance > least and error.share > _LARGE_SHARE
+            if error.distance > least and error.share > LARGE_SHARE
         )
 
     def _of_touches(self):

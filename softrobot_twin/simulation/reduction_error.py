@@ -34,7 +34,7 @@ from softrobot_twin.simulation.reduced_body import with_reduced_entries, without
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.touches import Touched
-from softrobot_twin.simulation.vertebrae_watch import ReductionState
+from softrobot_twin.simulation.vertebrae_watch import LARGE_BY_SIZE, ReductionState
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.simulation import Simulation
@@ -200,6 +200,7 @@ def reduced_states(
         body.name: ReductionState(
             coordinates.share(state.positions), moves[body.name],
             *map(float, body.reduction.reduction.measured), shares[body.name],
+            LARGE_BY_SIZE * model.nodes.size,
         )
         for body, coordinates in zip(reduced_bodies(model), coordinate_ranges(model), strict=True)
     }  # fmt: skip

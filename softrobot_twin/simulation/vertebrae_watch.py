@@ -23,6 +23,8 @@ from softrobot_twin.simulation.model import Model
 
 # Samples that the estimate is a mean of.
 NEIGHBOURS = 8
+# An error is large above this share of the displacement and this one of the robot's size.
+LARGE_SHARE, LARGE_BY_SIZE = 0.05, 0.001
 
 
 class ReductionState(NamedTuple):
@@ -38,6 +40,7 @@ class ReductionState(NamedTuple):
             over the whole range; NaN where it was not compared.
         measured_worst: The largest of these.
         share: The error by the displacement of the effector; NaN of vertebrae.
+        negligible: An error that is too small to be told [m].
     """
 
     range: float
@@ -45,6 +48,22 @@ class ReductionState(NamedTuple):
     measured_median: float
     measured_worst: float
     share: float = float("nan")
+    negligible: float = 0.0
+
+    @property
+    def doubt(self) -> str:
+        """Why the body should not be believed here, in words; empty where nothing speaks against it.
+
+        Range and error judge together: each sees poses that the other misses.
+        """
+        is_measured = self.measured_worst == self.measured_worst
+        most = self.measured_worst if is_measured else LARGE_SHARE
+        reasons = ["outside of the range of its reduction"] if self.range > 1.0 else []
+        if self.share > most and self.error > self.negligible:
+            known = f" ({100.0 * most:.2g} % at the worst fresh state)" if is_measured else ""
+            reasons.append(f"{100.0 * self.share:.2g} % of the displacement off by its spare modes"
+                           + known)  # fmt: skip
+        return " and ".join(reasons)
 
 
 def reduction_state(model: Model, name: str, positions: np.ndarray) -> ReductionState:

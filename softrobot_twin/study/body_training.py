@@ -48,6 +48,7 @@ from softrobot_twin.study.reduction_basis import (
     sampled_points,
 )
 from softrobot_twin.study.reduction_states import (
+    CLOSE,
     FinderMaker,
     Sampling,
     StateFinder,
@@ -88,8 +89,9 @@ MOST_MODES = 96
 # What these modes add is small: points as coarse as the others gave errors of 0.7 to 4.7 of the
 # true ones at twice the training range.
 SPARE_SHARE = 1.0 / 3.0
-# Fresh states have seeds of their own: those of the last judgement, and of the rounds.
-FRESH_SEED, ROUND_SEED = 1000, 2000
+# Fresh states have seeds of their own: those of the last judgement, as many between reached targets,
+# and of the rounds.
+FRESH_SEED, BETWEEN_SEED, ROUND_SEED = 1000, 1500, 2000
 # Boxes of targets are this share of their width wider at each side in the training: at the border
 # of what was seen a reduced model is least accurate.
 MARGIN = 0.08
@@ -264,6 +266,29 @@ class Training:
         if self.way is not None:  # a pass of a path begins at rest
             return self.samples(count, self.options.seed + seed)
         return self.samples(count + 1, self.options.seed + seed)[1:]
+
+    def samples_between(self, states: States, count: int, seed: int) -> np.ndarray:
+        """Samples to judge by that are drawn otherwise than those of a training by targets.
+
+        Each holds the actuators at a place between those of two states that reached their targets,
+        where no target is followed and none can be missed.
+
+        Args:
+            states: States of the training.
+            count: Number of samples.
+            seed: Their seed, beside that of the options.
+        """
+        known = states.found()
+        reached = np.flatnonzero(~known.has_missed(self.simulation.model.nodes.size))
+        rng = np.random.default_rng(self.options.seed + seed)
+        pairs = rng.choice(reached, (count, 2))
+        ends, shares = known.held(columns_of(self.simulation))[pairs], rng.random((count, 1))
+        samples = ends[:, 0].copy()
+        columns = columns_of(self.simulation)
+        setpoints, (first, last) = columns.split(samples)[0], (
+            columns.split(ends[:, end])[0] for end in range(2))
+        setpoints[:] = first + shares * (last - first)
+        return samples
 
     def tours(self, samples: np.ndarray) -> list[np.ndarray]:
         """Indices of the samples of each chain, shape (count, width): passes along a path."""
@@ -570,13 +595,14 @@ def reduce(path: Path, options: TrainingOptions) -> int:
         else:
             trained, states = train_once(training)
         training_time = time.perf_counter() - begin
-        made = _said(path, options, trained, states, training_time)
+        made = _said(path, options, trained, states, training_time) | _targets_said(training, states)
         reduction = reduction_of(training.body, trained, np.full(2, np.nan), made)
         judgement = None
         if options.states:
-            (fresh,) = training.states(
-                "fresh states", training.fresh_samples(options.states, FRESH_SEED)
-            )
+            groups = [training.fresh_samples(options.states, FRESH_SEED)]
+            if options.targets:
+                groups.append(training.samples_between(states, options.states, BETWEEN_SEED))
+            fresh = joined(training.states("fresh states", *groups))
             with terminal_status("error at fresh states"):
                 judgement = training.judge(reduction, "in_use", fresh)
             reduction = reduction._replace(measured=judgement.measured)
@@ -589,6 +615,8 @@ def reduce(path: Path, options: TrainingOptions) -> int:
     for cause in training.causes:
         warn(cause)
     _print_result(training, trained, states, judgement, training_time)
+    if (told := _targets_said(training, states))["missed targets"]:
+        warn(f"{_reached(told)}: what they should have shown, the reduced model has not seen")
     seconds = time.perf_counter() - begin
     size = 1e-6 * output.stat().st_size
     console().print(f"saved in {output}, {size:.1f} MB, {seconds:.0f} s in all")
@@ -644,15 +672,36 @@ def _said(
     }  # fmt: skip
 
 
+def _targets_said(training: Training, states: States) -> dict:
+    """How many targets of a training were reached, and by how much others were missed."""
+    found = states.found()
+    size = training.simulation.model.nodes.size
+    has_missed = found.has_missed(size)
+    return {
+        "targets sought": int(np.isfinite(found.missed).sum()), "missed targets": int(has_missed.sum()),
+        "reached within [m]": CLOSE * size,
+        "largest miss [m]": float(np.nanmax(found.missed, initial=0.0)),
+    }  # fmt: skip
+
+
+def _reached(told: dict) -> str:
+    """How many targets were reached, and how far the others were missed, in words."""
+    sought, missed = told["targets sought"], told["missed targets"]
+    beyond = f", the others missed by up to {1e3 * told['largest miss [m]']:.2g} mm" if missed else ""
+    return f"{sought - missed} of {sought} targets were reached{beyond}"
+
+
 def _print_result(
     training: Training, trained: Trained, states: States, judgement: Judgement | None,
     seconds: float,
 ) -> None:  # fmt: skip
     body, out = training.body, console()
     rows = table(f"{body.name} of {training.scene.name}, reduced", "", "full model", "reduced")
-    found = int(states.is_found.sum())
+    found, told = int(states.is_found.sum()), _targets_said(training, states)
     freedoms = 3 * int(np.count_nonzero(~body.fixed))
     rows.add_row("states of the training", f"{found} of {len(states.is_found)}", "")
+    if told["targets sought"]:
+        rows.add_row(f"targets, reached within {1e3 * told['reached within [m]']:.2g} mm", _reached(told), "")
     rows.add_row("linearizations for a state", f"{states.iterations.mean():.1f}", "")
     rows.add_row("time of the training", f"{seconds:.0f} s", "")
     rows.add_row("unknowns", f"{freedoms}", f"{trained.mode_count}")

@@ -321,12 +321,14 @@ def print_reduction_errors(simulation: Simulation, largest_range: float) -> None
         by_spare_modes = simulation.reduction_state()
         by_full_model = FullModelError(simulation).errors(simulation.state)
     for name, full in by_full_model.items():
-        error = by_spare_modes[name].error
+        error, doubt = by_spare_modes[name].error, by_spare_modes[name].doubt
         spare = f", by its spare modes {1e3 * error:.3g} mm" if error == error else ""
         console().print(
             f"{name}: at the last pose the reduced model is {1e3 * full.distance:.3g} mm from the "
             f"full one, {_percent(full.share)} of the displacement{spare}"
         )
+        if doubt:
+            warn(f"{name}: at the last pose {doubt}")
     if largest_range > 1.0:
         warn(f"the run left the range of the training, up to {largest_range:.1f} times of it: "
              "train where the robot goes, see docs/reduced_models.md")  # fmt: skip

@@ -53,9 +53,12 @@ from softrobot_twin.study.workspace import (
 ITERATIONS, MOST_STEPS = 4, 15
 # Parts of the way to the first state of a chain, and to one that a whole step did not reach.
 FIRST_WAY, FINE_WAY = 4, 12
-# Steps towards targets before the actuators are held, and the distance from a target that is near
-# enough for a state, as a share of the robot's size.
+# Most steps towards targets on the way, and the distance from targets that ends them, as a share of
+# the robot's size; the same at the end of the way. A state that is further away missed its target.
 MOST_FOLLOWS, NEAR = 4, 0.01
+LAST_FOLLOWS, CLOSE = 12, 0.001
+# A step that leaves more than this share of the distance brings effectors no nearer.
+STALLED = 0.98
 # States of a chain: what a lost worker costs.
 CHAIN_LENGTH = 12
 # States of a pass of a whole path.
@@ -342,6 +345,8 @@ class States(NamedTuple):
         setpoints: Of the actuators, shape (count, actuator_count).
         efforts: Of the actuators, same shape.
         effectors: Positions of the effectors [m], shape (count, effector_count, 3).
+        missed: Largest distance of an effector from its target, along the directions that it is
+            controlled in [m]; NaN without targets, shape (count,).
         iterations: Linearizations that each took, shape (count,).
     """
 
@@ -351,11 +356,16 @@ class States(NamedTuple):
     setpoints: np.ndarray
     efforts: np.ndarray
     effectors: np.ndarray
+    missed: np.ndarray
     iterations: np.ndarray
 
     def found(self) -> States:
         """Those with an equilibrium."""
         return States(*(field[self.is_found] for field in self))
+
+    def has_missed(self, size: float) -> np.ndarray:
+        """Which states are further from their targets than `CLOSE` of a robot's size [m]."""
+        return self.missed > CLOSE * size
 
     def held(self, columns: Columns) -> np.ndarray:
         """Samples that hold the actuators where they are in these states, without targets."""
@@ -383,6 +393,9 @@ class StateFinder:
         self.simulation = Simulation(scene, with_warnings=False)
         model = self.simulation.model
         self._columns = columns_of(self.simulation)
+        self._directions = np.array([
+            [axis in effector.directions for axis in "xyz"] for effector in scene.effectors
+        ], bool).reshape(-1, 3)  # fmt: skip
         self._nodes, self._platform = slice(0, 0), None
         for own in model.bodies:
             if own.name == body:
@@ -402,34 +415,76 @@ class StateFinder:
         found, rows, way = [], [], FIRST_WAY
         for sample in chain:
             self._iterations = 0
-            is_found = self._find(sample, way) or self._find_anew(sample)
+            is_found, missed = self._nearest(sample, way)
             state = simulation.state
             shift = state.positions[self._nodes] - rest[self._nodes]
             if self._platform is not None:
                 shift -= self._platform.displacement(state.positions)
             row = [
                 shift.astype(np.float32), state.setpoints, state.efforts,
-                simulation.effector_positions(),
+                simulation.effector_positions(), missed,
             ]  # fmt: skip
             found.append(is_found)
-            rows.append([np.where(is_found, value, np.nan).astype(value.dtype) for value in row])
+            rows.append([np.where(is_found, value, np.nan).astype(np.asarray(value).dtype)
+                         for value in row])  # fmt: skip
             rows[-1].append(self._iterations)
             if not is_found:
                 self._begin()
             way = 1 if is_found else FIRST_WAY
-        displacements, setpoints, efforts, effectors, iterations = map(np.array, zip(*rows))
-        return States(
-            chain.copy(), np.array(found), displacements, setpoints, efforts, effectors, iterations
-        )
+        return States(chain.copy(), np.array(found), *map(np.array, zip(*rows, strict=True)))
 
     def _begin(self) -> None:
         """Go back to rest, under the gravity of the scene."""
         self.simulation.reset()
         self._load(np.zeros((0, 3)), np.array(self.simulation.scene.gravity, float))
 
-    def _find_anew(self, sample: np.ndarray) -> bool:
-        self._begin()
-        return self._find(sample, FINE_WAY)
+    def _nearest(self, sample: np.ndarray, way: int) -> tuple[bool, float]:
+        """Go to a sample, or to the nearest equilibrium that is found to its targets.
+
+        Where the first try misses the targets, they are sought from the same state in smaller
+        steps, then from rest; in contact a way from rest may end on another side of an obstacle,
+        so it is tried only where there is no equilibrium else.
+
+        Args:
+            sample: The sample.
+            way: Parts of the first way.
+
+        Returns:
+            Whether an equilibrium was found, and how far it is from the targets [m]; NaN without.
+        """
+        simulation, columns = self.simulation, self._columns
+        targets, forces, gravity = columns.split(sample)[1:]
+        has_targets = np.isfinite(targets).any()
+        before, gravity_before = simulation.state, self._gravity
+        loads = forces if before.touches is None else before.touches.forces
+        best, missed = None, np.nan
+        tries = [(way, before), *([(FINE_WAY, before)] if has_targets else []), (FINE_WAY, None)]
+        for parts, start in tries:
+            if start is not None:
+                simulation.restore(start)
+                self._load(loads, gravity_before)
+            elif best is not None and simulation.model.contacts is not None:
+                break
+            else:
+                self._begin()
+            if self._find(sample, parts):
+                own = self._missed(targets)
+                if best is None or own < missed:
+                    best, missed = simulation.state, own
+                if not missed > CLOSE * simulation.model.nodes.size:
+                    break
+        if best is None:
+            return False, np.nan
+        simulation.restore(best)
+        self._load(forces, gravity)
+        return True, missed
+
+    def _missed(self, targets: np.ndarray) -> float:
+        """Largest distance of an effector from its target [m]; NaN without targets."""
+        shifts = np.where(self._directions, self.simulation.effector_positions() - targets, 0.0)
+        distances = np.linalg.norm(shifts, axis=1)
+        known = distances[np.isfinite(distances)]
+        return float(known.max()) if len(known) else np.nan
 
     def _find(self, sample: np.ndarray, way: int) -> bool:
         """Go to a sample in so many parts; whether the equilibrium is reached."""
@@ -441,7 +496,7 @@ class StateFinder:
             self._load(loads + share * (forces - loads), weight + share * (gravity - weight))
             wanted = begin.setpoints + share * (setpoints - begin.setpoints)
             if np.isfinite(targets).any():
-                wanted = self._follow(start + share * (targets - start))
+                wanted = self._follow(start + share * (targets - start), share == 1.0)
             if wanted is None or not self._balance(wanted, share == 1.0):
                 return False
         return True
@@ -459,16 +514,18 @@ class StateFinder:
         self._iterations += result.report.iterations
         return result
 
-    def _follow(self, wanted: np.ndarray) -> np.ndarray | None:
+    def _follow(self, wanted: np.ndarray, is_last: bool) -> np.ndarray | None:
         """Setpoints that bring the effectors near targets, or some of the way; NaN for free ones.
         """
         simulation = self.simulation
-        near = NEAR * simulation.model.nodes.size
-        for _ in range(MOST_FOLLOWS):
+        most, share = (LAST_FOLLOWS, CLOSE) if is_last else (MOST_FOLLOWS, NEAR)
+        missed = np.inf
+        for _ in range(most):
             result = self._step(FollowTargets(wanted, ANY_TIME))
             if result.status.is_failure:
                 return None
-            if np.nanmax(np.abs(simulation.effector_positions() - wanted)) <= near:
+            before, missed = missed, self._missed(wanted)
+            if missed <= share * simulation.model.nodes.size or missed > STALLED * before:
                 break
         return simulation.state.setpoints.copy()
 
@@ -625,6 +682,7 @@ def _saved_states(file: ModelFile, chain: np.ndarray) -> States:
     return States(
         samples, is_found, values("displacements", None, 3, dtype=np.float32),
         values("setpoints", None), values("efforts", None), values("effectors", None, 3),
+        file.taken("missed", count, least=0.0, may_be_nan=True),
         file.taken("iterations", count, kind="i"),
     )  # fmt: skip
 

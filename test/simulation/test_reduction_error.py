@@ -6,6 +6,7 @@ import pytest
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation, Status
 from softrobot_twin.simulation.reduced_body import with_reduced_entries, without_reductions
+from softrobot_twin.simulation.vertebrae_watch import ReductionState
 
 ANY_TIME = 1.0e3
 TRAINED = 0.011
@@ -83,6 +84,23 @@ def test_inside_of_its_training_a_body_is_not_named(pair):
     ratio = estimate / true
     assert np.mean((ratio > 0.5) & (ratio < 2.0)) >= 0.9
     assert np.median(share) < 0.005
+
+
+def test_range_and_spare_modes_judge_a_body_together():
+    """Each sees poses that the other misses."""
+    fine = ReductionState(0.8, 1e-4, 0.001, 0.01, share=0.005, negligible=2e-4)
+    assert not fine.doubt
+    assert fine._replace(range=1.2).doubt == "outside of the range of its reduction"
+    off = "3 % of the displacement off by its spare modes"
+    by_modes = fine._replace(error=6e-4, share=0.03)
+    assert by_modes.doubt == f"{off} (1 % at the worst fresh state)"
+    both = by_modes._replace(range=1.2).doubt
+    assert "outside of the range" in both and off in both
+    assert not fine._replace(share=0.03).doubt  # near rest a tenth of a millimetre
+    # A file that was not judged, and a step without an estimate.
+    assert not by_modes._replace(measured_worst=np.nan).doubt
+    assert by_modes._replace(measured_worst=np.nan, share=0.06).doubt
+    assert not fine._replace(error=np.nan, share=np.nan).doubt
 
 
 def test_the_range_is_in_each_report_and_none_without_reduced_bodies(pair):

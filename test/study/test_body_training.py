@@ -154,6 +154,23 @@ def test_a_wanted_error_that_is_not_met_is_said(column, call, tmp_path, monkeypa
     assert (tmp_path / "r.npz").is_file()
 
 
+def test_a_training_by_targets_tells_which_were_reached_and_is_judged_between_them_too(
+    column, call, tmp_path
+):
+    """The box reaches above the column, which no cable can lengthen."""
+    done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1, "--targets",
+                "tip=0.004:0.016,0.004:0.016,0.096:0.104", "--snapshots", 24, "--modes", 9,
+                "--spare-modes", 3, "--states", 6)  # fmt: skip
+    assert done.code == 0, done.errors
+    training = read_body_reduction(tmp_path / "r.npz").training
+    sought, missed = training["targets sought"], training["missed targets"]
+    assert sought == 23 and 0 < missed < 23
+    assert 0.001 < training["largest miss [m]"] < 0.01
+    words = f"{sought - missed} of 23 targets were reached, the others missed by up to "
+    assert words in done.errors and words in " ".join(done.output.split())
+    assert "at 12 fresh states" in done.output
+
+
 def test_lost_chains_are_told_and_the_rest_is_used(column, call, tmp_path, monkeypatch):
     def run(self, job, asked):
         compute = job.make(job.scene, job.content)
