@@ -30,6 +30,7 @@ class DiagnosticsWindow:
     Attributes:
         newest: The last tick, or None before the first.
         ticks: Number of ticks.
+        resting: The part of them that made no step, because nothing would have changed.
         worst: Their most severe status.
         statuses: Number of ticks of each status, by its word.
         residual_max: Largest residual [N].
@@ -66,7 +67,7 @@ class DiagnosticsWindow:
 
     def clear(self) -> None:
         """Starts a new window; the newest tick is kept."""
-        self.ticks = self.blocked = self.iterations_max = 0
+        self.ticks = self.resting = self.blocked = self.iterations_max = 0
         self.overloaded = self.late = self.projected = 0
         self.qp_solvers: set[str] = set()
         self.linearization_error_max = 0.0
@@ -88,11 +89,8 @@ class DiagnosticsWindow:
 
     def add(self, outcome: TickOutcome) -> None:
         """Adds a tick."""
-        self.newest = outcome
-        self.ticks += 1
+        self.add_again(outcome)
         result, report = outcome.result, outcome.result.report
-        word = result.status.value
-        self.statuses[word] = self.statuses.get(word, 0) + 1
         if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):
             self.worst = result.status
         # Unlike max, this propagates NaN.
@@ -117,6 +115,14 @@ class DiagnosticsWindow:
         self.tracking_error_max = float(np.fmax(self.tracking_error_max, worst))
         for marker in outcome.left_out:
             self.left_out[marker] = self.left_out.get(marker, 0) + 1
+
+    def add_again(self, outcome: TickOutcome) -> None:
+        """Adds a tick that repeats one of this window: only what is counted changes."""
+        self.newest = outcome
+        self.ticks += 1
+        self.resting += outcome.result.report.is_resting
+        word = outcome.result.status.value
+        self.statuses[word] = self.statuses.get(word, 0) + 1
         if outcome.cause:
             self.causes[outcome.cause] = self.causes.get(outcome.cause, 0) + 1
 

@@ -188,6 +188,10 @@ class TargetInput:
         """Time since the last target or velocity arrived [s]; infinite before the first."""
         return now - self._newest
 
+    def is_moving(self, now: float) -> bool:
+        """Whether a velocity is still valid."""
+        return now - self._velocity_time <= self._settings.velocity_timeout
+
     def read(self, now: float, time_step: float, effector_positions: np.ndarray) -> TargetReading:
         """The targets now, after integrating a velocity that is still valid.
 
@@ -197,7 +201,7 @@ class TargetInput:
             effector_positions: Positions of the effectors [m], shape (effector_count, 3): a
                 velocity moves the target from there when no target was given before.
         """
-        if now - self._velocity_time <= self._settings.velocity_timeout:
+        if self.is_moving(now):
             self._integrate_velocity(time_step, effector_positions[self._velocity_effector])
         age = self.age(now)
         timeout = self._settings.target_timeout

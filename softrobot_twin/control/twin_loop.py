@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -46,6 +47,7 @@ from softrobot_twin.control.target_correction import (
 )
 from softrobot_twin.control.touch_input import TouchInput
 from softrobot_twin.simulation import (
+    Command,
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
@@ -65,6 +67,50 @@ _SHORT_TICK = 0.5
 _SHORTEST_STEP = 1.0e-4
 """Shortest step of the simulation [s]."""
 _SHOWN_UNITS = {"m3": "m³", "Pa": "Pa (gauge)"}
+
+
+CALLS = (
+    "targets.accept_point", "targets.accept_pose", "targets.accept_velocity", "stiffness.accept",
+    "direct.accept", "selected.accept", "device.accept", "angles.accept", "measured_angles.accept",
+    "pressures.accept", "measured_pressures.accept", "poses.accept", "touches.accept_force",
+    "touches.accept_place", "markers.accept", "enable", "disable", "reset", "apply",
+)  # fmt: skip
+"""All calls by which anything reaches a loop from outside, but `tick`."""
+MOST_REPEATS = 19
+"""Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
+_MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED)
+
+
+def owner_of(loop: TwinLoop, name: str) -> tuple[object, str]:
+    """The part of a loop that takes a call of `CALLS`, and the name of its method."""
+    part, _, method = name.rpartition(".")
+    return (getattr(loop, part) if part else loop), method
+
+
+class _Waking:
+    """A method of a loop's part that ends the rest of the loop."""
+
+    def __init__(self, loop: TwinLoop, method: Callable):
+        self._loop, self._method = loop, method
+        self.__wrapped__ = method  # For its signature.
+
+    def __call__(self, *arguments, **options):
+        self._loop.wake()
+        return self._method(*arguments, **options)
+
+
+class _Rest(NamedTuple):
+    """A tick that the next ones may repeat.
+
+    Attributes:
+        outcome: Its outcome.
+        command: The command of its step.
+        repeats: How often it was repeated.
+    """
+
+    outcome: TickOutcome
+    command: Command
+    repeats: int = 0
 
 
 class Aims(NamedTuple):
@@ -186,6 +232,7 @@ class TwinLoop:
     Attributes:
         cavities: The cavities, and their absolute pressures.
         pulleys: The pulleys that wind cables, and their angles.
+        is_repeating: True when the last tick repeated the outcome of the one before.
 
     Raises:
         ParameterError: The scene does not allow the mode or the settings.
@@ -249,6 +296,15 @@ class TwinLoop:
         self._engagement = Engagement(
             simulation, self._guidance, self.device if use_device else None
         )
+        self._rest: _Rest | None = None
+        self.is_repeating = False
+        for name in CALLS:
+            owner, method = owner_of(self, name)
+            setattr(owner, method, _Waking(self, getattr(owner, method)))
+
+    def wake(self) -> None:
+        """Lets the next tick do all of its work."""
+        self._rest = None
 
     def check(self, settings: LoopSettings) -> None:
         """Checks that the scene allows the settings; see `check_settings`."""
@@ -368,6 +424,11 @@ class TwinLoop:
             ros_time: Time on the clock of `Arrival.stamp` [ns].
         """
         time = self._time_of_tick(now)
+        repeated = self._repeat(now, ros_time, time)
+        self.is_repeating = repeated is not None
+        if repeated is not None:
+            return repeated
+        self._rest = None
         self._watch_device(now)
         self._engagement.begin()
         aims = self._aims(now, time.step)
@@ -391,11 +452,58 @@ class TwinLoop:
             poses, self._released = self._guidance.send(time.reach), now
         if cause != DEVICE_LOST and self._engagement.end(result, time.step):
             self._forget_markers()
-        return TickOutcome(
+        outcome = TickOutcome(
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
             measured, misfit, effectors, errors, poses, self._plausibility.left_out,
             aims.is_approaching, self._orientation_errors(aims.reading),
         )  # fmt: skip
+        is_resting = result.report.is_resting and activity in _MAY_REPEAT and not violated
+        if is_resting and not self._waits(now):
+            self._rest = _Rest(outcome, command)
+        return outcome
+
+    def _repeat(self, now: float, ros_time: int, time: TickTime) -> TickOutcome | None:
+        """The outcome of a tick that would be that of the tick before, to the bit.
+
+        That tick was at rest, nothing has reached the loop since, and nothing waited for a timeout.
+
+        Args:
+            now: See `tick`.
+            ros_time: See `tick`.
+            time: The time that the tick stands for.
+
+        Returns:
+            The outcome; None where all of a tick must be done.
+        """
+        rest = self._rest
+        if rest is None or rest.repeats == MOST_REPEATS:
+            return None
+        before, command = rest.outcome, rest.command
+        if isinstance(command, Hold):
+            command = Hold(time.step)
+        elif time != (command.time_step, command.reach_time):
+            return None
+        result = self.simulation.stay(command)
+        if result is None:
+            return None
+        self._rest = rest._replace(repeats=rest.repeats + 1)
+        self._history.add(ros_time, before.predicted_markers)
+        if before.command is not None:
+            self._released = now
+        reading = before.reading._replace(age=self.targets.age(now))
+        return before._replace(result=result, reading=reading)
+
+    def _waits(self, now: float) -> bool:
+        """Whether ticks change by time alone: something fades, or may time out."""
+        settings = self.settings
+        commands = (self.targets, self.direct, self.selected)
+        return (
+            self.targets.is_moving(now)
+            or self.markers.age(now) <= settings.marker_timeout
+            or (self.use_device and not self.device_is_lost(now))
+            or any(part.age(now) <= settings.target_timeout for part in commands)
+            or bool(self.correction.offsets.any())
+        )
 
     def _time_of_tick(self, now: float) -> TickTime:
         """The time that a tick at a time [s] stands for."""
@@ -536,7 +644,9 @@ class TwinLoop:
         """
         simulation, before = self.simulation, self.simulation.state
         budget = self.settings.budget
-        if touched is None:
+        if (at_rest := simulation.stay(command, touched)) is not None:
+            result = at_rest
+        elif touched is None:
             result = simulation.step(command, budget)
         else:
             result = simulation.step(command, budget, touched)

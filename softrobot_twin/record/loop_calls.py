@@ -11,7 +11,7 @@ import numpy as np
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
-from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.control.twin_loop import TwinLoop, owner_of
 from softrobot_twin.record.run_values import number, numbers, plain
 
 
@@ -108,12 +108,6 @@ class Call(NamedTuple):
 def answer_to_json(answer: object) -> object:
     """What a call returned, as JSON."""
     return answer.value if isinstance(answer, Refusal) else plain(answer)
-
-
-def owner_of(loop: TwinLoop, name: str) -> tuple[object, str]:
-    """The part of a loop that takes a call, and the name of its method."""
-    part, _, method = name.rpartition(".")
-    return (getattr(loop, part) if part else loop), method
 
 
 def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:

@@ -218,6 +218,7 @@ class TwinDiagnostics:
             "statuses": " ".join(f"{word}:{n}" for word, n in sorted(window.statuses.items())),
             "residual_n": window.residual_max,
             "iterations": window.iterations_max,
+            "resting": window.resting,
             "linearization_error_mm": window.linearization_error_max * _MILLI,
             "discretization_error_mm": self.discretization_error * _MILLI,
             **self._of_mesh(),

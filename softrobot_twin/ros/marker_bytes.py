@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker
 
 # CDR of version 1, little-endian, without options (OMG DDSI-RTPS, section 10.5).
@@ -137,6 +139,13 @@ def exact_bytes(message: object) -> bytes:
     for field, kind in message.get_fields_and_field_types().items():
         writer.value(kind, getattr(message, field))
     return _ENCAPSULATION + writer.take()
+
+
+def to_bytes(message: object) -> bytes:
+    """A message in CDR; one that is serialized already stays as it is."""
+    if isinstance(message, bytes):
+        return message
+    return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
 
 
 class _Cut(NamedTuple):

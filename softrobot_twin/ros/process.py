@@ -155,7 +155,8 @@ def _run(
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError
     from rclpy.exceptions import NameValidationException, ParameterException
-    from rclpy.executors import SingleThreadedExecutor
+
+    from softrobot_twin.ros.lean_executor import LeanExecutor
 
     stop.listen()
     if _asks_for_help(arguments):
@@ -173,7 +174,7 @@ def _run(
             # The message is rclpy's own.
             raise ArgumentsError(_one_line(error)) from error
         stop.only_record()
-        executor = SingleThreadedExecutor()
+        executor = LeanExecutor()
         executor.add_node(node)
         sys.setswitchinterval(_SWITCH_INTERVAL)
         node.take_priority()

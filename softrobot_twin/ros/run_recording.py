@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
 
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.record.run_clock import RecordedClock
 from softrobot_twin.record.run_description import describe
 from softrobot_twin.record.run_file import INSTALL, SUFFIX, RunFileError, Topic
 from softrobot_twin.record.run_recorder import RunRecorder
-from softrobot_twin.ros.marker_bytes import exact_bytes
+from softrobot_twin.ros.marker_bytes import to_bytes
 from softrobot_twin.ros.message_definitions import definition, type_name
 
 if TYPE_CHECKING:
@@ -110,13 +108,6 @@ class RunRecording:
         """Writes the rest and closes the file."""
         if self.recorder is not None:
             self.recorder.close()
-
-
-def to_bytes(message: object) -> bytes:
-    """A message in CDR; arrays of markers are published as such."""
-    if isinstance(message, bytes):
-        return message
-    return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
 
 
 class RecordedPublisher:

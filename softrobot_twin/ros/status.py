@@ -37,7 +37,7 @@ class StatusOutput:
         """
         result = outcome.result
         found = (outcome.activity, outcome.cause, result.status, result.report.active_limits,
-                 outcome.violated, self._loop.why_given_up)  # fmt: skip
+                 outcome.violated, self._loop.why_given_up, result.report.is_resting)  # fmt: skip
         # With simulated time the clock may be set back.
         if found == self._sent or (now < self._due and self._due - now <= LEAST_PERIOD):
             return
@@ -56,6 +56,7 @@ class StatusOutput:
             "cause": cause,
             "status": result.status.value,
             "active_limits": " ".join(result.report.active_limits),
+            "resting": str(result.report.is_resting).lower(),
             "kept_back": " ".join(outcome.violated),
             "mode": loop.mode.value,
             "uses_device": str(loop.use_device).lower(),

@@ -15,13 +15,16 @@ from pathlib import Path
 
 _REAL_TIME = 5
 """Priority in SCHED_FIFO's range 1 to 99: above all ordinary threads, below the kernel's."""
+_HELPER = 4
+"""That of the other threads of the process, below the tick's."""
 _NICE = -10
 _ORDINARY = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 _WINDOW = 0.5
 """Time over which the thread's share of a core is measured [s]."""
 _LARGEST_SHARE = 0.9
-"""Above this share of a core the thread leaves too little time to others."""
+"""Above this share of a core the thread, or all others together, leave too little time to other
+programs."""
 _PAUSE = 5.0
 """Time after which a lowered priority is raised again [s]."""
 
@@ -47,13 +50,16 @@ class ThreadPriority:
     each tick, lowers the priority for some seconds when the thread used more than nine tenths of a
     core, as a loop that is always late does. Child processes do not inherit the priority.
 
-    The other threads of the process get the nice value, because a tick waits while one of them
-    holds Python's lock, also when another program has taken that thread's core.
+    The other threads of the process, those of the middleware and of the view, get a priority just
+    below, because a tick waits while one of them holds Python's lock or a lock of the middleware,
+    also when another program has taken that thread's core. Threads that start later follow within
+    half a second.
 
     Args:
         wanted: Requested priority.
         clock: Monotonic time [s].
         thread_time: Processor time of the calling thread [s].
+        process_time: Processor time of all threads of the process [s].
 
     Attributes:
         state: The present priority, or the reason why it is not raised, as text.
@@ -66,12 +72,13 @@ class ThreadPriority:
         wanted: Priority,
         clock: Callable[[], float] = time.monotonic,
         thread_time: Callable[[], float] = time.thread_time,
+        process_time: Callable[[], float] = time.process_time,
     ):
         self.state, self.is_granted = "normal", wanted is Priority.NORMAL
         self.times_given_back = 0
         self._wanted = wanted
-        self._clock, self._thread_time = clock, thread_time
-        self._is_raised = False
+        self._clock, self._thread_time, self._process_time = clock, thread_time, process_time
+        self._is_raised = self._is_real_time = False
         self._others: dict[int, int] = {}
         self._nice_before = os.getpriority(os.PRIO_PROCESS, 0)
         self._retake_at = float("inf")
@@ -81,14 +88,16 @@ class ThreadPriority:
         """Requests the priority for the calling thread."""
         if self._wanted is Priority.NORMAL:
             return
-        self._others = _nice_other_threads(_NICE)
         self._begin_window()
         self._retake_at = float("inf")
         reason = ""
         if self._wanted is Priority.REAL_TIME:
             reason = self._take_real_time()
+            self._is_real_time = not reason
             if not reason:
+                self._raise_others()
                 return
+        self._raise_others()
         try:
             os.sched_setscheduler(0, _ORDINARY, os.sched_param(0))
             os.setpriority(os.PRIO_PROCESS, 0, _NICE)
@@ -119,7 +128,8 @@ class ThreadPriority:
             os.sched_setscheduler(0, _ORDINARY, os.sched_param(0))
             os.setpriority(os.PRIO_PROCESS, 0, self._nice_before)
             for thread, nice in self._others.items():
-                _set_nice(thread, nice)
+                _set_ordinary(thread, nice)
+            self._others.clear()
             self._is_raised = False
 
     def offer(self) -> str:
@@ -134,48 +144,59 @@ class ThreadPriority:
             return f"priority raised again: {self.state}"
         if not self._is_raised or now - self._window_began < _WINDOW:
             return ""
-        share = (self._thread_time() - self._computed_before) / (now - self._window_began)
+        elapsed = now - self._window_began
+        computed = self._thread_time() - self._computed_before
+        share = computed / elapsed
+        share_of_others = (self._process_time() - self._process_before - computed) / elapsed
         self._begin_window()
+        self._raise_others()
+        who = "the ticks"
         if share < _LARGEST_SHARE:
-            return ""
+            # Only a real-time thread keeps other programs from a core.
+            if share_of_others < _LARGEST_SHARE or not self._is_real_time:
+                return ""
+            who, share = "the other threads", share_of_others
         self.give_back()
         self.times_given_back += 1
         self._retake_at = now + _PAUSE
         self.is_granted = False
-        self.state = f"normal: the ticks took {100 * share:.0f} % of a core"
-        return f"priority lowered for {_PAUSE:g} s: the ticks took {100 * share:.0f} % of a core"
+        self.state = f"normal: {who} took {100 * share:.0f} % of a core"
+        return f"priority lowered for {_PAUSE:g} s: {who} took {100 * share:.0f} % of a core"
 
     def _begin_window(self) -> None:
         self._window_began, self._computed_before = self._clock(), self._thread_time()
+        self._process_before = self._process_time()
+
+    def _raise_others(self) -> None:
+        """Raises the priority of the other threads of the process, where that is allowed."""
+        threads = other_threads()
+        for thread in threads - self._others.keys():
+            try:
+                nice = os.getpriority(os.PRIO_PROCESS, thread)
+                if self._is_real_time:
+                    flags = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+                    os.sched_setscheduler(thread, flags, os.sched_param(_HELPER))
+                else:
+                    os.setpriority(os.PRIO_PROCESS, thread, _NICE)
+            except OSError:
+                continue  # It is not allowed, or the thread has ended.
+            self._others[thread] = nice
+        for thread in self._others.keys() - threads:
+            del self._others[thread]
 
 
-def _nice_other_threads(nice: int) -> dict[int, int]:
-    """Sets the nice value of all other threads of the process, where that is allowed.
-
-    Returns:
-        The previous value of each changed thread, by thread id.
-    """
-    own, before = threading.get_native_id(), {}
-    for entry in Path("/proc/self/task").iterdir():
-        thread = int(entry.name)
-        if thread == own:
-            continue
-        try:
-            had = os.getpriority(os.PRIO_PROCESS, thread)
-        except OSError:
-            continue
-        if _set_nice(thread, nice):
-            before[thread] = had
-    return before
+def other_threads() -> set[int]:
+    """Ids of all threads of the process but the calling one."""
+    return {int(name) for name in os.listdir("/proc/self/task")} - {threading.get_native_id()}
 
 
-def _set_nice(thread: int, nice: int) -> bool:
-    """Sets a nice value; False when it is not allowed or the thread has ended."""
+def _set_ordinary(thread: int, nice: int) -> None:
+    """Gives a thread ordinary priority with a nice value, if it has not ended."""
     try:
+        os.sched_setscheduler(thread, _ORDINARY, os.sched_param(0))
         os.setpriority(os.PRIO_PROCESS, thread, nice)
     except OSError:
-        return False
-    return True
+        pass
 
 
 def why_unsafe() -> str:

@@ -183,7 +183,13 @@ class TickingNode(Node):
         result.
         """
         self.priority.take()
-        self.get_logger().info(f"priority of the ticks: {self.priority.state}")
+        logger, state = self.get_logger(), f"priority of the ticks: {self.priority.state}"
+        if self.priority.is_granted:
+            logger.info(state)
+        else:
+            logger.warning(f"{state}; while other programs keep the cores busy a step takes up to "
+                           "twice as long and ticks come late: allow real-time priority by the "
+                           "limit rtprio 5, see Priority in docs/ros.md")  # fmt: skip
 
     def tick(self) -> None:
         """Runs one tick and the work that can wait until after it."""

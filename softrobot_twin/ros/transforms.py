@@ -116,10 +116,10 @@ class TransformOutput:
         self._kind, topic = TFMessage, TWIN_TOPICS["/tf"]
         self._publisher = node.create_publisher(TFMessage, topic.name, topic.quality)
 
-    def publish(self, outcome: TickOutcome, header: Header) -> None:
-        """Publishes a tick to those who listen."""
+    def publish(self, outcome: TickOutcome, header: Header) -> bool:
+        """Publishes a tick to those who listen; false where nobody does."""
         if self._publisher is None or not self._publisher.get_subscription_count():
-            return
+            return False
         positions, turns = self._simulation.rigid_poses()
         ends = outcome.result.effector_positions
         end_turns = outcome.result.effector_orientations
@@ -134,6 +134,7 @@ class TransformOutput:
                 above, [header.frame_id], self._base[None, :3], self._base[None, 3:]
             )
         self._publisher.publish(self._kind(transforms=transforms))
+        return True
 
 
 def _checked_pose(pose: Sequence[float]) -> np.ndarray:

@@ -5,6 +5,7 @@ results.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
@@ -25,11 +26,13 @@ from softrobot_twin.control.arrival import Refusal, RefusalCounts
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
+from softrobot_twin.ros.marker_bytes import to_bytes
 from softrobot_twin.ros.messages import (
     angles_message,
     cables_message,
@@ -63,6 +66,40 @@ if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording
 
 
+class RepeatedMessages:
+    """Publishes messages with a header, and again with another stamp while nothing else changes.
+
+    To make and convert a message takes longer than to publish its bytes.
+    """
+
+    _STAMP, _PLACE = struct.Struct("<iI"), 4
+    """A stamp, and its place after the encapsulation of a message."""
+
+    def __init__(self) -> None:
+        self._sent: list[tuple[Publisher, object]] = []
+        self._contents: list[tuple[Publisher, bytearray]] = []
+
+    def send(self, publisher: Publisher, message: object) -> None:
+        """Publishes a message, whose first field is its header."""
+        publisher.publish(message)
+        self._sent.append((publisher, message))
+
+    def forget(self) -> None:
+        """The messages that are sent from now on are those to publish again."""
+        self._sent, self._contents = [], []
+
+    def send_again(self, stamp: int) -> None:
+        """Publishes all messages since `forget` again, with another stamp [ns]."""
+        if not self._contents:
+            self._contents = [
+                (publisher, bytearray(to_bytes(message))) for publisher, message in self._sent
+            ]
+        time = divmod(stamp, NANOSECONDS)
+        for publisher, content in self._contents:
+            self._STAMP.pack_into(content, self._PLACE, *time)
+            publisher.publish(bytes(content))
+
+
 class SolidOutputs:
     """Publishes poses of rigid bodies, commanded poses of guided bodies, and contacts.
 
@@ -89,11 +126,16 @@ class SolidOutputs:
         if simulation.scene.contact is not None:
             self._contacts = open_publisher(node, TOPICS["~/contacts"])
 
-    def publish(self, outcome: TickOutcome, header: Header) -> None:
+    def publish(self, outcome: TickOutcome, header: Header) -> bool:
         """Publishes a tick; commanded poses are published only together with a cable command, and
-        those of bodies only where they are received."""
+        those of bodies only where they are received.
+
+        Returns:
+            Whether anything was published.
+        """
         # An arm of hubs has many rigid bodies, and each message takes time of the tick.
-        if any(publisher.get_subscription_count() for publisher in self._bodies):
+        is_heard = any(publisher.get_subscription_count() for publisher in self._bodies)
+        if is_heard:
             poses = zip(*self._simulation.rigid_poses(), strict=True)
             for publisher, pose in zip(self._bodies, poses, strict=True):
                 if publisher.get_subscription_count():
@@ -105,6 +147,7 @@ class SolidOutputs:
         if self._contacts is not None and contacts is not None:
             message = contacts_message(contacts.positions, contacts.forces, header)
             self._contacts.publish(message)
+        return is_heard or bool(self._sent) or self._contacts is not None
 
 
 class ComplianceOutputs:
@@ -128,11 +171,11 @@ class ComplianceOutputs:
             for topic in ("compliance", "jacobian")
         )  # fmt: skip
 
-    def publish(self, outcome: TickOutcome, header: Header) -> None:
-        """Publishes a tick to those who listen."""
+    def publish(self, outcome: TickOutcome, header: Header) -> bool:
+        """Publishes a tick to those who listen; false where nobody does."""
         publishers = (*self._compliances, *self._jacobians)
         if not any(publisher.get_subscription_count() for publisher in publishers):
-            return
+            return False
         loop = self._loop
         if self._compliance is None:
             self._compliance = EffectorCompliance(loop.simulation)
@@ -143,6 +186,7 @@ class ComplianceOutputs:
         columns = [f"{name}_{quantity.word}_{quantity.unit}"
                    for name, quantity in zip(actuators.names, quantities, strict=True)]  # fmt: skip
         self._send(self._jacobians, found.jacobian, columns, header)
+        return True
 
     def _send(self, publishers, matrices: np.ndarray, columns, header: Header) -> None:
         for publisher, matrix in zip(publishers, matrices, strict=True):
@@ -174,6 +218,7 @@ class TwinNode(TickingNode):
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
     _reduction: ReductionErrorWatch | None = None
+    _has_listeners = True
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
@@ -246,6 +291,7 @@ class TwinNode(TickingNode):
 
     def _open_outputs(self) -> None:
         simulation = self.loop.simulation
+        self._repeated = RepeatedMessages()
         self._cables = open_publisher(self, TOPICS["~/cables"])
         self._pressures = {
             name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
@@ -456,45 +502,55 @@ class TwinNode(TickingNode):
         stamp = self.get_clock().now().nanoseconds
         outcome = self.loop.tick(now, stamp)
         self._publish(outcome, stamp)
-        if self._feed is not None:
-            self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
-        self._window.add(outcome)
+        if self.loop.is_repeating and self._window.ticks:
+            self._window.add_again(outcome)
+        else:
+            self._window.add(outcome)
+            if self._feed is not None:
+                self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
         self._stamp = stamp
         if self.recording is not None:
             self.recording.pass_on()
 
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:
+        if self.loop.is_repeating and not self._has_listeners:
+            self._repeated.send_again(stamp)
+            return
+        self._repeated.forget()
+        send = self._repeated.send
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
             names = self.loop.simulation.actuator_names
-            self._cables.publish(cables_message(names, *outcome.command, header))
+            send(self._cables, cables_message(names, *outcome.command, header))
             if self._angles is not None:
-                self._angles.publish(angles_message(self.loop.pulleys, *outcome.command, header))
+                send(self._angles, angles_message(self.loop.pulleys, *outcome.command, header))
             pressures = self.loop.cavities.absolute(outcome.command.efforts)
             for name, pressure in pressures.items():
-                self._pressures[name].publish(pressure_message(pressure, header))
+                send(self._pressures[name], pressure_message(pressure, header))
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
         for name, pressure in sealed.items():
-            self._pressures[name].publish(pressure_message(pressure, header))
+            send(self._pressures[name], pressure_message(pressure, header))
         positions = outcome.result.effector_positions
         for publisher, position in zip(self._effectors, positions, strict=True):
-            publisher.publish(point_message(position, header))
+            send(publisher, point_message(position, header))
         turns = outcome.result.effector_orientations
         for index, publisher in self._effector_poses.items():
-            publisher.publish(pose_message(positions[index], turns[index], header))
+            send(publisher, pose_message(positions[index], turns[index], header))
         reached = outcome.result.effector_stiffness
         for index, publisher in self._stiffness.items():
             if reached is not None:
-                publisher.publish(vector_message(reached[index], header))
+                send(publisher, vector_message(reached[index], header))
+        for index, publisher in enumerate(self._touches):
+            send(publisher, touch_message(outcome.result.touches, index, header))
         # A cloud takes a tenth of a millisecond to make.
-        if self._markers is not None and self._markers.get_subscription_count():
+        wants_markers = self._markers is not None and self._markers.get_subscription_count() > 0
+        if wants_markers:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
-        for index, publisher in enumerate(self._touches):
-            publisher.publish(touch_message(outcome.result.touches, index, header))
-        self._solids.publish(outcome, header)
-        self._compliances.publish(outcome, header)
-        self._transforms.publish(outcome, header)
+        outputs = (self._solids, self._compliances, self._transforms)
+        self._has_listeners = any([
+            wants_markers, *(output.publish(outcome, header) for output in outputs)
+        ])  # fmt: skip
 
     @property
     def loop_frame(self) -> str:
@@ -506,8 +562,9 @@ class TwinNode(TickingNode):
         logs problems of the last tick."""
         newest = self._window.newest
         self._visualization.offer(newest, self._stamp, now)
-        self._status.offer(newest, now)
-        self._warn_of(newest, now)
+        if not self.loop.is_repeating:
+            self._status.offer(newest, now)
+            self._warn_of(newest, now)
         if now < self._diagnostics_due:
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -83,3 +83,17 @@ class Hold:
 
 
 Command = FollowTargets | CommandSetpoints | CommandEfforts | Hold
+
+
+def are_same(first: Command, second: Command) -> bool:
+    """Whether two commands ask for the same, to the bit."""
+    if type(first) is not type(second):
+        return False
+    for field in fields(first):
+        one, other = getattr(first, field.name), getattr(second, field.name)
+        if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+            if one.shape != other.shape or one.tobytes() != other.tobytes():
+                return False
+        elif one is not other and (isinstance(other, np.ndarray) or one != other):
+            return False
+    return True

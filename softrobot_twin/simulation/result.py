@@ -96,6 +96,7 @@ class StepReport:
             trained, above 1 outside of it; 0 without reduced bodies.
         strains: Materials that are strained beyond the range of their law.
         driven_by: What drove the step: ``targets``, ``setpoints``, ``efforts`` or ``hold``.
+        is_resting: True when the step was not made, because it would have changed nothing.
     """
 
     stage_times: dict[str, float]
@@ -116,6 +117,7 @@ class StepReport:
     sampled_range: float = 0.0
     strains: tuple[StrainOutside, ...] = ()
     driven_by: str = ""
+    is_resting: bool = False
 
     @property
     def is_overloaded(self) -> bool:

@@ -23,6 +23,7 @@ from softrobot_twin.simulation.command import (
     CommandSetpoints,
     FollowTargets,
     Hold,
+    are_same,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.fallback import Fallback, build_fallback
@@ -56,6 +57,9 @@ MOST_SHARES = 10
 # A move of guided bodies that alone would fold elements is made in at most as many parts; halvings
 # of one of them, moves of the bodies after each, and their length, by the body's size, that is near.
 MOST_PARTS, MOST_HALVINGS, MOST_MOVES_OF_PART, NEAR_AFTER_PART = 100, 20, 12, 0.01
+# A step in balance that moves no node by more than this share of the body's size, and changes no
+# effort by more than this share of its scale, keeps the state: at rest round-off leaves 1e-14.
+KEPT_SHARE = 1.0e-12
 
 
 class Correction(NamedTuple):
@@ -132,6 +136,12 @@ class Simulation(Readouts):
         self._reading = Interpretation(self.model)
         self._find_surface()
         self._fallback: Fallback | None = None
+        # Dynamic scenes, contacts, friction along cables and guided bodies remember more than a
+        # state that is kept tells of.
+        self._may_rest = not (
+            self.model.is_dynamic or self.model.rows.varies or self.model.guides is not None
+            or self._cable_friction is not None
+        )
         self.reset()
         self._fallback = build_fallback(self)
 
@@ -197,6 +207,8 @@ class Simulation(Readouts):
 
     def _begin_anew(self) -> None:
         """Lets the solvers begin from the state alone."""
+        self._kept_by: Command | None = None
+        self._rest: StepResult | None = None
         self._is_balanced = True
         self._newton.forget()
         self._direct.remember(self.state.efforts)
@@ -298,6 +310,37 @@ class Simulation(Readouts):
             done.residual, iterations, error, pressed, done.stiffness,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
+
+    def stay(self, command: Command, touched: Touched | None = None) -> StepResult | None:
+        """The result of a step that would keep the state, to the bit, without making it.
+
+        A step depends on the state, the command and what the solvers remember. A step that kept the
+        state left them beginning from the state alone; when one that began so kept it again, each
+        further one with the same command does the same.
+
+        Args:
+            command: What is asked.
+            touched: What is measured of the scene's touches; None without any touch.
+
+        Returns:
+            The result, at which `report.is_resting`; None where the step must be made.
+        """
+        if self._rest is None or not self._asks_for_kept(command):
+            return None
+        if touched is not None and touched.is_any:
+            return None
+        self.state = self.state.kept_through(command.time_step)
+        result = object.__new__(StepResult)
+        result.__dict__.update(self._rest.__dict__, state=self.state)
+        return result
+
+    def _asks_for_kept(self, command: Command) -> bool:
+        """Whether a command asks for the same as the one that kept the state."""
+        # Without memory of materials it is the same how long actuators are held.
+        both_hold = isinstance(command, Hold) and isinstance(self._kept_by, Hold)
+        if both_hold and not self._remembering:
+            return True
+        return are_same(command, self._kept_by)
 
     def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:
         """Set the loads of touches.
@@ -577,7 +620,7 @@ class Simulation(Readouts):
             before, outcome.positions, outcome.actuation, command.time_step
         )
         outcome = outcome._replace(actuation=motion.actuation)
-        self.state = State(
+        state = State(
             outcome.positions,
             self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
@@ -585,13 +628,66 @@ class Simulation(Readouts):
             None if self._touches is None else self._touches.end(outcome.positions),
             self._history(outcome.positions),
         )  # fmt: skip
+        is_kept = self._is_kept(command, outcome, state)
+        self.state = before.kept_through(command.time_step) if is_kept else state
         result = self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
         )
+        self._note_rest(command, result, is_kept)
         if not self.falls_back:
             return result
         limits = (*result.report.active_limits, *self._fallback.limits)
         return replace(result, report=replace(result.report, active_limits=limits))
+
+    def _is_kept(self, command: Command, outcome: Outcome, state: State) -> bool:
+        """Whether a step changed nothing but by round-off: then the state before it is kept.
+
+        Args:
+            command: What was asked; steps towards targets always move.
+            outcome: What the linearizations came to.
+            state: The state after them.
+        """
+        before, size = self.state, self.model.nodes.size
+        if not self._may_rest or self._fallback is not None or isinstance(command, FollowTargets):
+            return False
+        if outcome.balance is not Balance.REACHED or not math.isfinite(size):
+            return False
+        if self._newton.inverted_count:
+            return False
+        if state.touches is not None and state.touches.is_touched.any():
+            return False
+        slack = KEPT_SHARE * self.limits.effort_scale
+        return (
+            bool((np.abs(state.positions - before.positions) <= KEPT_SHARE * size).all())
+            and bool((np.abs(state.efforts - before.efforts) <= slack).all())
+            and np.array_equal(state.setpoints, before.setpoints)
+            and np.array_equal(state.history, before.history)
+        )
+
+    def _note_rest(self, command: Command, result: StepResult, is_kept: bool) -> None:
+        """Note whether a step left a state at which `stay` can answer.
+
+        Args:
+            command: What was asked.
+            result: Its result.
+            is_kept: Whether the step kept the state.
+        """
+        newton = self._newton
+        is_again = is_kept and self._kept_by is not None and self._asks_for_kept(command)
+        if not is_kept:
+            self._kept_by = self._rest = None
+            return
+        age = newton.factor_age
+        self._begin_anew()
+        # The factor is that of the kept state, for whoever asks for compliances there.
+        newton.factor_age = 0 if age == 0 else None
+        self._kept_by = command
+        if is_again:
+            report = replace(
+                result.report, stage_times=dict.fromkeys(result.report.stage_times, 0.0),
+                compute_time=0.0, iterations=0, is_resting=True,
+            )  # fmt: skip
+            self._rest = replace(result, report=report)
 
     def _slips(self, outcome: Outcome) -> np.ndarray:
         """Shares of friction along cables where a step ended; see `State`."""
@@ -609,6 +705,7 @@ class Simulation(Readouts):
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
+        self._kept_by = self._rest = None
         self.state = self.state.kept_through(command.time_step)
         self.model.rows.tell_efforts(self.state.efforts)
         return self._results.of_failure(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,4 +79,9 @@ class State:
         Args:
             time_step: The step's duration [s].
         """
-        return replace(self, step_count=self.step_count + 1, time=self.time + time_step)
+        # A tick at rest does little else: this takes a tenth of the time of `replace`.
+        kept = object.__new__(State)
+        kept.__dict__.update(
+            self.__dict__, step_count=self.step_count + 1, time=self.time + time_step
+        )
+        return kept

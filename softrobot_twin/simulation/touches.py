@@ -36,6 +36,11 @@ class Touched(NamedTuple):
     forces: np.ndarray
     places: np.ndarray
 
+    @property
+    def is_any(self) -> bool:
+        """Whether any point is touched."""
+        return bool(np.nan_to_num(self.forces).any() or (~np.isnan(self.places)).any())
+
 
 class TouchState(NamedTuple):
     """What a step needs to know of the touches before it, and tells of those in it.

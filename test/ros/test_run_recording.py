@@ -263,7 +263,8 @@ for _ in range(3):
     twin.tick()
 loaded = [name for name in sys.modules
           if name.split(".")[0] == "mcap" or name.startswith("softrobot_twin.record")]
-taken = [name for name in vars(twin.loop) if callable(vars(twin.loop)[name])]
+taken = [name for name, value in vars(twin.loop).items()
+         if type(value).__module__.startswith("softrobot_twin.record")]
 print("RESULT", loaded, taken, [thread.name for thread in threading.enumerate()], twin.recording,
       type(twin._cables).__name__)
 twin.destroy_node()

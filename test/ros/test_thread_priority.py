@@ -15,15 +15,19 @@ class System:
 
     def __init__(self, monkeypatch, grants_real_time=True, grants_nice=True):
         self.policy, self.nice, self.time, self.computed = os.SCHED_OTHER, 0, 0.0, 0.0
+        self.computed_by_others, self.threads, self.others = 0.0, set(), {}
         self.grants_real_time, self.grants_nice = grants_real_time, grants_nice
         monkeypatch.setattr(os, "sched_setscheduler", self._set_policy)
         monkeypatch.setattr(os, "setpriority", self._set_nice)
         monkeypatch.setattr(os, "getpriority", lambda which, who: self.nice)
-        monkeypatch.setattr(thread_priority, "_nice_other_threads", lambda nice: {})
+        monkeypatch.setattr(thread_priority, "other_threads", lambda: set(self.threads))
         monkeypatch.setattr(thread_priority, "why_unsafe", lambda: "")
 
     def _set_policy(self, thread, policy, parameter):
-        assert thread == 0 and policy & os.SCHED_RESET_ON_FORK
+        assert policy & os.SCHED_RESET_ON_FORK
+        if thread:
+            self.others[thread] = policy & ~os.SCHED_RESET_ON_FORK, parameter.sched_priority
+            return
         policy &= ~os.SCHED_RESET_ON_FORK
         if policy == os.SCHED_FIFO and not self.grants_real_time:
             raise PermissionError(1, "Operation not permitted")
@@ -32,17 +36,22 @@ class System:
     def _set_nice(self, which, who, nice):
         if nice < 0 and not self.grants_nice:
             raise PermissionError(13, "Permission denied")
-        self.nice = nice
+        if not who:
+            self.nice = nice
 
     def priority(self, wanted=Priority.REAL_TIME):
-        return ThreadPriority(wanted, lambda: self.time, lambda: self.computed)
+        return ThreadPriority(
+            wanted, lambda: self.time, lambda: self.computed,
+            lambda: self.computed + self.computed_by_others,
+        )  # fmt: skip
 
-    def run(self, priority, seconds, share, step=0.01):
+    def run(self, priority, seconds, share, step=0.01, share_of_others=0.0):
         """Runs ticks that use a share of the time; returns the reported changes."""
         told = []
         for _ in range(round(seconds / step)):
             self.time += step
             self.computed += share * step
+            self.computed_by_others += share_of_others * step
             told += [sentence] if (sentence := priority.offer()) else []
         return told
 
@@ -97,6 +106,31 @@ def test_a_thread_that_never_sleeps_drops_real_time_priority_and_retakes_it_late
         system.run(priority, 0.01, 1.0)
         raised += system.policy == os.SCHED_FIFO
     assert raised <= 0.11 * 6000
+
+
+def test_other_threads_get_real_time_priority_below_that_of_the_ticks(monkeypatch):
+    system = System(monkeypatch)
+    system.threads = {11, 12}
+    priority = system.priority()
+    priority.take()
+    assert system.others == {11: (os.SCHED_FIFO, 4), 12: (os.SCHED_FIFO, 4)}
+    # A thread that starts later gets it too.
+    system.threads = {11, 13}
+    assert system.run(priority, 1.0, 0.1) == []
+    assert system.others[13] == (os.SCHED_FIFO, 4)
+    priority.give_back()
+    assert system.others[11] == system.others[13] == (os.SCHED_OTHER, 0)
+
+
+def test_other_threads_that_never_sleep_lose_their_priority(monkeypatch):
+    system = System(monkeypatch)
+    system.threads = {11}
+    priority = system.priority()
+    priority.take()
+    assert system.run(priority, 5.0, 0.3, share_of_others=0.6) == []
+    told = system.run(priority, 1.0, 0.3, share_of_others=1.0)
+    assert told == ["priority lowered for 5 s: the other threads took 100 % of a core"]
+    assert system.others[11] == (os.SCHED_OTHER, 0)
 
 
 @pytest.mark.parametrize(("cores", "limit", "reason"), [

@@ -1,0 +1,101 @@
+"""The executor of the nodes calls what rclpy's calls."""
+
+import time
+
+import pytest
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from softrobot_twin.ros.lean_executor import LeanExecutor
+
+
+@pytest.fixture
+def node(world):
+    """A node in an executor of this kind."""
+    made = rclpy.create_node("lean", context=world.context)
+    executor = LeanExecutor(context=world.context)
+    executor.add_node(made)
+    yield made
+    executor.shutdown()
+    made.destroy_node()
+
+
+def until(world, node, condition, timeout=20.0):
+    """Runs both executors until a condition holds."""
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        node.executor.spin_once(0.01)
+        world.executor.spin_once(0.0)
+
+
+def test_messages_requests_and_timers_are_served_and_destroyed_ones_are_not(world, node):
+    heard, ticks = [], []
+    subscription = node.create_subscription(Float64MultiArray, "/numbers", heard.append, 1)
+    node.create_subscription(
+        Float64MultiArray, "/numbers", lambda message, info: heard.append(info), 1
+    )
+    timer = node.create_timer(0.01, lambda: ticks.append(time.monotonic()))
+    node.create_service(Trigger, "/ask", lambda request, response: Trigger.Response(success=True))
+    publisher = world.probe.create_publisher(Float64MultiArray, "/numbers", 1)
+    until(world, node, lambda: publisher.get_subscription_count() == 2)
+    publisher.publish(Float64MultiArray(data=[1.0]))
+    until(world, node, lambda: len(heard) == 2)
+    assert Float64MultiArray(data=[1.0]) in heard
+    assert any(isinstance(one, dict) and "source_timestamp" in one for one in heard)
+    client = world.probe.create_client(Trigger, "/ask")
+    until(world, node, client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    until(world, node, future.done)
+    assert future.result().success
+    until(world, node, lambda: len(ticks) > 2)
+    timer.cancel()
+    count = len(ticks)
+    node.destroy_subscription(subscription)
+    publisher.publish(Float64MultiArray())
+    until(world, node, lambda: len(heard) == 3)
+    assert len(ticks) == count
+
+
+def test_a_timer_keeps_its_period_and_a_timeout_ends_the_wait(node):
+    node.executor.spin_once(0.0)  # The node that was added wakes it.
+    begin, ticks = time.monotonic(), []
+    node.executor.spin_once(0.05)
+    assert 0.03 < time.monotonic() - begin
+    node.create_timer(0.02, lambda: ticks.append(time.monotonic()))
+    while time.monotonic() - begin < 1.0:
+        node.executor.spin_once(0.1)
+    assert 5 < len(ticks) <= 51
+
+
+def test_events_of_publishers_are_still_told(world, node, monkeypatch):
+    told = []
+    publisher = node.create_publisher(
+        Float64MultiArray, "/numbers", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
+    for event in publisher.event_handlers:
+        monkeypatch.setattr(event, "callback", told.append)
+    world.hear(Float64MultiArray, "/numbers")  # It asks for reliable messages.
+    until(world, node, lambda: told)
+
+
+def test_an_error_in_a_callback_is_raised_and_a_node_with_a_client_is_served_by_rclpy(world, node):
+    def fail():
+        raise ArithmeticError("in a callback")
+
+    node.create_timer(0.01, fail)
+    with pytest.raises(ArithmeticError):
+        until(world, node, lambda: False)
+    node.create_client(Trigger, "/nobody")
+    with pytest.raises(ArithmeticError):
+        until(world, node, lambda: False)
+
+
+def test_a_context_that_was_shut_down_ends_the_spinning(world, node):
+    node.executor.spin_once(0.0)
+    rclpy.shutdown(context=world.context)
+    with pytest.raises((ExternalShutdownException, RuntimeError)):
+        node.executor.spin_once(0.1)

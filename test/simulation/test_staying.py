@@ -1,0 +1,125 @@
+"""A state in balance under an unchanged command is kept, and its steps need not be made."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold
+from softrobot_twin.simulation.command import are_same
+
+STEP = 0.01
+
+
+def rests(simulation, command=None, most=50):
+    """Steps until one need not be made; None where that does not happen."""
+    command = Hold(STEP) if command is None else command
+    for _ in range(most):
+        if (result := simulation.stay(command)) is not None:
+            return result
+        simulation.step(command)
+    return None
+
+
+def same(first, second):
+    """Whether two results are the same to the bit, but for the account of how they were found."""
+    pairs = [(getattr(first, field.name), getattr(second, field.name)) for field in fields(first)
+             if field.name not in ("report", "state")]  # fmt: skip
+    pairs += [(getattr(first.state, field.name), getattr(second.state, field.name))
+              for field in fields(first.state)]  # fmt: skip
+    return all(np.array_equal(one, other, equal_nan=True) if isinstance(one, np.ndarray)
+               else one == other for one, other in pairs)  # fmt: skip
+
+
+def draw_command(draw, simulation):
+    """A command of any kind near the state."""
+    kind = draw.choice(["hold", "setpoints", "efforts", "targets"])
+    if kind == "setpoints":
+        return CommandSetpoints(simulation.rest_setpoints - draw.uniform(0.0, 0.01, 4), STEP)
+    if kind == "efforts":
+        return CommandEfforts(simulation.state.efforts * draw.uniform(0.5, 1.5, 4), STEP)
+    if kind == "targets":
+        places = simulation.effector_positions()
+        return FollowTargets(places + draw.uniform(-0.005, 0.005, places.shape), STEP)
+    return Hold(draw.uniform(0.5, 1.0) * STEP)
+
+
+def test_a_run_with_rests_and_one_that_steps_are_the_same_to_the_bit(diamond):
+    seed = np.random.SeedSequence().entropy
+    print(f"seed {seed}")
+    draw = np.random.default_rng(seed)
+    stepping, resting = diamond(), diamond()
+    for _ in range(12):
+        command = draw_command(draw, stepping)
+        for _ in range(draw.integers(1, 40)):
+            stepped, stayed = stepping.step(command), resting.stay(command)
+            assert same(stepped, stayed or resting.step(command))
+    assert rests(resting).status.is_success
+
+
+def test_a_step_that_is_not_made_says_so_and_its_time_passes(diamond):
+    simulation = diamond()
+    result = rests(simulation)
+    before = simulation.state
+    result = simulation.stay(Hold(STEP))
+    assert result.report.is_resting and result.report.iterations == 0
+    assert set(result.report.stage_times.values()) == {0.0}
+    assert result.state is simulation.state
+    assert result.state.step_count == before.step_count + 1
+    assert result.state.time == before.time + STEP
+    assert not simulation.step(Hold(STEP)).report.is_resting
+
+
+def test_another_command_a_restored_state_and_a_reset_end_the_rest(diamond):
+    simulation = diamond()
+    assert rests(simulation)
+    pulled = CommandSetpoints(simulation.rest_setpoints - 0.002, STEP)
+    assert simulation.stay(pulled) is None
+    assert rests(simulation)
+    simulation.restore(simulation.state)
+    assert simulation.stay(Hold(STEP)) is None
+    assert rests(simulation)
+    simulation.reset()
+    assert simulation.stay(Hold(STEP)) is None
+    assert rests(simulation, pulled)
+    assert simulation.stay(Hold(STEP)) is None
+
+
+def test_steps_towards_targets_are_always_made(diamond):
+    simulation = diamond()
+    command = FollowTargets(simulation.effector_positions() + 0.001, STEP)
+    assert rests(simulation, command) is None
+
+
+def test_a_kept_state_is_in_balance_to_round_off(diamond):
+    simulation = diamond()
+    command = CommandSetpoints(simulation.rest_setpoints - [0.008, 0.001, 0.0, 0.004], STEP)
+    kept = rests(simulation, command).state
+    simulation._may_rest = False
+    for _ in range(100):
+        simulation.step(command)
+    apart = np.abs(simulation.state.positions - kept.positions).max()
+    assert apart < 1e-11 * simulation.model.nodes.size
+
+
+def test_a_body_in_motion_and_one_in_contact_are_never_at_rest(scene_of):
+    cube = {"name": "box", "mass": 0.03, "position": [0, 0, 0.02], "box": {"size": [0.04] * 3}}
+    simulation = scene_of(
+        integration="dynamic", obstacles=[{"name": "floor", "plane": {}}], rigid_bodies=[cube],
+        contact={"friction": 0.5, "between": [{"pair": ["box", "floor"]}]},
+    )  # fmt: skip
+    assert rests(simulation) is None
+
+
+@pytest.mark.parametrize("first, second, are", [
+    (Hold(0.1), Hold(0.1), True),
+    (Hold(0.1), Hold(0.2), False),
+    (Hold(0.1), CommandSetpoints(np.zeros(2), 0.1), False),
+    (CommandEfforts(np.array([np.nan, 1.0]), 0.1), CommandEfforts(np.array([np.nan, 1.0]), 0.1),
+     True),
+    (CommandSetpoints(np.zeros(2), 0.1), CommandSetpoints(np.array([0.0, 1e-300]), 0.1), False),
+    (FollowTargets(np.zeros((1, 3)), 0.1), FollowTargets(np.zeros((1, 3)), 0.1, np.zeros(2)),
+     False),
+])  # fmt: skip
+def test_commands_are_compared_to_the_bit(first, second, are):
+    assert are_same(first, second) is are
