@@ -23,7 +23,8 @@ PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
 # The demo and a live viewer use both cores, so their tests run alone. All others run in parallel.
 AGAINST_THE_CLOCK := test/ros/test_demo.py test/view/test_live_viewer.py
-FEW := test/test_library_names.py test/test_compilation.py test/scripting/test_robot.py
+FEW := test/test_library_names.py test/test_compilation.py \
+	test/scripting/test_robot.py::test_after_reset_the_same_steps_follow_to_the_bit
 # Each process begins with half of the tests, in order, and takes some of the other's when it is done.
 SHARED := -p xdist -n 2 --dist worksteal $(addprefix --ignore ,$(AGAINST_THE_CLOCK))
 

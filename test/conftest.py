@@ -163,6 +163,9 @@ LONG = {
         "test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far",
         "fibres::test_a_braided_tube_contracts_as_inextensible_threads_make_it",
         "generalized_alpha::test_a_mass_on_a_spring_converges_at_the_order_of_its_scheme",
+        "generalized_alpha::test_rotations_converge_at_the_order_of_the_scheme",
+        "inverse_limits::"
+        "test_a_target_ten_times_out_of_reach_is_held_without_drift_beside_a_rod",
     ),
 }  # fmt: skip
 # Of a test with more seeds than these, `make test` takes the first.
