@@ -9,6 +9,8 @@ import numpy as np
 
 # Name of the limit that prevents the actuators from inverting elements.
 INVERSION = "elements.inversion"
+# An effort below this share of the largest is none.
+NO_EFFORT = 1.0e-6
 
 
 class ContactLoads(NamedTuple):

@@ -180,8 +180,12 @@ class DirectActuation:
         wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
         if self._solvers is not None:
             return self._at_efforts_in_contact(linear, wanted, held, bounds)
-        widened = reachable(linear, held, bounds)
-        found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
+        path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+        within = widened(path, bounds)
+        # The path of a cable without tension may be shorter than its winch can wind it.
+        hangs = self._one_sided[a] & ~self._by_effort[a] & (wanted <= 0.0)
+        within.displacement_max[hangs] = np.inf
+        found = solve_towards(linear.W_aa, linear.actuators, wanted, within)
         if found is None:
             return held._replace(solved=False)
         return self.settle(linear, found, held.displacements, bounds)
@@ -370,7 +374,7 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     return float(np.sqrt(squares.max(initial=0.0)))
 
 
-def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:
+def widened(path: np.ndarray, bounds: Bounds) -> Bounds:
     """Bounds of the actuators with rows, widened to contain the held state.
 
     The path of a slack cable is shorter than its length, that of a cable at its greatest tension is
@@ -378,12 +382,10 @@ def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:
     has an admissible point.
 
     Args:
-        linear: The condensed system.
-        held: Actuation with all actuators held.
+        path: Displacements of the paths with all actuators held [m], shape (n,).
         bounds: Bounds of this step.
     """
-    a = linear.groups.actuators
-    path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+    a = slice(0, len(path))
     return Bounds(
         np.minimum(bounds.displacement_min[a], path),
         np.maximum(bounds.displacement_max[a], path),

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.simulation.actuation import NO_MOVES, Actuation, ContactLoads
-from softrobot_twin.simulation.direct_actuation import DirectActuation, reachable
+from softrobot_twin.simulation.actuation import NO_EFFORT, NO_MOVES, Actuation, ContactLoads
+from softrobot_twin.simulation.direct_actuation import DirectActuation, widened
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
@@ -58,8 +58,8 @@ ROUND_OFF = 1.0e-11
 LIMIT_MARGIN = 1.0e-4
 # A place on the actuators' path this near, as a share of their scales, is reached.
 NEAR_PLACE = 1.0e-6
-# An effort below this share of the largest is none.
-NO_EFFORT = 1.0e-6
+# The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
+AT_LIMIT = 1.0e-8
 
 NO_FORCES = np.empty(0)
 
@@ -140,6 +140,60 @@ def keep_within(path, lower, upper, round_off, within):
         within[i] = min(max(path[i], lower[i]), upper[i])
         are_kept = are_kept and abs(within[i] - path[i]) <= round_off[i]
     return are_kept
+
+
+@njit(**KERNEL)
+def hang_beyond(path, loads, upper, margins, may_hang, slack):
+    """Write which cables are slack beyond the greatest shortening of their winches; whether any is.
+
+    Args:
+        path: Shortenings of the paths [m], shape (n,).
+        loads: Tensions in shares of their scales, shape (n,).
+        upper: Greatest shortenings of the winches [m], shape (n or more,).
+        margins: Distance from these that counts as zero [m], shape (n,).
+        may_hang: Whether each may be slack, shape (n,).
+        slack: Written, shape (n,).
+    """
+    largest, some_hang = 0.0, False
+    for i in range(len(slack)):
+        largest = max(largest, loads[i])
+    for i in range(len(slack)):
+        has_none = loads[i] <= NO_EFFORT * largest
+        slack[i] = may_hang[i] and has_none and path[i] > upper[i] + margins[i]
+        some_hang = some_hang or slack[i]
+    return some_hang
+
+
+@njit(**KERNEL)
+def change_slack(displacements, loads, upper, margins, may_hang, slack, was_slack):
+    """Change the branch where two branches meet, at no tension and the greatest shortening.
+
+    A taut cable there becomes slack, so that its path may be shorter than its winch's shortest
+    cable. A slack one whose path is longer than that may be taut.
+
+    Args:
+        displacements: Shortenings that the winches follow [m], shape (n or more,).
+        loads: See `hang_beyond`.
+        upper: See there.
+        margins: See there.
+        may_hang: See there.
+        slack: Cables that are slack in the branch, shape (n,); changed.
+        was_slack: Cables that were taken as slack before and are no more, shape (n,); changed.
+
+    Returns:
+        Whether the branch is another one.
+    """
+    largest, is_changed = 0.0, False
+    for i in range(len(slack)):
+        largest = max(largest, loads[i])
+    for i in range(len(slack)):
+        is_short = displacements[i] >= upper[i] - margins[i]
+        if slack[i] and not is_short:
+            slack[i], was_slack[i], is_changed = False, True, True
+        elif may_hang[i] and is_short and not (slack[i] or was_slack[i]):
+            slack[i] = loads[i] <= NO_EFFORT * largest
+            is_changed = is_changed or slack[i]
+    return is_changed
 
 
 class TargetSteps:
@@ -253,6 +307,9 @@ class InverseActuation:
         count = actuators.row_count
         self._one_sided = actuators.one_sided
         self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
+        self._at_limit = AT_LIMIT * actuators.displacement_scale[:count]
+        self._may_hang = (actuators.one_sided & ~actuators.is_effort_driven)[:count]
+        self._may_hang &= actuators.limits.effort_min[:count] <= 0.0
         self._scales = actuators.limits.drive_scale
         self._effort_scales = actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None and model.cable_friction is None
@@ -341,11 +398,7 @@ class InverseActuation:
             errors = np.concatenate([errors, stiffness.free - stiffness.now - stiffness.asked])
             weights = np.concatenate([weights, stiffness.weights])
             extra = stiffness.motion
-        found = None
-        if self._alone and linear.augmentation is None and not commanded.any():
-            found = self._by_guess(linear, errors, weights, held, bounds, extra)
-        if found is None:
-            found = self._by_search(linear, errors, weights, held, bounds, commanded, extra)
+        found = self._over_branches(linear, errors, weights, held, bounds, commanded, extra)
         if found is None:
             return held._replace(solved=False), held
         if self._learns:
@@ -355,11 +408,83 @@ class InverseActuation:
             self.trust.expect(places)
         return found, held
 
+    def _over_branches(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation, from the branch of slack cables that the held actuation is in.
+
+        Each next branch contains the optimum of the branch before, hence the objective never rises.
+        A cable becomes slack at most once, and taut again at most once.
+        """
+        count, contact = linear.groups.actuators.stop, held.contact.multipliers
+        path, may_hang = linear.actuator_displacements(held.efforts, contact), self._may_hang
+        if commanded.any():
+            may_hang = may_hang & ~commanded[:count]
+        branches, upper = np.zeros((2, count), dtype=bool), bounds.displacement_max
+        slack, was_slack = branches
+        loads = linear.efforts(held.efforts[:count], contact) / self._effort_scales
+        some_hang = hang_beyond(path, loads, upper, self._at_limit, may_hang, slack)
+        found, best = self._solved(
+            linear, errors, weights, held, held, path, slack if some_hang else None, bounds,
+            commanded, extra,
+        ), None
+        while found is not None:
+            best = found
+            loads = linear.efforts(found.efforts[:count], found.contact.multipliers)
+            if not change_slack(
+                found.displacements, loads / self._effort_scales, upper, self._at_limit, may_hang,
+                slack, was_slack,
+            ):  # fmt: skip
+                break
+            found = self._solved(
+                linear, errors, weights, held, best, path, slack, bounds, commanded, extra
+            )
+        return best
+
+    def _solved(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        start: Actuation, path: np.ndarray, slack: np.ndarray | None, bounds: Bounds,
+        commanded: np.ndarray, extra: np.ndarray | None,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation in one branch of slack cables.
+
+        Args:
+            linear: The condensed system.
+            errors: δ_e,free less the targets, then those of further rows [m].
+            weights: Their weights.
+            held: What the actuators do when they stay.
+            start: An actuation of this branch.
+            path: Displacements of the paths when the actuators stay [m],
+                shape (actuator_row_count,).
+            slack: Cables that hang slack in this branch, same shape; None without any.
+            bounds: Bounds of this step.
+            commanded: Which actuators are commanded, shape (actuator_count,).
+            extra: Change of the further rows by the multipliers of the actuators, or None.
+
+        Returns:
+            The actuation; None where the branch has no solution.
+        """
+        within = widened(path, bounds)
+        if slack is not None:
+            within = within._replace(
+                displacement_max=np.where(slack, np.inf, within.displacement_max),
+                effort_max=np.where(slack, 0.0, within.effort_max),
+            )
+        if self._alone and linear.augmentation is None and not commanded.any():
+            efforts = self._by_guess(linear, errors, weights, held, within, extra)
+            if efforts is not None:
+                nothing_touches = ContactLoads(NO_FORCES, sweeps=1)
+                return self._settled(linear, efforts, NO_MOVES, nothing_touches, bounds, WARM_START)
+        return self._by_search(
+            linear, errors, weights, held, start, within, bounds, commanded, extra
+        )
+
     def _by_guess(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, extra: np.ndarray | None,
-    ) -> Actuation | None:  # fmt: skip
-        """The actuation from the last active set, without contacts; None where it is not proved."""
+        within: Bounds, extra: np.ndarray | None,
+    ) -> np.ndarray | None:  # fmt: skip
+        """Efforts from the last active set, without contacts; None where they are not proved."""
         W, effectors = linear.W, linear.groups.effectors
         if extra is not None:
             W = np.concatenate([W[: effectors.stop, : effectors.start], extra])
@@ -367,23 +492,24 @@ class InverseActuation:
         efforts = self._solver.efforts_by_guess(
             W, effectors, errors, weights, self._energy_weight,
             self._least_weight + self.trust.weight / self._energy_weight, self._centre(linear, held, self._all_free),
-            linear.actuators, linear.actuator_displacements(held.efforts, NO_FORCES), bounds,
+            linear.actuators, within,
         )  # fmt: skip
-        if efforts is None:
-            return None
-        self._touching = {}
-        nothing_touches = ContactLoads(NO_FORCES, sweeps=1)
-        return self._settled(linear, efforts, NO_MOVES, nothing_touches, bounds, WARM_START)
+        if efforts is not None:
+            self._touching = {}
+        return efforts
 
     def _by_search(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
+        start: Actuation, within: Bounds, bounds: Bounds, commanded: np.ndarray,
+        extra: np.ndarray | None,
     ) -> Actuation | None:  # fmt: skip
         """The actuation of any inverse problem; None where it has no solution."""
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
         unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
-        problem = self._problem(linear, errors, weights, held, bounds, unknowns, extra)
-        solution = self._solution(linear, problem, held, unknowns)
+        problem = self._problem(
+            linear, errors, weights, held, within, bounds, unknowns, extra
+        )
+        solution = self._solution(linear, problem, start, unknowns)
         if not solution.solved:
             return None
         efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
@@ -403,7 +529,7 @@ class InverseActuation:
 
     def _problem(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
+        within: Bounds, bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
     ) -> QPCC:  # fmt: skip
         """The inverse problem around one state.
 
@@ -412,13 +538,14 @@ class InverseActuation:
             errors: δ_e,free less the targets, then those of further rows [m].
             weights: Their weights.
             held: What the actuators do when they stay.
+            within: Bounds of the actuators with rows in this branch of slack cables.
             bounds: Bounds of this step.
             unknowns: Order of the unknowns.
             extra: Change of the further rows by the multipliers of the actuators, or None.
         """
         count, commanded = linear.groups.actuators.stop, unknowns.commanded
         prescribed = bounds.displacement_max[:count]
-        within, contact_bounds = reachable(linear, held, bounds), NO_CONTACTS
+        contact_bounds = NO_CONTACTS
         if commanded.any():
             within = Bounds(*(bound[~commanded] for bound in within))
         if linear.contact_row_count or len(linear.move_positions) or commanded.any():
@@ -476,7 +603,7 @@ class InverseActuation:
     def _solution(
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns
     ) -> QPCCSolution:
-        """Solve the problem, from the held actuation and from what touched in the last step."""
+        """Solve the problem, from an admissible actuation and from what touched in the last step."""
         efforts, forces = held.efforts[linear.groups.actuators], held.contact.multipliers
         if not problem.contact_count:
             none = np.zeros(0, dtype=bool)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import INVERSION, Actuation, ContactLoads
+from softrobot_twin.simulation.actuation import INVERSION, NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.command import (
     Command,
     CommandEfforts,
@@ -118,10 +118,7 @@ class StepResults:
         # A command to hold needs no motion, so no limit restricts it.
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
-            active = (
-                *model.actuators.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
-                *actuation.given_up,
-            )
+            active = (*self._binding(command, asked, actuation), *actuation.given_up)
         if newton.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
         met = not newton.is_nearly_flat and is_met(
@@ -170,6 +167,24 @@ class StepResults:
             touching, self._quaternions(outcome.positions), angles,
             *(reached_stiffness[:2] if reached_stiffness is not None else ()),
         )  # fmt: skip
+
+    def _binding(self, command: Command, asked: Asked, actuation: Actuation) -> list[str]:
+        """Names of the limits of actuators that bind.
+
+        On the way to targets, a cable that is not commanded and has no tension holds nothing back:
+        its winch may be at a limit, which binds nothing.
+        """
+        actuators, displacements = self._model.actuators, actuation.displacements
+        names = actuators.limits.binding(displacements, actuation.efforts, asked.reach)
+        if not names or not isinstance(command, FollowTargets):
+            return names
+        efforts = actuation.efforts
+        is_slack = actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
+        if asked.commanded is not None:
+            is_slack &= np.isnan(asked.commanded)
+        return actuators.limits.binding(
+            np.where(is_slack, np.nan, displacements), efforts, asked.reach
+        )
 
     def _missed(self, command: Command, positions: np.ndarray) -> np.ndarray:
         """Distances of the effectors from their targets at some node positions [m]; see `misses`.

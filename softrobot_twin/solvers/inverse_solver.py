@@ -30,7 +30,7 @@ NO_CONTACTS, NO_FORCES = np.zeros(0, dtype=bool), np.zeros(0)
 
 @njit(**KERNEL)
 def proved_efforts(
-    W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation, held,
+    W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation,
     displacement_min, displacement_max, effort_min, effort_max, active,
 ):  # fmt: skip
     """What `build_inverse_problem` and `optimum_from_active_set` find without contacts and moves.
@@ -46,7 +46,6 @@ def proved_efforts(
         proximal_weight: p.
         centre: z̄ [N], shape (a,).
         violation: δ_a,free [m], shape (a,).
-        held: Displacements when the actuators stay, which are always admissible [m], shape (a,).
         displacement_min: Least displacements [m], shape (a,).
         displacement_max: Greatest ones [m], shape (a,).
         effort_min: Least efforts [N], shape (a,).
@@ -60,8 +59,8 @@ def proved_efforts(
     motion, A = W[effectors[0] : effectors[1], :count].copy(), W[:count, :count].copy()
     lower, upper = np.empty(count), np.empty(count)
     for i in range(count):
-        lower[i] = min(displacement_min[i], held[i]) - violation[i]
-        upper[i] = max(displacement_max[i], held[i]) - violation[i]
+        lower[i] = displacement_min[i] - violation[i]
+        upper[i] = displacement_max[i] - violation[i]
     none, no_rows = np.empty(0), np.empty((0, count))
     P, g = tracking_and_energy(
         motion, A, no_rows, errors, weights, energy_weight, proximal_weight, centre
@@ -137,7 +136,7 @@ class InverseSolver:
     def efforts_by_guess(
         self, W: np.ndarray, effectors: slice, errors: np.ndarray, weights: np.ndarray,
         energy_weight: float, proximal_weight: float, centre: np.ndarray, violation: np.ndarray,
-        held: np.ndarray, bounds: Bounds,
+        bounds: Bounds,
     ) -> np.ndarray | None:  # fmt: skip
         """Efforts without contacts and moves from the last active set, where they are proved.
 
@@ -150,8 +149,7 @@ class InverseSolver:
             proximal_weight: p.
             centre: z̄ [N], shape (a,).
             violation: δ_a,free [m], shape (a,).
-            held: Displacements when the actuators stay [m], shape (a,).
-            bounds: Bounds of this step.
+            bounds: Bounds of this step, with the held displacements inside.
 
         Returns:
             Efforts [N], shape (a,); None where there is no last solution, or they are not proved.
@@ -164,7 +162,7 @@ class InverseSolver:
             return None
         proved, efforts, active = proved_efforts(
             W, (effectors.start, effectors.stop), errors, weights, energy_weight,
-            proximal_weight, np.array(centre), violation, held, *bounds, active,
+            proximal_weight, np.array(centre), violation, *bounds, active,
         )  # fmt: skip
         if not proved:
             return None

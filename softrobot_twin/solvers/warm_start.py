@@ -64,6 +64,8 @@ def optimum_from_active_set(
     n, count = len(g), len(d)
     own, active, touching = n - count, active.copy(), touching.copy()
     z, pivots = np.zeros(n), 0
+    _leave_infinite_bounds(lower, upper, active[:own])
+    _leave_infinite_bounds(row_lower, row_upper, active[own:])
     for _ in range(MOST_GUESSES):
         free = _set_to_bounds(z, lower, upper, touching, active, own)
         rows, values = _equations(A, row_lower, row_upper, C, d, touching, active[own:])
@@ -83,6 +85,14 @@ def optimum_from_active_set(
         touching[contact] = not touching[contact]
         pivots += 1
     return False, z, np.nan, touching, active, pivots
+
+
+@njit(**INNER)
+def _leave_infinite_bounds(lower, upper, active):
+    """Deactivate bounds that the program of the guess had and this one has not."""
+    for i in range(len(active)):
+        if np.isinf(lower[i] if active[i] < 0 else upper[i]):
+            active[i] = 0
 
 
 @njit(**INNER)

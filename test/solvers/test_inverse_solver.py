@@ -90,7 +90,7 @@ def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proxi
         )
         by_kernel._active = by_problem._active
         efforts = by_kernel.efforts_by_guess(
-            W, slice(n, n + 3), errors, weights, 1e-4, proximal_weight, centre, free, held, bounds
+            W, slice(n, n + 3), errors, weights, 1e-4, proximal_weight, centre, free, within
         )
         expected = by_problem.solve(problem, np.zeros(n))
         assert (efforts is None) == (proved == 0 or expected.solver != "warm start")
@@ -103,7 +103,7 @@ def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proxi
 
 def test_without_a_last_solution_no_guess_is_made():
     W, errors, free, held, centre, bounds = next(systems_around(4, 1))
-    given = (W, slice(4, 7), errors, np.ones(3), 1e-4, 0.0, centre, free, held, bounds)
+    given = (W, slice(4, 7), errors, np.ones(3), 1e-4, 0.0, centre, free, bounds)
     assert solver_of(4).efforts_by_guess(*given) is None
     exact = solver_of(4, is_exact=True)
     exact._active = np.zeros(8, dtype=np.int64)

@@ -1,0 +1,99 @@
+"""A cable without tension forbids nothing, wherever the limit of its winch is."""
+
+import numpy as np
+import pytest
+
+import softrobot_twin as st
+
+LENGTH, WIDTH = 0.1, 0.02
+LIMITED, RATE = 0.002, 0.01
+
+
+def bar(**of_other):
+    """A bar with two cables on the same side; the second may be limited."""
+    def cable(name, y, **limits):
+        points = [[share * LENGTH, y, 0.9 * WIDTH] for share in (0.25, 0.5, 0.75, 1.0)]
+        return dict(name=name, pull_point=[0, y, 0.9 * WIDTH], points=points, **limits)
+
+    clamp = dict(box=dict(minimum=[-1e-6, -1, -1], maximum=[1e-6, 1, 1]))
+    return st.build(
+        name="bar", gravity=[0, 0, 0],
+        body=dict(
+            mesh=dict(box=dict(size=[LENGTH, WIDTH, WIDTH], cells=[8, 2, 2])),
+            element="hexahedral", fixed=[clamp],
+            material=dict(young_modulus=3e5, poisson_ratio=0.4, density=1000.0),
+        ),
+        cables=[
+            cable("long", 0.4 * WIDTH, shortening=[0, 0.02]),
+            cable("other", 0.6 * WIDTH, **of_other),
+        ],
+        effectors=[
+            dict(name="tip", points=[[LENGTH, WIDTH / 2, WIDTH / 2]], directions=["z"])
+        ],
+        solver=dict(newton_iterations=20, residual_tolerance=1e-8),
+    )  # fmt: skip
+
+
+def tensions(result):
+    return np.array([result["long_tension_N"], result["other_tension_N"]])
+
+
+@pytest.fixture(scope="module")
+def limited():
+    return bar(shortening=[0, LIMITED])
+
+
+def test_a_pose_that_commanded_lengths_reach_is_reached_past_a_slack_cable_at_its_limit(limited):
+    rng = np.random.default_rng()
+    long = rng.uniform(0.003, 0.012)
+    print("long", long)
+    limited.reset()
+    goal = limited.settle(st.setpoints(long_shortening_m=long, other_shortening_m=0.0)).tip.copy()
+    limited.reset()
+    result = limited.settle(st.targets(tip=goal.tolist()))
+    assert result.status.value == "ok"
+    assert abs(result.tip[2] - goal[2]) <= 1e-7
+    assert result["other_tension_N"] <= 1e-9 * result["long_tension_N"]
+    assert result["other_shortening_m"] == pytest.approx(LIMITED)
+    assert result.limits == ()
+
+
+def test_it_comes_back_to_a_pose_where_both_cables_pull(limited):
+    limited.reset()
+    near = tensions(limited.settle(st.targets(tip=[LENGTH, 0.01, 0.0105])))
+    far = limited.settle(st.targets(tip=[LENGTH, 0.01, 0.036]))
+    assert far.status.value == "ok" and far["other_tension_N"] == 0.0
+    again = limited.settle(st.targets(tip=[LENGTH, 0.01, 0.0105]))
+    assert again.status.value == "ok"
+    np.testing.assert_allclose(tensions(again), near, rtol=1e-3)
+    assert near.min() > 0.0
+
+
+def test_commands_stay_within_limits_and_rates_on_the_way():
+    robot, step_time = bar(shortening=[0, LIMITED], rate=RATE), 0.01
+    last, slack = 0.0, 0
+
+    def goal(step):
+        return [LENGTH, 0.01, 0.03 if step < 30 else 0.012]
+
+    for step in range(60):
+        result = robot.step(st.targets(tip=goal(step)), time_step=step_time)
+        own = result["other_shortening_m"]
+        assert 0.0 <= own <= LIMITED * (1 + 1e-12)
+        assert abs(own - last) <= RATE * step_time * (1 + 1e-9)
+        last, slack = own, slack + (result["other_tension_N"] == 0.0)
+        assert not [name for name in result.limits
+                    if name.startswith("other.") and result["other_tension_N"] == 0.0]
+    assert slack > 0
+    assert result.status.value == "ok"
+
+
+def test_a_cable_without_commanded_tension_holds_nothing_back(limited):
+    limited.reset()
+    result = limited.settle(st.setpoints(long_shortening_m=0.008, other_shortening_m=0.0))
+    tension = result["long_tension_N"]
+    limited.reset()
+    for _ in range(30):
+        by_effort = limited.step(st.efforts(long_tension_N=tension, other_tension_N=0.0))
+    assert by_effort["long_tension_N"] == pytest.approx(tension, rel=1e-6)
+    assert by_effort.tip[2] == pytest.approx(result.tip[2], abs=1e-6)
