@@ -7,6 +7,12 @@ program (`inverse_problem`, `inverse_solver`).
 Actuators may be commanded while the others are optimised around them. A winch holds a commanded
 cable to a length: its path is as short as that or shorter, and it pulls only where it is taut,
 0 ≤ λ ⊥ δ_a - δ_set ≥ 0. That is the law of contact, so a commanded cable is one contact more.
+
+The law holds for a free cable too, whose winch may choose δ_set within its limits. So the greatest
+shortening of a winch bounds the path of a taut cable only: either λ ≥ 0 and δ_a ≤ δ_max, or λ = 0,
+and the path may be shorter than the shortest length to which the winch can wind the cable. The
+search begins in the branch of the held actuation. Branches meet where λ = 0 and δ_a = δ_max; a cable
+that an optimum leaves there takes the other one.
 """
 
 from __future__ import annotations
@@ -22,7 +28,7 @@ from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.stiffness_targets import StiffnessRows
-from softrobot_twin.simulation.target_trust import Approach, Situation, TargetTrust
+from softrobot_twin.simulation.target_trust import NO_LOADS, Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
     NO_CONTACTS,
@@ -78,7 +84,7 @@ def write_steps(
         longest: Longest displacement [m].
         squares: Zeros; takes the squared distance of each effector [m²], shape (effector_count,).
         steps: Takes the displacements [m], shape (n,).
-        weights: Takes the weights, zero where a row is free, shape (n,).
+        weights: Takes the weights by these shares, zero where a row is free, shape (n,).
     """
     for r in range(len(now)):
         is_wanted = np.isfinite(targets[r])
@@ -86,7 +92,9 @@ def write_steps(
         weights[r] = row_weights[r] if is_wanted else 0.0
         squares[row_effector[r]] += steps[r] * steps[r]
     for r in range(len(now)):
-        steps[r] *= longest / max(np.sqrt(squares[row_effector[r]]), longest)
+        share = longest / max(np.sqrt(squares[row_effector[r]]), longest)
+        steps[r] *= share
+        weights[r] /= share
 
 
 @njit(**KERNEL)
@@ -121,7 +129,9 @@ def write_posed_steps(
     for r in range(len(now)):
         e = row_effector[r]
         share = longest / max(np.sqrt(squares[e, 0]), longest)
-        steps[r] *= min(share, longest_turn / max(np.sqrt(squares[e, 1]), longest_turn))
+        share = min(share, longest_turn / max(np.sqrt(squares[e, 1]), longest_turn))
+        steps[r] *= share
+        weights[r] /= share
 
 
 @njit(**KERNEL)
@@ -220,13 +230,18 @@ class TargetSteps:
     def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements to the targets, shortened where they are too long, and their weights.
 
+        Each effector's displacement is shortened by a share of its own. Its weight is divided by
+        the share: the slope of the tracking term stays that of the whole distances. So several
+        effectors out of reach rest where the weighted sum of their squared distances is least.
+
         Args:
             target_rows: Wanted effector coordinates [m], NaN where free,
                 shape (effector_row_count,).
             now: Where they are [m], same shape.
 
         Returns:
-            The displacement of each row [m] and its weight, both zero where it is free, same shape.
+            The displacement of each row [m] and the weight of its error, both zero where it is
+            free, same shape.
         """
         steps, weights = np.empty(len(now)), np.empty(len(now))
         if self._row_lengths is not None:
@@ -299,7 +314,7 @@ class InverseActuation:
                 start, in place of those that the scene names.
         """
         self._direct, self._contacts = direct, model.contacts
-        self._steps = TargetSteps(model)
+        self._steps, self._row_weights = TargetSteps(model), model.effectors.row_weights
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self._force_limit = np.inf if limit is None else limit
@@ -339,15 +354,20 @@ class InverseActuation:
         self.trust.forget()
         if self._posed is not None:
             self._posed.effectors.forget_targets()
-        self._begins = self._is_balanced = True
+        self.begin_step(True)
 
-    def begin_step(self, is_balanced: bool) -> None:
+    def begin_step(
+        self, is_balanced: bool, loads: np.ndarray = NO_LOADS, load: float = 0.0
+    ) -> None:
         """Let the next solution be the first of a step.
 
         Args:
             is_balanced: Whether the last step ended near balance.
+            loads: Loads from outside, such as touches [N], shape (n,).
+            load: Sum of all loads' sizes [N]; needed with these.
         """
         self._begins, self._is_balanced = True, is_balanced
+        self._loads, self._load = loads, load
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -375,11 +395,12 @@ class InverseActuation:
             if self._posed is not None:
                 # Coordinates of orientations are those at the present target.
                 self.trust.rest = _rest_rows(self._posed)
+            is_wanted = weights > 0.0
             situation = Situation(
-                np.where(weights > 0.0, target_rows, 0.0), weights,
+                np.where(is_wanted, target_rows, 0.0), np.where(is_wanted, self._row_weights, 0.0),
                 linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
                 drives, np.where(commanded, most, np.nan),
-                self._is_balanced,
+                self._is_balanced, self._loads, self._load,
             )  # fmt: skip
             self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
         if commanded.any():
@@ -491,7 +512,7 @@ class InverseActuation:
             effectors = slice(effectors.start, len(W))
         efforts = self._solver.efforts_by_guess(
             W, effectors, errors, weights, self._energy_weight,
-            self._least_weight + self.trust.weight / self._energy_weight, self._centre(linear, held, self._all_free),
+            self._proximal_weight(), self._centre(linear, held, self._all_free),
             linear.actuators, within,
         )  # fmt: skip
         if efforts is not None:
@@ -561,9 +582,14 @@ class InverseActuation:
         problem = build_inverse_problem(
             system, weights, self._energy_weight, within, contact_bounds,
             self._centre(linear, held, unknowns),
-            self._least_weight + self.trust.weight / self._energy_weight,
+            self._proximal_weight(),
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
+
+    def _proximal_weight(self) -> float:
+        """p: what holds the targets' open directions, and what the trust restrains."""
+        restraint = self.trust.weight / self._energy_weight
+        return self._least_weight + self.trust.open_weight + restraint
 
     def _centre(self, linear: Linearized, held: Actuation, unknowns: Unknowns) -> np.ndarray:
         """Where the proximal term is centred.
@@ -580,7 +606,7 @@ class InverseActuation:
         )
         # Both terms as one, with the sum of their weights.
         restraint = self.trust.weight / self._energy_weight
-        share = restraint / (restraint + self._least_weight)
+        share = restraint / self._proximal_weight()
         return (1.0 - share) * last + share * still
 
     def _last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

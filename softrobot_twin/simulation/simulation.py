@@ -280,7 +280,7 @@ class Simulation(Readouts):
             self._cable_friction.begin(positions, self.state.efforts, self.state.slips)
         newton, time_budget = self._newton, self._time_budget
         if self._inverse is not None:
-            self._inverse.begin_step(self._is_balanced)
+            self._begin_inverse()
         pressed = time_budget.must_hurry(budget)
         led = self._lead(positions, efforts, command.time_step, clock)
         hurry = pressed and newton.may_keep_factor
@@ -341,6 +341,16 @@ class Simulation(Readouts):
         if both_hold and not self._remembering:
             return True
         return are_same(command, self._kept_by)
+
+    def _begin_inverse(self) -> None:
+        """Tell the inverse what the step begins with."""
+        if self._touches is None:
+            self._inverse.begin_step(self._is_balanced)
+            return
+        own = self._touches.load + self.actuators.load(self.state.efforts)
+        self._inverse.begin_step(
+            self._is_balanced, self._touches.loads, self._newton.constant_load + own
+        )
 
     def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:
         """Set the loads of touches.

@@ -9,7 +9,8 @@ and Wright, Numerical Optimization, 2006, section 4.1). With the tracking term
 
 of the places x that the effectors have in balance at held displacements, as the linearization sees
 them. A poor gain multiplies a Levenberg-Marquardt weight on moves of the actuators, a good one
-divides it. Targets that are reached, or that move, are not affected: there the promise holds.
+divides it. Targets that are reached, or that move, are not affected: there the promise holds. What
+was learnt holds for the targets and loads that it was learnt with.
 
 Where a robot comes no nearer to its target, two things can be the matter. It may have been caught on
 its way, for instance behind an obstacle: then its shape at rest is much nearer. It goes back once
@@ -47,8 +48,14 @@ LONG_PATIENCE = 3 * PATIENCE
 TO_AND_FRO = 0.5
 # Moves below this share of the actuators' scales are round-off.
 MOVED = 1.0e-8
+# Where a target is reached, actuators rest soon. Each so many steps it is looked whether what targets
+# leave open goes to and fro. From then on, and after so many looks in any case, it goes by ever
+# smaller shares while its path between two looks does not get shorter by this factor.
+SETTLING_STEPS, MOST_LOOKS, SETTLING = 8, 9, 0.5
 # A target that moves by more than this share of its distance is another one.
 ANOTHER_TARGET = 0.01
+# Loads that change by more than this share of all loads are other ones.
+OTHER_LOADS = 0.01
 # A robot has been caught where its shape at rest is nearer than this share of its distance.
 CAUGHT = 0.5
 # Places on the path of the actuators that are kept, and how far they are apart at least, as shares
@@ -127,6 +134,9 @@ def longest_move(before, after, scales):
     return longest
 
 
+NO_LOADS = np.empty(0)
+
+
 class Situation(NamedTuple):
     """What a step towards targets begins with.
 
@@ -137,6 +147,8 @@ class Situation(NamedTuple):
         displacements: Displacements of the actuators, shape (actuator_count,).
         commanded: Those that are commanded, NaN where free, shape (actuator_count,).
         is_balanced: Whether the last step ended near balance.
+        loads: Loads from outside, such as touches [N], shape (m,).
+        load: Sum of all loads' sizes [N].
     """
 
     targets: np.ndarray
@@ -145,6 +157,8 @@ class Situation(NamedTuple):
     displacements: np.ndarray
     commanded: np.ndarray
     is_balanced: bool
+    loads: np.ndarray = NO_LOADS
+    load: float = 0.0
 
     def tracking(self, at: np.ndarray) -> float:
         """T [m²] of effector coordinates [m], shape (n,)."""
@@ -152,7 +166,7 @@ class Situation(NamedTuple):
         return 0.5 * float(self.weights @ (missed * missed))
 
     def asks_the_same(self, other: Situation, now: float) -> bool:
-        """Whether the targets and commands are those of another situation.
+        """Whether the targets, commands and loads are those of another situation.
 
         Args:
             other: The other one.
@@ -164,8 +178,17 @@ class Situation(NamedTuple):
         return (
             are_equal(self.weights, other.weights)
             and are_equal(self.commanded, other.commanded)
+            and self.bears_the_same(other)
             and 0.5 * float(self.weights @ (moved * moved)) <= ANOTHER_TARGET**2 * now
         )
+
+
+    def bears_the_same(self, other: Situation) -> bool:
+        """Whether the loads from outside are those of another situation."""
+        if not len(self.loads):
+            return True
+        changed = float(np.abs(self.loads - other.loads).max())
+        return changed <= OTHER_LOADS * max(self.load, other.load)
 
 
 class TargetTrust:
@@ -174,6 +197,8 @@ class TargetTrust:
     Attributes:
         weight: Weight of the energy of a move, as a multiple of the mean curvature of the tracking
             term.
+        open_weight: Weight of the energy of a move as a multiple of that of the energy: what targets
+            leave open goes by the share 1 / (1 + open_weight) towards the least energy in one step.
         approach: What the actuators do.
         path: Where the actuators have been.
         rest: Effector coordinates in the rest shape [m], shape (n,).
@@ -197,6 +222,7 @@ class TargetTrust:
     def forget(self) -> None:
         """Forget all targets."""
         self.weight = self._floor = 0.0
+        self._settle_anew()
         # The situation that was followed first, and that of the last step.
         self._asked: Situation | None = None
         self._last: Situation | None = None
@@ -220,8 +246,13 @@ class TargetTrust:
         if self._asked is None or not situation.asks_the_same(self._asked, now):
             self._asked, self._has_retraced = situation, False
             self.weight = self._floor = 0.0
+            self._settle_anew()
             self._start_again()
-        if self._last is not None and len(self._last.targets) != len(situation.targets):
+        last = self._last
+        if last is not None and not (
+            len(last.targets) == len(situation.targets) and situation.bears_the_same(last)
+        ):
+            # What came of the promise is the work of other loads too.
             self._promised = None
         reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
         if self._promised is not None and self.approach is Approach.FOLLOW and now > reached:
@@ -231,6 +262,9 @@ class TargetTrust:
             else:
                 # Nothing came of the promise because nothing was done about it.
                 self._set(self.weight * LOOSER)
+        self._has_reached = self._has_reached or now <= reached
+        if self._has_reached and self.approach is Approach.FOLLOW:
+            self._settle(situation)
         if now <= reached:
             self._set(self.weight * LOOSER)
             self._start_again()
@@ -241,6 +275,36 @@ class TargetTrust:
         if self.approach is Approach.FOLLOW:
             self.path.add(situation.displacements)
         self._last, self._promised = situation, None
+
+    def _settle_anew(self) -> None:
+        self.open_weight, self._has_reached = 0.0, False
+        self._settling: np.ndarray | None = None
+        self._settled_path, self._settling_path = np.inf, 0.0
+        self._settling_count = self._look_count = 0
+
+    def _settle(self, situation: Situation) -> None:
+        """Let what the targets leave open come to rest, once they were reached.
+
+        Its least energy is sought by Newton's method without a search along a line, which may go to
+        and fro for ever.
+        """
+        drives = situation.displacements
+        if self._settling is None:
+            self._settling = drives
+            return
+        self._settling_path += longest_move(self._last.displacements, drives, self._scales)
+        self._settling_count += 1
+        if self._settling_count < SETTLING_STEPS:
+            return
+        path = self._settling_path
+        distance = longest_move(self._settling, drives, self._scales)
+        self._look_count += 1
+        is_late = self.open_weight > 0.0 or self._look_count > MOST_LOOKS
+        goes_on = is_late and path > SETTLING * self._settled_path
+        if path > MOVED and (distance < TO_AND_FRO * path or goes_on):
+            self.open_weight = 2.0 * self.open_weight + 1.0
+        self._settling, self._settled_path = drives, path
+        self._settling_path, self._settling_count = 0.0, 0
 
     def _have_moved(self, situation: Situation) -> bool:
         """Whether the last step moved the actuators by more than round-off."""

@@ -163,6 +163,11 @@ class Touches:
         return TouchState(forces, self._origins, self._term.points(positions))
 
     @property
+    def loads(self) -> np.ndarray:
+        """Forces of the touches, of held points from before the step [N], shape (3 touch_count,); a copy."""
+        return self._term.loads.ravel().copy()
+
+    @property
     def load(self) -> float:
         """Sum of the forces of the step by magnitude [N], those of held points from before it."""
         return float(np.linalg.norm(self._term.loads, axis=1).sum())

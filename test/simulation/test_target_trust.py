@@ -12,7 +12,10 @@ from softrobot_twin.simulation.target_trust import (
     LONGEST_PATH,
     LOOSER,
     PATH_SPACING,
+    MOST_LOOKS,
+    OTHER_LOADS,
     PATIENCE,
+    SETTLING_STEPS,
     TIGHTER,
     ActuatorPath,
     Approach,
@@ -272,6 +275,65 @@ def test_a_commanded_actuator_that_changes_starts_again(trust, then):
     rest(trust, commanded=0.1)
     trust.begin(situation(commanded=then))
     assert trust.approach is Approach.FOLLOW and trust.weight == 0.0
+
+
+@pytest.mark.parametrize("moved, weight", [(0.5, True), (2.0, False)])
+def test_what_was_learnt_holds_for_its_loads(trust, moved, weight):
+    """A load of 10 N of all, 100 N, changes by some of what counts as other loads."""
+    def loaded(force):
+        return situation()._replace(loads=np.array([force]), load=100.0)
+
+    trust.begin(loaded(10.0))
+    for _ in range(4):
+        trust.tighten()
+    trust.begin(loaded(10.0 + moved * OTHER_LOADS * 100.0))
+    assert (trust.weight > 0.0) == weight
+
+
+def test_other_loads_end_the_rest(trust):
+    for step in range(PATIENCE + 1):
+        begun = situation(displacement=to_and_fro(step))
+        trust.begin(begun._replace(loads=np.array([0.0]), load=1.0))
+    assert trust.approach is Approach.REST
+    trust.begin(begun._replace(loads=np.array([1.0]), load=2.0))
+    assert trust.approach is Approach.FOLLOW
+
+
+def reached(trust, displacement) -> None:
+    """A step that begins at the target."""
+    trust.begin(situation(TARGET, displacement=displacement))
+
+
+def test_at_a_reached_target_what_goes_to_and_fro_comes_to_rest(trust):
+    """Each step goes beyond the least energy by four times the distance, less the share held."""
+    place, places = 0.1, []
+    for _ in range(30 * SETTLING_STEPS):
+        reached(trust, place)
+        place -= 1.0 / (1.0 + trust.open_weight) * 2.0 * np.tanh(place / 0.05) * 0.05
+        places.append(place)
+    assert trust.open_weight > 0.0
+    assert np.ptp(places[-60:]) <= 1e-6
+
+
+def test_at_a_reached_target_slow_drift_ends(trust):
+    places = 1e-4 * np.arange(MOST_LOOKS * SETTLING_STEPS)
+    for place in places:
+        reached(trust, place)
+    assert trust.open_weight == 0.0
+    place, moves = places[-1], []
+    for _ in range(20 * SETTLING_STEPS):
+        moves.append(1e-4 / (1.0 + trust.open_weight))
+        place += moves[-1]
+        reached(trust, place)
+    assert moves[-1] <= 1e-6
+    trust.begin(situation(target=2.0 * TARGET))
+    assert trust.open_weight == 0.0
+
+
+def test_convergence_at_a_reached_target_is_not_slowed(trust):
+    for step in range(20 * SETTLING_STEPS):
+        reached(trust, 0.1 * (-0.3) ** step)
+    assert trust.open_weight == 0.0
 
 
 def caught(trust, count, commanded=np.nan) -> None:
