@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import re
 import shlex
+from itertools import combinations
 from pathlib import Path
 from textwrap import wrap
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from softrobot_twin.errors import MeshError, SoftRobotTwinError
 from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES, kept_mesh, part_size
@@ -40,11 +42,15 @@ LARGEST_IN_METRES = 2.0
 _TETS = 2000.0
 # Nodes this near to an end of the body, relative to its length, lie in the face there.
 _IN_FACE = 1.0e-5
+# A flat end face of less than this share of the box around the section is a rim, not an end.
+_LEAST_END = 0.1
+# A body stands on what is lowest if that surrounds this share of its outline from above.
+_LEAST_FLOOR = 0.5
 # Without a flat face this share of the length is fixed.
 _SLAB = 0.05
 # Where the points of the examples of cables lie along the body.
 _STATIONS = (0.15, 0.35, 0.55, 0.75, 0.95)
-# How far from the middle of the body, as a share of half its thickness.
+# How far from the middle of the body there, as a share of half its thickness there.
 _OFFSET = 0.7
 
 
@@ -125,8 +131,12 @@ def guess(reading: MeshReading) -> Guess:
     extents = high - low
     # Of equal extents the last one: parts often stand upright.
     axis = 2 - int(np.argmax(np.round(extents[::-1] / extents.max(), 6)))
-    length = float(extents[axis])
-    areas = [_flat_area(points, triangles, axis, end[axis], length) for end in (low, high)]
+    areas = [_flat_area(points, triangles, axis, end[axis]) for end in (low, high)]
+    section = float(np.prod(np.delete(extents, axis)))
+    if axis == 2 or max(areas) < _LEAST_END * section:
+        on_floor = _flat_area(points, triangles, 2, low[2])
+        if _stands(points, on_floor > 0.0):
+            axis, areas = 2, [on_floor, 0.0]
     at_high = areas[1] > 1.01 * areas[0]
     fixed, fixed_nodes, word = _fixed_box(points, axis, at_high, areas[int(at_high)] > 0.0)
     end = f"{word} at the {'highest' if at_high else 'lowest'} {'xyz'[axis]}"
@@ -146,8 +156,20 @@ def guess(reading: MeshReading) -> Guess:
                  isinstance(mesh, HexahedralMesh), tuple(reading.parts.regions))  # fmt: skip
 
 
-def _flat_area(points, triangles, axis: int, end: float, length: float) -> float:
+def _stands(points: np.ndarray, on_flat_faces: bool) -> bool:
+    """Whether a body stands on the floor: its lowest points surround enough of what is above."""
+    heights = points[:, 2] - points[:, 2].min()
+    reach = _IN_FACE if on_flat_faces else _SLAB
+    try:
+        floor = ConvexHull(points[heights <= reach * heights.max()][:, :2]).volume
+    except (QhullError, ValueError):  # fewer than three points, or all on a line
+        return False
+    return floor >= _LEAST_FLOOR * ConvexHull(points[:, :2]).volume
+
+
+def _flat_area(points, triangles, axis: int, end: float) -> float:
     """Area of the surface in a plane at an end of a body [m²]."""
+    length = float(np.ptp(points[:, axis]))
     corners = points[triangles]
     inside = (np.abs(corners[:, :, axis] - end) <= _IN_FACE * length).all(axis=1)
     sides = corners[inside, 1:] - corners[inside, :1]
@@ -192,15 +214,32 @@ def _tip(mesh, points: np.ndarray, axis: int, at_high: bool) -> np.ndarray:
     return np.round(middle, 6) + 0.0
 
 
+def _section(points: np.ndarray, tets: np.ndarray, axis: int, place: float) -> np.ndarray:
+    """Points of a body in a plane across an axis: where edges pass it [m], shape (count, 3)."""
+    ends = points[tets[:, list(combinations(range(4), 2))].reshape(-1, 2)]
+    heights = ends[:, :, axis] - place
+    ends = ends[heights[:, 0] * heights[:, 1] <= 0.0]
+    heights = ends[:, :, axis] - place
+    rise = heights[:, 1] - heights[:, 0]
+    share = np.where(rise != 0.0, -heights[:, 0] / np.where(rise != 0.0, rise, 1.0), 0.0)
+    return ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
+
+
 def _cable(mesh, points, tets, axis: int, at_high: bool, side: float) -> np.ndarray:
-    """Points of a cable along the body, on one side of its middle across its thinner direction."""
+    """Points of a cable along the body, on one side of its middle across its thinner direction.
+
+    The middle and the thickness are those of the section there, so that a cable follows a taper.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     extents = high - low
     across = min((one for one in range(3) if one != axis), key=lambda one: extents[one])
-    wanted = np.tile(0.5 * (low + high), (len(_STATIONS), 1))
     shares = 1.0 - np.array(_STATIONS) if at_high else np.array(_STATIONS)
-    wanted[:, axis] = low[axis] + shares * extents[axis]
-    wanted[:, across] += 0.5 * side * _OFFSET * extents[across]
+    wanted = np.empty((len(_STATIONS), 3))
+    for station, place in enumerate(low[axis] + shares * extents[axis]):
+        section = _section(points, tets, axis, place)
+        least, greatest = section.min(axis=0), section.max(axis=0)
+        wanted[station] = 0.5 * (least + greatest)
+        wanted[station, across] += 0.5 * side * _OFFSET * (greatest - least)[across]
     centres = points[tets].mean(axis=1)
     outside = np.flatnonzero(locate_points(mesh, wanted).distances > 0.0)
     for index in outside:  # a chamber, or a curved body

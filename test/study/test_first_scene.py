@@ -13,6 +13,8 @@ import pytest
 from softrobot_twin.__main__ import main
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.cad_meshing import CadMesh, mesh_cad, write_msh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
+from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
@@ -176,6 +178,82 @@ def test_without_a_flat_face_a_slice_is_fixed_and_told(tmp_path, capsys):
     write_msh(tmp_path / "cone.msh", CadMesh(TetMesh(positions, cells), {}, {}, (), ""))
     assert main(["init", str(tmp_path / "cone.msh")]) == 0
     assert "the nodes at the lowest x, 4 nodes" in capsys.readouterr().out
+
+
+def shaped(path, shape, size=(0.1, 0.1, 0.06), cells=(12, 12, 6), keep=None):
+    """A block of cells, of which some are kept, moved by a function of its points, in a file."""
+    mesh = read_box(size, cells).mesh
+    points, tets = mesh.node_positions - 0.5 * np.array(size), mesh.cells
+    if keep is not None:
+        tets = tets[keep(points[tets].mean(axis=1))]
+        used, tets = np.unique(tets, return_inverse=True)
+        points, tets = points[used], tets.reshape(-1, 4)
+    write_msh(path, CadMesh(TetMesh(shape(points.copy()), tets), {}, {}, (), ""))
+    assert main(["init", str(path)]) == 0
+    scene = load_scene(path.with_suffix(".yaml"))
+    return scene, Simulation(scene, with_warnings=False).model.bodies[0]
+
+
+def rounded(points):
+    """Square sections made round."""
+    across = points[:, :2]
+    largest = np.abs(across).max(axis=1)
+    radius = np.linalg.norm(across, axis=1)
+    points[:, :2] *= np.where(radius > 0.0, largest / np.where(radius > 0.0, radius, 1.0), 1.0)[:, None]
+    return points
+
+
+@pytest.mark.parametrize("height", [0.06, 0.15])
+def test_of_a_tripod_the_feet_are_fixed(tmp_path, height):
+    """A round plate on three legs, wider than high, and higher than wide."""
+
+    def kept(centres):
+        angles = np.arctan2(centres[:, 1], centres[:, 0])
+        in_leg = np.cos(3.0 * angles) > 0.6
+        is_outer = np.abs(centres[:, :2]).max(axis=1) > 0.034
+        return (centres[:, 2] > height / 6.0) | (in_leg & is_outer)
+
+    scene, body = shaped(tmp_path / "tripod.msh", rounded, (0.1, 0.1, height), keep=kept)
+    held = body.mesh.node_positions[body.fixed]
+    floor = body.mesh.node_positions[:, 2].min()
+    assert np.allclose(held[:, 2], floor, atol=1e-6)
+    assert len(held) == np.isclose(body.mesh.node_positions[:, 2], floor, atol=1e-6).sum()
+    assert scene.effectors[0].points[0][2] == pytest.approx(floor + height, abs=1e-5)
+
+
+def test_a_taper_that_hangs_is_still_fixed_at_its_broad_end(tmp_path):
+    def tapered(points):
+        points[:, :2] *= (0.3 + 0.7 * (points[:, 2:] / 0.1 + 0.5))
+        return points
+
+    _, body = shaped(tmp_path / "hanging.msh", tapered, (0.03, 0.03, 0.1), (4, 4, 8))
+    held = body.mesh.node_positions[body.fixed]
+    assert np.allclose(held[:, 2], body.mesh.node_positions[:, 2].max(), atol=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("tip", [0.1, 0.25, 0.6])
+def test_the_cables_of_a_tapered_body_stay_inside_it(tmp_path, axis, tip):
+    def tapered(points):
+        points[:, :2] *= 1.0 - (1.0 - tip) * (points[:, 2:] / 0.1 + 0.5)
+        points = rounded(points)
+        points[:, 0] += 0.1 * (points[:, 2] + 0.05)  # it leans
+        return np.roll(points, 1 if axis == 0 else 0, axis=1)
+
+    path = tmp_path / "cone.msh"
+    shaped(path, tapered, (0.03, 0.03, 0.1), (4, 4, 10))
+    mesh = read_solid_mesh(path).mesh
+    text = path.with_suffix(".yaml").read_text()
+    examples = text[text.index("# cables:"):text.index("# markers:")]
+    cables = read_yaml("\n".join(line[2:] for line in examples.splitlines() if len(line) > 2))
+    assert len(cables["cables"]) == 2
+    for cable in cables["cables"]:
+        ends = np.array(cable["points"])
+        shares = np.linspace(0.0, 1.0, 20)[:, None]
+        along = np.vstack([a + shares * (b - a) for a, b in zip(ends, ends[1:], strict=False)])
+        assert locate_points(mesh, along).distances.max() <= 2e-6
+        # On the way to the tip they come no nearer to the surface than a part of the thickness.
+        assert np.linalg.norm(ends[0] - ends[-1]) == pytest.approx(0.08, rel=0.2)
 
 
 def test_a_cad_file_is_meshed_by_its_scene(tmp_path, monkeypatch):
