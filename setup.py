@@ -58,7 +58,7 @@ setup(
         # Only for comparisons by tools/compare_solvers.py; pypardiso installs the proprietary MKL.
         "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
         # Builds docs/ as a site: make docs.
-        "docs": ["mkdocs>=1.6", "mkdocs-material>=9.5.24"],
+        "docs": ["latex2mathml>=3.77", "mkdocs>=1.6", "mkdocs-material>=9.5.24"],
         # The gymnasium environment.
         "learning": ["gymnasium>=1.0"],
         # Meshes from CAD files. gmsh has no wheel for aarch64.

@@ -2,16 +2,25 @@
 
 Pages link to sources by paths that lead out of docs/, such as ``../softrobot_twin/errors.py``: they
 work on GitHub. In the site they lead to the repository, or, where ``mkdocs.yml`` names none, only
-their text remains.
+their text remains. Diagrams become pictures and equations MathML here, so that a browser needs no
+scripts from elsewhere; GitHub draws both by itself.
 """
 
 from __future__ import annotations
 
+import html
 import re
+import textwrap
 from pathlib import Path
+
+from latex2mathml.converter import convert
 
 ROOT = Path(__file__).resolve().parents[1]
 TO_SOURCES = re.compile(r"\[([^\]]*)\]\(((?:\.\./)+[^)\s]+)\)")
+EQUATION = re.compile(r"(?<![\\$`\w])\$([^\s$`](?:[^$`\n]*[^\s$`])?)\$(?![\w$])")
+DIAGRAM = re.compile(r" *```mermaid\ngraph BT\n(.*?)```", re.DOTALL)
+# Size of a box of a diagram, and the gaps between boxes, in pixels.
+WIDTH, HEIGHT, GAP, RISE = 150, 64, 14, 46
 FENCE = re.compile(r"^( *```.*?^ *```)", re.MULTILINE | re.DOTALL)
 
 
@@ -43,5 +52,55 @@ def on_page_markdown(markdown: str, page, config, files) -> str:
 
     # Code blocks are every second part.
     parts = FENCE.split(markdown)
-    parts[::2] = [TO_SOURCES.sub(lead, part) for part in parts[::2]]
+    parts[::2] = [EQUATION.sub(lambda found: convert(found[1]), TO_SOURCES.sub(lead, part))
+                  for part in parts[::2]]
+    parts[1::2] = [DIAGRAM.sub(lambda found: diagram(found[1]), part) for part in parts[1::2]]
     return "".join(parts)
+
+
+def diagram(text: str) -> str:
+    """A picture of boxes and arrows, each arrow upwards.
+
+    Args:
+        text: Lines of mermaid: ``name["name: what it is"]`` and ``from --> to``.
+
+    Returns:
+        SVG.
+    """
+    labels = dict(re.findall(r'(\w+)\["(.*?)"\]', text))
+    arrows = re.findall(r"(\w+) --> (\w+)", text)
+
+    def level(name: str) -> int:
+        return max((1 + level(above) for below, above in arrows if below == name), default=0)
+
+    rows: dict[int, list[str]] = {}
+    for name in labels:
+        rows.setdefault(level(name), []).append(name)
+    whole = max(len(row) for row in rows.values()) * (WIDTH + GAP) + GAP
+    places = {}
+    for above, row in rows.items():
+        first = 0.5 * (whole - len(row) * (WIDTH + GAP) + GAP)
+        for index, name in enumerate(row):
+            # Rows are shifted against each other, so that arrows do not run behind boxes.
+            shift = (0.25 if above % 2 else -0.25) * (WIDTH + GAP) * (len(row) * (WIDTH + GAP) < 0.8 * whole)
+            places[name] = first + index * (WIDTH + GAP) + shift, above * (HEIGHT + RISE) + 6
+    parts = []
+    for below, above in arrows:
+        (x, y), (u, v) = places[below], places[above]
+        x, u, v = x + WIDTH / 2, u + WIDTH / 2, v + HEIGHT + 5
+        parts.append(f'<path d="M{x:.0f} {y} C{x:.0f} {y - RISE / 2} {u:.0f} {v + RISE / 2} '
+                     f'{u:.0f} {v}" fill="none" stroke="currentColor" opacity="0.6" '
+                     'marker-end="url(#arrow)"/>')  # fmt: skip
+    for name, (x, y) in places.items():
+        parts.append(f'<rect x="{x:.0f}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="6" '
+                     'stroke="currentColor" style="fill: var(--md-default-bg-color, white)"/>')  # fmt: skip
+        lines = [name, *textwrap.wrap(labels[name].partition(": ")[2], 26)]
+        for index, line in enumerate(lines):
+            weight = ' font-weight="bold"' if index == 0 else ""
+            parts.append(f'<text x="{x + WIDTH / 2:.0f}" y="{y + 17 + 14 * index}" fill="currentColor" '
+                         f'text-anchor="middle" font-size="11"{weight}>{html.escape(line)}</text>')  # fmt: skip
+    height = (1 + max(rows)) * (HEIGHT + RISE) - RISE + 12
+    return (f'<svg viewBox="0 0 {whole} {height}" role="img" xmlns="http://www.w3.org/2000/svg" '
+            f'style="max-width: {whole}px; width: 100%"><defs><marker id="arrow" viewBox="0 0 8 8" '
+            'refX="6" refY="4" markerWidth="7" markerHeight="7" orient="auto"><path d="M0 0 L8 4 L0 8 z" '
+            f'fill="currentColor"/></marker></defs>{"".join(parts)}</svg>\n')  # fmt: skip

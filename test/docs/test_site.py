@@ -18,7 +18,8 @@ VOID_OR_KNOWN = set(
     "a article aside b body br button circle code dd div dl dt em figcaption figure footer form g "
     "h1 h2 h3 h4 head header hr html i img input kbd label li link main meta nav noscript ol p "
     "path pre rect script section small span strong style sub sup svg table tbody td th thead "
-    "title tr ul use".split()
+    "title tr ul use "
+    "defs marker text math mfrac mi mn mo mover mrow msub msubsup msup mspace mtext".split()
 )  # fmt: skip
 
 
@@ -29,6 +30,7 @@ class Page(HTMLParser):
         links: Targets of its links.
         pictures: Files of its pictures.
         sheets: Files of its style sheets.
+        scripts: Files of its scripts.
         anchors: Ids of its elements.
         tags: Names of its elements.
     """
@@ -36,7 +38,7 @@ class Page(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.links, self.pictures, self.anchors, self.tags = [], [], set(), set()
-        self.sheets = []
+        self.sheets, self.scripts = [], []
         self.feed(text)
 
     def handle_starttag(self, tag, attributes):
@@ -47,6 +49,8 @@ class Page(HTMLParser):
             self.links.append(given["href"])
         if tag == "link" and given.get("rel") == "stylesheet":
             self.sheets.append(given["href"])
+        if tag == "script" and given.get("src"):
+            self.scripts.append(given["src"])
         if tag == "img" and given.get("src"):
             self.pictures.append(given["src"])
 
@@ -109,6 +113,30 @@ def test_every_style_sheet_of_the_site_exists(site):
         assert "site.css" in {Path(sheet).name for sheet in page.sheets}
         for sheet in page.sheets if path.name != "404.html" else ():
             assert (path.parent / sheet.partition("?")[0]).is_file(), f"{path.name}: {sheet}"
+
+
+def test_the_site_needs_no_network_and_no_server(site):
+    """Search, diagrams and equations work where the pages are opened as files."""
+    for path, page in site.items():
+        outside = [name for name in page.scripts + page.sheets + page.pictures
+                   if urlsplit(name).netloc]  # fmt: skip
+        assert outside == [], path.name
+        assert "mermaid" not in path.read_text(), path.name
+    folder = min(site, key=lambda path: len(path.parts)).parent
+    assert (folder / "search/search_index.js").read_text().startswith("var __index = {")
+    start = site[folder / "index.html"]
+    assert "iframe-worker.js" in start.scripts
+    assert "IFrameWorker" in (folder / "iframe-worker.js").read_text()
+
+
+def test_diagrams_are_pictures_and_equations_mathml(site):
+    pages = {path.name: (page, path.read_text()) for path, page in site.items()}
+    assert {"math", "mfrac", "msub"} <= pages["equations.html"][0].tags
+    assert "$" not in re.sub(r"<(script|code).*?</\1>", "", pages["equations.html"][1], flags=re.S)
+    text = pages["architecture.html"][1]
+    for room in ("geometry", "mechanics", "scripting", "command_line"):
+        assert f'font-weight="bold">{room}</text>' in text
+    assert text.count('marker-end="url(#arrow)"') == 19
 
 
 def test_every_picture_in_docs_is_on_a_page(site):
