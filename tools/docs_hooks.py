@@ -11,6 +11,7 @@ from __future__ import annotations
 import html
 import re
 import textwrap
+from itertools import pairwise
 from pathlib import Path
 
 from latex2mathml.converter import convert
@@ -76,14 +77,19 @@ def diagram(text: str) -> str:
     rows: dict[int, list[str]] = {}
     for name in labels:
         rows.setdefault(level(name), []).append(name)
-    whole = max(len(row) for row in rows.values()) * (WIDTH + GAP) + GAP
-    places = {}
-    for above, row in rows.items():
-        first = 0.5 * (whole - len(row) * (WIDTH + GAP) + GAP)
-        for index, name in enumerate(row):
-            # Rows are shifted against each other, so that arrows do not run behind boxes.
-            shift = (0.25 if above % 2 else -0.25) * (WIDTH + GAP) * (len(row) * (WIDTH + GAP) < 0.8 * whole)
-            places[name] = first + index * (WIDTH + GAP) + shift, above * (HEIGHT + RISE) + 6
+    middles: dict[str, float] = {}
+    for above in sorted(rows):
+        # Each box below the middle of those that its arrows lead to, as far as there is room.
+        for index, name in enumerate(rows[above]):
+            ends = [middles[end] for start, end in arrows if start == name]
+            middles[name] = sum(ends) / len(ends) if ends else 2.0 * index
+        row = sorted(rows[above], key=middles.__getitem__)
+        for left, right in pairwise(row):
+            middles[right] = max(middles[right], middles[left] + 1.0)
+    first = min(middles.values())
+    whole = round((max(middles.values()) - first + 1.0) * (WIDTH + GAP) + GAP)
+    places = {name: (GAP + (middle - first) * (WIDTH + GAP), level(name) * (HEIGHT + RISE) + 6)
+              for name, middle in middles.items()}  # fmt: skip
     parts = []
     for below, above in arrows:
         (x, y), (u, v) = places[below], places[above]
@@ -94,7 +100,7 @@ def diagram(text: str) -> str:
     for name, (x, y) in places.items():
         parts.append(f'<rect x="{x:.0f}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="6" '
                      'stroke="currentColor" style="fill: var(--md-default-bg-color, white)"/>')  # fmt: skip
-        lines = [name, *textwrap.wrap(labels[name].partition(": ")[2], 26)]
+        lines = [name, *textwrap.wrap(labels[name].partition(": ")[2], 24)]
         for index, line in enumerate(lines):
             weight = ' font-weight="bold"' if index == 0 else ""
             parts.append(f'<text x="{x + WIDTH / 2:.0f}" y="{y + 17 + 14 * index}" fill="currentColor" '

@@ -252,7 +252,7 @@ def test_the_cables_of_a_tapered_body_stay_inside_it(tmp_path, axis, tip):
         shares = np.linspace(0.0, 1.0, 20)[:, None]
         along = np.vstack([a + shares * (b - a) for a, b in zip(ends, ends[1:], strict=False)])
         assert locate_points(mesh, along).distances.max() <= 2e-6
-        # On the way to the tip they come no nearer to the surface than a part of the thickness.
+        # They lead along the body.
         assert np.linalg.norm(ends[0] - ends[-1]) == pytest.approx(0.08, rel=0.2)
 
 
