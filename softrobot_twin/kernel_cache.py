@@ -64,7 +64,8 @@ def _imports(module: str) -> frozenset[str]:
     for origin, names in _IMPORT.findall(_source(module).decode()):
         parts = {f"{origin}.{name}" for name in re.findall(r"\w+", names)}
         found |= {name for name in {origin, *parts} if _source(name) is not None}
-    return frozenset(found)
+    # This file makes no code.
+    return frozenset(found - {__name__})
 
 
 @cache
@@ -155,6 +156,8 @@ class KernelCache(_Cache):
     def __init__(self, function) -> None:
         """Args: function: The kernel's Python function, of this package."""
         self._function = function
+        # Read now: a file that changes while this process runs is not the source of its kernels.
+        self._own = closure_hash(function.__module__)
         _modules_with_kernels.add(function.__module__)
 
     @property
@@ -175,8 +178,8 @@ class KernelCache(_Cache):
             dumps(cells) if cells else None, sorted(map(closure_hash, modules)),
         )  # fmt: skip
         name = f"{function.__module__}.{function.__qualname__}".removeprefix(f"{_PACKAGE}.")
-        own, rest = closure_hash(function.__module__), sha256(repr(depends_on).encode()).hexdigest()
-        return kernel_folder() / f"{name}-{own[:_SHORT]}-{rest[:_SHORT]}.nbc"
+        rest = sha256(repr(depends_on).encode()).hexdigest()
+        return kernel_folder() / f"{name}-{self._own[:_SHORT]}-{rest[:_SHORT]}.nbc"
 
     def load_overload(self, sig, target_context):
         """The compiled kernel for a signature; None where it is not kept or its file is damaged."""

@@ -67,7 +67,7 @@ def outer(law, x):
 RUN = """
 import sys
 from softrobot_twin import law, other, outer
-if len(sys.argv) > 1:
+if len(sys.argv) > 1:  # Kernels are compiled when the other side has closed its end.
     print("begun", flush=True)
     sys.stdin.read()
 print(outer.outer(law.Law(1.0), 3.0), sum(outer.outer._cache_misses.values()))
@@ -151,6 +151,17 @@ def test_processes_that_compile_at_once_agree_and_keep_one_entry_each(small_pack
     assert run(small_package) == (16.0, 0)
 
 
+def test_a_source_that_changes_in_a_run_is_not_that_of_its_kernels(small_package):
+    process = subprocess.Popen([sys.executable, "-c", RUN, "wait"], cwd=small_package.parent,
+                               env=environment(small_package), stdin=subprocess.PIPE,
+                               stdout=subprocess.PIPE, text=True)  # fmt: skip
+    assert process.stdout.readline() == "begun\n"
+    size = small_package / "size.py"
+    size.write_text(size.read_text().replace("2.0", "5.0"))
+    assert process.communicate()[0].split() == ["16.0", "1"]
+    assert run(small_package) == (25.0, 1)
+
+
 def test_a_damaged_entry_is_compiled_anew(small_package):
     run(small_package)
     for entry in entries(small_package):
@@ -227,7 +238,8 @@ def imports_at_the_top(module: str) -> Iterator[str]:
 
 
 def test_closures_hold_all_imports():
-    lost = {module: {*imports_at_the_top(module)} - kernel_cache.closure(module)
+    itself = {kernel_cache.__name__}
+    lost = {module: {*imports_at_the_top(module)} - kernel_cache.closure(module) - itself
             for module in MODULES}  # fmt: skip
     assert {module: names for module, names in lost.items() if names} == {}
 
