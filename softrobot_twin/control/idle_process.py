@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import signal
 import struct
 import subprocess
@@ -30,6 +31,10 @@ STATE, UNKNOWN = "state", "unknown"
 # Pause before the next request, in durations of the last answer: a fifth of a processor at most.
 _PAUSE = 4.0
 _END_TIMEOUT = 2.0
+_LINGER = 10.0
+"""A process without a new state to judge gives its memory back after this time [s]: some 270 MB."""
+_FIRST = "SOFTROBOT_TWIN_FIRST_MESSAGE"
+"""Variable of the environment: file that holds the first message for the program that follows."""
 
 
 def framed(content: object) -> bytes:
@@ -59,7 +64,7 @@ class IdleWatch:
         self.answers = 0
         self.cause = ""
         self._received = b""
-        self._unsent = framed(first)
+        self._unsent, self._asked = framed(first), b""
         self._waiting, self._next = True, 0.0
         paths = os.pathsep.join(path for path in sys.path if path)
         self._process = subprocess.Popen(
@@ -87,15 +92,20 @@ class IdleWatch:
     def offer(self, simulation: Simulation, forces_given: bool, now: float) -> None:
         """Takes answers that have arrived, and asks about the present state when due. Never waits.
 
+        A state is asked about once.
+
         Args:
             simulation: The twin's simulation.
             forces_given: True when its actuators keep efforts, false when they keep setpoints.
             now: Time on a monotonic clock [s].
         """
         self._receive(now)
-        if not (self._waiting or self.cause) and now >= self._next:
-            self._waiting = True
-            self._unsent = framed(self.request_of(simulation, forces_given))
+        if self.cause:
+            self._process.poll()  # It ends, and must not stay as a zombie.
+        elif not self._waiting and now >= self._next:
+            request = framed(self.request_of(simulation, forces_given))
+            if request != self._asked:
+                self._waiting, self._asked, self._unsent = True, request, request
         self._send()
 
     def close(self) -> None:
@@ -179,29 +189,87 @@ def yield_to_all() -> None:
     os.nice(19)
 
 
-class Replies:
-    """Writes replies."""
+class Requests:
+    """Reads messages from standard input.
 
-    def __init__(self, stream: BinaryIO):
-        self._stream = stream
+    When none has come for `_LINGER`, the process becomes that of a new program, which waits for one
+    in a few megabytes, before it loads anything, and goes on from the first message of this one. The
+    twin knows nothing of it, and must not start a process: it would wait for a thread of ordinary
+    priority.
+
+    Attributes:
+        is_again: Whether this program follows another one, which has answered the first message.
+    """
+
+    def __init__(self, stdout: int):
+        """Waits for the message with which a following program begins.
+
+        Args:
+            stdout: The standard output of the process, for the program that follows.
+        """
+        self._stdout, self._first, self._read_first = stdout, b"", False
+        held = os.environ.pop(_FIRST, "")
+        self.is_again = bool(held)
+        if self.is_again:
+            file = int(held)
+            self._first = os.pread(file, os.fstat(file).st_size, 0)
+            os.close(file)
+            select.select([sys.stdin.fileno()], [], [])
+
+    def read(self) -> object | None:
+        """The next message; None when the other end has closed."""
+        if self._read_first and not select.select([sys.stdin.fileno()], [], [], _LINGER)[0]:
+            self._follow()
+        if self.is_again and not self._read_first:
+            self._read_first = True
+            return pickle.loads(self._first[LENGTH.size :])
+        head = self._take(LENGTH.size)
+        body = self._take(LENGTH.unpack(head)[0]) if len(head) == LENGTH.size else b""
+        if not body or len(body) < LENGTH.unpack(head)[0]:
+            return None
+        if not self._read_first:
+            self._first, self._read_first = head + body, True
+        return pickle.loads(body)
+
+    @staticmethod
+    def _take(size: int) -> bytes:
+        """So many bytes, or fewer where the other end has closed."""
+        content = b""
+        while len(content) < size and (more := os.read(sys.stdin.fileno(), size - len(content))):
+            content += more
+        return content
+
+    def _follow(self) -> None:
+        """Becomes the process of the same program, which begins anew."""
+        file = os.memfd_create("first message")
+        with os.fdopen(os.dup(file), "wb") as stream:
+            stream.write(self._first)
+        os.set_inheritable(file, True)
+        os.dup2(self._stdout, sys.stdout.fileno())
+        os.environ[_FIRST] = str(file)
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+
+
+class Replies:
+    """Writes replies.
+
+    Args:
+        stream: Where to.
+        is_again: Whether replies but those to states have been written before.
+    """
+
+    def __init__(self, stream: BinaryIO, is_again: bool = False):
+        self._stream, self._is_again = stream, is_again
 
     def __call__(self, *content: object) -> None:
         """Writes one: its kind, then what it holds; of a `STATE` the duration [s] comes last."""
+        if self._is_again and content[0] not in (STATE, UNKNOWN):
+            return
         self._stream.write(framed(content))
         self._stream.flush()
 
 
-def read_message(stream: BinaryIO):
-    """The next message; None when the other end has closed."""
-    head = stream.read(LENGTH.size)
-    if len(head) < LENGTH.size:
-        return None
-    size = LENGTH.unpack(head)[0]
-    body = stream.read(size)
-    return pickle.loads(body) if len(body) == size else None
-
-
-def run(serve: Callable[[BinaryIO, Replies], None], yields: bool = True) -> None:
+def run(serve: Callable[[Requests, Replies], None], yields: bool = True) -> None:
     """Serves standard input and output. The twin, not this process, handles an interrupt.
 
     Args:
@@ -211,12 +279,13 @@ def run(serve: Callable[[BinaryIO, Replies], None], yields: bool = True) -> None
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if yields:
         yield_to_all()
-    replies = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    stdout = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # print() must not write between replies
-    reply = Replies(replies)
+    requests = Requests(stdout)
+    reply = Replies(os.fdopen(stdout, "wb"), requests.is_again)
     try:
         try:
-            serve(sys.stdin.buffer, reply)
+            serve(requests, reply)
         except BrokenPipeError:
             raise
         except Exception as error:  # noqa: BLE001 - the twin reports it; its stderr is not read

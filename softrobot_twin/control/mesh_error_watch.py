@@ -7,14 +7,14 @@ The solution of a state with elements of higher order takes longer than a tick; 
 from __future__ import annotations
 
 from time import perf_counter
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 from softrobot_twin.control.idle_process import (
     STATE,
     UNKNOWN,
     IdleWatch,
     Replies,
-    read_message,
+    Requests,
     run,
 )
 
@@ -72,7 +72,7 @@ class MeshErrorWatch(IdleWatch):
         self.newest = float("nan")
 
 
-def serve(requests: BinaryIO, reply: Replies) -> None:
+def serve(requests: Requests, reply: Replies) -> None:
     """Answers until the other end closes: first the mesh at rest, then each requested state.
 
     Args:
@@ -86,14 +86,14 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
         check_judges_states,
     )
 
-    scene = read_message(requests)
+    scene = requests.read()
     if scene is None:
         return
     try:
         estimator = MeshErrorEstimator(scene)
         reply(REST, estimator.at_rest())
         check_judges_states(scene)
-        while (asked := read_message(requests)) is not None:
+        while (asked := requests.read()) is not None:
             begin = perf_counter()
             reply(STATE, estimator.at(asked), perf_counter() - begin)
     except MeshErrorUnknown as unknown:

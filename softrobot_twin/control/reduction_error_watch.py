@@ -8,10 +8,11 @@ reduction_error.py`), and by the full model, whose nodes it places by the coordi
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
-from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, read_message, run
+from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Requests, run
 
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ class ReductionErrorWatch(IdleWatch):
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
         """The state itself: coordinates, setpoints and efforts; see `IdleWatch`."""
-        return simulation.state
+        # Its time is left out: a robot at rest has one state.
+        return replace(simulation.state, step_count=0, time=0.0)
 
     def take(self, kind: str, content: list) -> None:
         """Keeps an answer; see `IdleWatch`."""
@@ -66,7 +68,7 @@ class ReductionErrorWatch(IdleWatch):
         self.states, self.newest = {}, {}
 
 
-def serve(requests: BinaryIO, reply: Replies) -> None:
+def serve(requests: Requests, reply: Replies) -> None:
     """Answers until the other end closes.
 
     Args:
@@ -78,13 +80,13 @@ def serve(requests: BinaryIO, reply: Replies) -> None:
     from softrobot_twin.simulation.full_model_error import FullModelError
     from softrobot_twin.simulation.reduced_body import without_fallback
 
-    scene = read_message(requests)
+    scene = requests.read()
     if scene is None:
         return
     simulation = Simulation(without_fallback(scene), with_warnings=False)
     judge = FullModelError(simulation)
     reply(READY)
-    while (state := read_message(requests)) is not None:
+    while (state := requests.read()) is not None:
         begin = perf_counter()
         simulation.restore(state)
         states, errors = simulation.reduction_state(), judge.errors(state)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.control import mesh_error_watch
 from softrobot_twin.control.idle_process import framed
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
@@ -129,6 +130,32 @@ def test_the_process_drops_an_inherited_priority(refused):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     policy = os.SCHED_OTHER if refused else os.SCHED_IDLE
     assert done.stdout.split() == [str(policy), "19"]
+
+
+def resident(process) -> int:
+    """Memory of a process [MB]."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.split("VmRSS:")[1].split()[0]) // 1024
+
+
+def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
+    diamond, watch_of, monkeypatch
+):
+    program = mesh_error_watch._PROGRAM.replace("main({})", "idle_process._LINGER = 0.2; main({})")
+    monkeypatch.setattr(
+        mesh_error_watch, "_PROGRAM", "from softrobot_twin.control import idle_process; " + program
+    )
+    simulation = diamond()
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
+    watch = watch_of(simulation)
+    offer_until(watch, simulation, lambda: watch.estimates == 1)
+    at_rest = watch.at_rest
+    offer_until(watch, simulation, lambda: resident(watch._process) < 40)
+    assert watch.estimates == 1 and not watch.cause
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.009, 0.003, 0.0, 0.0], 1.0))
+    offer_until(watch, simulation, lambda: watch.estimates == 2)
+    assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
+    assert watch.at_rest is at_rest
 
 
 def test_a_large_request_does_not_block_the_sender(diamond, watch_of):
