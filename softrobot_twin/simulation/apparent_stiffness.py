@@ -45,6 +45,9 @@ from softrobot_twin.solvers.factorization import Factorization
 # Largest displacement of a node that rows and forces are differentiated over, as a share of the
 # body's size: differences of fourth order then have about ten digits.
 REACH = 2.0e-4
+# A finger pushes an effector this far, as a share of the body's size. What would go slack or stall
+# by that, either way, holds nothing.
+PUSH = 1.0e-4
 # Places and weights of a first derivative of fourth order, in steps; of the places above.
 FIRST_DIFFERENCE = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
@@ -97,7 +100,7 @@ class ApparentStiffness:
                 `why_no_stiffness`.
         """
         self._model, self._free_nodes = model, model.nodes.free_nodes
-        self._reach = REACH * model.nodes.size
+        self._reach, self._push = REACH * model.nodes.size, PUSH * model.nodes.size
         points = along_all_axes(model.effectors, model.nodes.free_index, model.nodes.size)
         rows = RowStack([points], model.nodes.carried)
         rows.evaluate(model.nodes.rest_positions)
@@ -163,13 +166,34 @@ class ApparentStiffness:
             moved = linear.W[linear.groups.actuators, linear.groups.effectors.start + row]
         # Held rows do not move; the efforts λ̂ - ρ δ of the others do not change.
         rho = np.zeros(len(moved)) if linear.augmentation is None else linear.augmentation.stiffness
-        share = np.where(held, 1.0, -rho)
-        M = share[:, None] * W
-        M[np.diag_indices_from(M)] += np.where(held, SHARING * W.diagonal(), 1.0)
-        change = np.linalg.solve(M, -share * moved)
-        forces = load.copy()
-        self._add_row_forces(self._model.rows.blocks, change, forces)
-        return state.solver.solve(forces), np.where(held, change, 0.0)
+        while True:
+            share = np.where(held, 1.0, -rho)
+            M = share[:, None] * W
+            M[np.diag_indices_from(M)] += np.where(held, SHARING * W.diagonal(), 1.0)
+            change = np.linalg.solve(M, -share * moved)
+            forces = load.copy()
+            self._add_row_forces(self._model.rows.blocks, change, forces)
+            x = state.solver.solve(forces)
+            still = held & self._bears(state.efforts, np.where(held, change, 0.0), np.vdot(load, x))
+            if (still == held).all():
+                return x, np.where(held, change, 0.0)
+            held = still
+
+    def _bears(self, efforts: np.ndarray, change: np.ndarray, compliance: float) -> np.ndarray:
+        """Whether each actuator stays within its efforts where a finger pushes, either way.
+
+        Args:
+            efforts: Of the actuators with rows, shape (actuator_row_count,).
+            change: Of these by a force of one newton, same shape.
+            compliance: What the force meets [m/N].
+        """
+        if not compliance > 0.0:
+            return np.ones(len(efforts), dtype=bool)
+        limits, change = self._model.actuators.limits, np.abs(change) * self._push / compliance
+        a = slice(0, len(efforts))
+        return (efforts - change >= limits.effort_min[a]) & (
+            efforts + change <= limits.effort_max[a]
+        )
 
     def _holds(self, efforts: np.ndarray) -> np.ndarray:
         """Whether each actuator with a row holds its displacement."""

@@ -62,6 +62,8 @@ LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS = 9.0
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
 LIMIT_MARGIN = 1.0e-4
+# After each second start in vain, twice as many linearizations pass without one, and at most these.
+LONGEST_WAIT = 7
 # A place on the actuators' path this near, as a share of their scales, is reached.
 NEAR_PLACE = 1.0e-6
 # The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
@@ -336,9 +338,11 @@ class InverseActuation:
         if model.weighs_stiffness:
             self._least_weight = max(self._least_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
         self.trust = TargetTrust(
-            actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance
-        )
+            actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance,
+            model.nodes.size, model.effectors.position_row_count,
+        )  # fmt: skip
         self._learns = not model.is_dynamic
+        self._tolerance = model.scene.solver.reach_tolerance
         self._posed = model if model.effectors.orientations else None
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
@@ -350,6 +354,7 @@ class InverseActuation:
     def reset(self) -> None:
         """Forget the last solution, the contacts that bore it, and all moves."""
         self._touching: dict[tuple[int, int], bool] | None = None
+        self._wait = self._next_wait = 0
         self._solver.reset()
         self.trust.forget()
         if self._posed is not None:
@@ -413,6 +418,12 @@ class InverseActuation:
             return held, held
         if self.trust.approach is Approach.RETRACE:
             return self._retrace(linear, held, bounds), held
+        if self.trust.approach is Approach.LEAD_BACK:
+            # Coordinates of orientations are those at another target.
+            place = np.full(len(target_rows), np.nan)
+            noted = self.trust.path.last_effectors
+            place[: len(noted)] = noted
+            asked, weights = self._steps.asked(place, linear.effectors_now)
         errors = linear.effectors - linear.effectors_now - asked
         extra = None
         if stiffness is not None:
@@ -422,7 +433,7 @@ class InverseActuation:
         found = self._over_branches(linear, errors, weights, held, bounds, commanded, extra)
         if found is None:
             return held._replace(solved=False), held
-        if self._learns:
+        if self._learns and self.trust.approach is Approach.FOLLOW:
             places = linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
             if stiffness is not None:
                 places = np.concatenate([places, stiffness.places(found.efforts)])
@@ -530,7 +541,7 @@ class InverseActuation:
         problem = self._problem(
             linear, errors, weights, held, within, bounds, unknowns, extra
         )
-        solution = self._solution(linear, problem, start, unknowns)
+        solution = self._solution(linear, problem, start, unknowns, errors, weights)
         if not solution.solved:
             return None
         efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
@@ -627,9 +638,14 @@ class InverseActuation:
         )
 
     def _solution(
-        self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns
-    ) -> QPCCSolution:
-        """Solve the problem, from an admissible actuation and from what touched in the last step."""
+        self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns,
+        errors: np.ndarray, weights: np.ndarray,
+    ) -> QPCCSolution:  # fmt: skip
+        """Solve the problem, from an admissible actuation and from what touched in the last step.
+
+        Where contacts press and effectors miss what is asked of them, from the branch too in which
+        all contacts with bodies are open.
+        """
         efforts, forces = held.efforts[linear.groups.actuators], held.contact.multipliers
         if not problem.contact_count:
             none = np.zeros(0, dtype=bool)
@@ -645,13 +661,45 @@ class InverseActuation:
         if self._touching is not None and len(known) == len(forces):
             before = [self._touching.get(key, False) for key in known]
             last = np.concatenate([taut > 0.0, np.array(before, dtype=bool)])
+        first_missed: list[np.ndarray] = []
+
+        def second_start(z: np.ndarray) -> np.ndarray | None:
+            if not self._seeks_anew(linear, unknowns, z, errors, weights):
+                return None
+            first_missed.append(z)
+            start = problem.forces(z) > 0.0
+            start[len(taut) :] = False
+            return start
+
         solution = self._solver.solve(
-            problem, unknowns.stack(efforts, held.moves, forces), touching, last
-        )
+            problem, unknowns.stack(efforts, held.moves, forces), touching, last,
+            second_start=second_start if len(forces) else None,
+        )  # fmt: skip
+        if first_missed:
+            is_in_vain = solution.unknowns is first_missed[0]
+            self._next_wait = min(2 * self._next_wait + 1, LONGEST_WAIT) if is_in_vain else 0
+            self._wait = self._next_wait
         self._touching = dict(
             zip(known, solution.touching[len(taut) :].tolist(), strict=True)
         )
         return solution
+
+    def _seeks_anew(
+        self, linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray,
+        weights: np.ndarray,
+    ) -> bool:  # fmt: skip
+        """Whether a solution presses and misses, and the search is to begin a second time."""
+        efforts, moves, forces = unknowns.split(z, linear.contact_row_count)
+        if not (forces > 0.0).any():
+            return False
+        now = linear.effector_places(efforts, forces, moves)
+        missed = np.where(weights > 0.0, errors, 0.0)[: len(now)]
+        missed += np.where(weights[: len(now)] > 0.0, now - linear.effectors, 0.0)
+        if np.linalg.norm(missed) <= self._tolerance:
+            self._wait = self._next_wait = 0
+            return False
+        self._wait -= 1
+        return self._wait < 0
 
     def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
         """Pair and key of each contact, by which it is recognised in the next step."""

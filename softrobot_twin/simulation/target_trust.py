@@ -15,9 +15,11 @@ was learnt holds for the targets and loads that it was learnt with.
 Where a robot comes no nearer to its target, two things can be the matter. It may have been caught on
 its way, for instance behind an obstacle: then its shape at rest is much nearer. It goes back once
 along the path of its actuators, as far as the last target that it reached, and tries again from
-there. Or it goes to and fro without gain, because a kink, such as a contact that opens and closes, is
-sharper than a linearization can tell, or drifts without gain. Then the actuators rest until something
-changes.
+there. At the same displacements the body may have another shape than on its way, for instance where
+it slipped around an obstacle: then its effectors are led back through the places where they were.
+Or it goes to and fro without gain, because a kink, such as a contact that opens and closes, is
+sharper than a linearization can tell, or drifts without gain. Then the actuators rest until
+something changes.
 """
 
 from __future__ import annotations
@@ -58,6 +60,9 @@ ANOTHER_TARGET = 0.01
 OTHER_LOADS = 0.01
 # A robot has been caught where its shape at rest is nearer than this share of its distance.
 CAUGHT = 0.5
+# On its way back a robot is in another shape where an effector is further than this share of the body's
+# size from where it was; this many steps lead it towards a place that is further away than that.
+ELSEWHERE, STEPS_TO_A_PLACE = 0.1, 3
 # Places on the path of the actuators that are kept, and how far they are apart at least, as shares
 # of the actuators' scales.
 LONGEST_PATH, PATH_SPACING = 512, 1.0e-3
@@ -69,30 +74,34 @@ class Approach(Enum):
     FOLLOW = "they follow them"
     REST = "they stay, since nothing brings them nearer"
     RETRACE = "they go back along their path, since they were caught on the way"
+    LEAD_BACK = "they lead the effectors back through the places where these were on the way"
 
 
 class ActuatorPath:
-    """Where the actuators have been since a target was reached last, in bounded memory."""
+    """Where actuators and effectors have been since a target was reached last, in bounded memory."""
 
-    def __init__(self, scales: np.ndarray):
+    def __init__(self, scales: np.ndarray, coordinate_count: int):
         """Allocate.
 
         Args:
             scales: Displacement of each actuator that is large, shape (actuator_count,).
+            coordinate_count: Number of effector coordinates that are noted.
         """
         self._scales = scales
         self._places = np.empty((LONGEST_PATH, len(scales)))
+        self._effectors = np.empty((LONGEST_PATH, coordinate_count))
         self.forget()
 
     def forget(self) -> None:
         """Begin a new path."""
         self._count, self._spacing = 0, PATH_SPACING
 
-    def add(self, displacements: np.ndarray) -> None:
+    def add(self, displacements: np.ndarray, effectors: np.ndarray) -> None:
         """Note where the actuators are, unless it is near the place noted last.
 
         Args:
             displacements: Their displacements, shape (actuator_count,).
+            effectors: Effector coordinates there [m], shape (coordinate_count,).
         """
         if self._count:
             last = self._places[self._count - 1]
@@ -100,15 +109,21 @@ class ActuatorPath:
                 return
         if self._count == LONGEST_PATH:
             self._count //= 2
-            self._places[: self._count] = self._places[: 2 * self._count : 2]
+            for kept in (self._places, self._effectors):
+                kept[: self._count] = kept[: 2 * self._count : 2]
             self._spacing *= 2.0
-        self._places[self._count] = displacements
+        self._places[self._count], self._effectors[self._count] = displacements, effectors
         self._count += 1
 
     @property
     def last(self) -> np.ndarray | None:
         """The place noted last, shape (actuator_count,); None at the begin of the path."""
         return self._places[self._count - 1] if self._count else None
+
+    @property
+    def last_effectors(self) -> np.ndarray:
+        """Effector coordinates at the place noted last [m], shape (coordinate_count,)."""
+        return self._effectors[self._count - 1]
 
     def go_back(self) -> None:
         """Forget the place noted last."""
@@ -204,17 +219,24 @@ class TargetTrust:
         rest: Effector coordinates in the rest shape [m], shape (n,).
     """
 
-    def __init__(self, scales: np.ndarray, rest: np.ndarray, tolerance: float):
+    def __init__(
+        self, scales: np.ndarray, rest: np.ndarray, tolerance: float, size: float,
+        position_count: int,
+    ):  # fmt: skip
         """Start with full trust.
 
         Args:
             scales: Displacement of each actuator that is large, shape (actuator_count,).
             rest: Effector coordinates in the rest shape [m], shape (n,).
             tolerance: Distance within which a target is reached [m].
+            size: The body's size [m].
+            position_count: Number of coordinates that are positions; those of orientations follow.
         """
+        self._elsewhere = ELSEWHERE * size
         self._scales, self.rest, self._tolerance = scales, rest, tolerance
         self._recent = np.empty((PATIENCE + 1, len(scales)))
-        self.path = ActuatorPath(scales)
+        self.path = ActuatorPath(scales, position_count)
+        self._positions = slice(position_count)
         # Compiled now, not when the first promise is judged.
         longest_move(self._recent[0], self._recent[0], scales)
         self.forget()
@@ -273,7 +295,7 @@ class TargetTrust:
             # Progress is measured by the target asked first, else noise of targets would hide it.
             self._choose(situation, self._asked.tracking(situation.places))
         if self.approach is Approach.FOLLOW:
-            self.path.add(situation.displacements)
+            self.path.add(situation.displacements, situation.places[self._positions])
         self._last, self._promised = situation, None
 
     def _settle_anew(self) -> None:
@@ -326,7 +348,8 @@ class TargetTrust:
 
     def _choose(self, situation: Situation, now: float) -> None:
         """Choose whether to follow, to rest, or to go back; `now` is T [m²]."""
-        if self.approach is Approach.RETRACE:
+        if self.approach in (Approach.RETRACE, Approach.LEAD_BACK):
+            self._go_back(situation)
             if self.path.last is None or now < CAUGHT**2 * self._best:
                 self._start_again()
             return
@@ -348,6 +371,21 @@ class TargetTrust:
             self.approach, self._has_retraced = Approach.RETRACE, True
         elif self._goes_to_and_fro() or self._since >= LONG_PATIENCE and self._path_length:
             self.approach, self._resting = Approach.REST, situation
+
+    def _go_back(self, situation: Situation) -> None:
+        """Choose how to go on along the path: by the actuators while the body is as it was."""
+        if self.path.last is None:
+            return
+        missed = situation.places[self._positions] - self.path.last_effectors
+        is_near = float(np.abs(missed).max(initial=0.0)) <= self._elsewhere
+        if self.approach is Approach.RETRACE:
+            if not is_near:
+                self.approach, self._steps_to_place = Approach.LEAD_BACK, 0
+            return
+        self._steps_to_place += 1
+        if is_near or self._steps_to_place >= STEPS_TO_A_PLACE:
+            self.path.go_back()
+            self._steps_to_place = 0
 
     def _is_caught(self, situation: Situation, now: float) -> bool:
         """Whether the shape at rest is much nearer to the target."""

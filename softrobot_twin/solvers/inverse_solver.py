@@ -111,6 +111,7 @@ class InverseSolver:
         touching: np.ndarray = NO_CONTACTS,
         last: np.ndarray | None = None,
         expired: Callable[[], bool] = never,
+        second_start: Callable[[np.ndarray], np.ndarray | None] | None = None,
     ) -> QPCCSolution:
         """Solve one problem.
 
@@ -120,6 +121,7 @@ class InverseSolver:
             touching: Contacts that touch then, shape (contact_count,).
             last: Contacts that touched in the last solution, shape (contact_count,).
             expired: Called before each program of a search; True when the time is over.
+            second_start: See `solve_by_pivoting`; not called without contacts.
 
         Returns:
             The solution; not solved, with the held z, where there is none.
@@ -128,8 +130,9 @@ class InverseSolver:
             solution = self._solve_program(problem, held)
         else:
             solution = solve_by_pivoting(
-                problem, held, touching, last, self._most_programs, self._active, expired
-            )
+                problem, held, touching, last, self._most_programs, self._active, expired,
+                second_start=second_start,
+            )  # fmt: skip
         self._active = solution.active
         return solution
 

@@ -16,6 +16,10 @@ which the degenerate contacts may have both force and gap, hence it is a local m
 are positive but no single change helps, this convex problem is solved: if its optimum is no lower,
 the solution is a local minimum all the same (*B-stationary*); otherwise its optimum says which
 contacts must change together.
+
+A robot that leans on an obstacle may be at a local minimum that it would leave if it let go. Where a
+caller says so, the search begins a second time, from a branch that the caller names, and what it
+finds is kept if it is much lower: lower by less, the robot stays where it is.
 """
 
 from __future__ import annotations
@@ -41,6 +45,9 @@ DEGENERATE = 1.0e-7
 # A dual below it does not promise a lower objective.
 IMPROVING = 1.0e-9
 MOST_PROGRAMS = 50
+# What a second start finds is kept where its objective, from the least one without any bound, is below
+# this share of the first one's.
+MUCH_LOWER = 0.5
 
 WARM_START, PIVOTING = "warm start", "pivoting"
 
@@ -59,6 +66,7 @@ def solve_by_pivoting(
     active: np.ndarray | None = None,
     expired: Callable[[], bool] = never,
     look_around: bool = False,
+    second_start: Callable[[np.ndarray], np.ndarray | None] | None = None,
 ) -> QPCCSolution:
     """A local minimum, from the held actuation.
 
@@ -76,24 +84,35 @@ def solve_by_pivoting(
         look_around: Whether to solve also the branches in which one contact changes although no
             dual promises a lower objective. This finds the global minimum more often, for one more
             program per contact.
+        second_start: Called with z of the local minimum; gives the contacts that touch where the
+            search begins a second time, shape (contact_count,), or None where z is good enough.
 
     Returns:
         The solution: never worse than `held`, which it is when nothing better was found in time.
     """
     budget = ProgramBudget(most_programs, expired)
     touching = touching.astype(bool)
+    first = None
     if last is not None:
         last = last.astype(bool)
-        proved = _from_last(problem, held, last, active, budget)
-        if proved is not None:
-            return proved
-    if not (problem.is_finite and np.isfinite(held).all()):
+        first = _from_last(problem, held, last, active, budget)
+        if first is not None and second_start is None:
+            return first
+    if first is None and not (problem.is_finite and np.isfinite(held).all()):
         return _held(problem, held, touching)
+    again = None if first is None else second_start(first.unknowns)
+    if first is not None and again is None:
+        return first
     try:
         branches = BranchSolver(problem, held, budget)
     except np.linalg.LinAlgError:
-        return _held(problem, held, touching)
-    return _Descent(branches, budget).run(held, touching, last, look_around)
+        return _held(problem, held, touching) if first is None else first
+    descent = _Descent(branches, budget)
+    if first is None:
+        first = descent.run(held, touching, last, look_around)
+        if second_start is not None:
+            again = second_start(first.unknowns)
+    return first if again is None else descent.run_again(again, first)
 
 
 def _from_last(problem, held, last, active, budget) -> QPCCSolution | None:
@@ -141,8 +160,30 @@ class _Descent:
         while improved and look_around and self._look_around():
             self._pivots += 1
             stationarity = self._descend()
-        problem = self._branches.problem
         z = self._branches.refine(self._best, self._touching) if improved else held
+        return self._solution(z, stationarity, held)
+
+    def run_again(self, start: np.ndarray, first: QPCCSolution) -> QPCCSolution:
+        """Descend from another branch, and return what is found where it is much better.
+
+        Args:
+            start: Contacts that touch there, shape (contact_count,).
+            first: What the first search found.
+        """
+        self._best = reached = self._branches.at(first.unknowns)
+        self._touching = first.touching
+        if not self._solve(start, _is_any):
+            return first._replace(programs=self._budget.spent)
+        stationarity = self._descend()
+        if not self._best.is_much_better_than(reached, MUCH_LOWER):
+            return first._replace(programs=self._budget.spent)
+        z = self._branches.refine(self._best, self._touching)
+        return self._solution(z, stationarity, self._held.unknowns)
+
+    def _solution(
+        self, z: np.ndarray, stationarity: Stationarity, held: np.ndarray
+    ) -> QPCCSolution:
+        problem = self._branches.problem
         return QPCCSolution(
             z, self._touching, self._solved_any, stationarity, problem.objective(z),
             problem.objective(held), problem.force_excess(z), self._branches.row_excess(z),
@@ -245,6 +286,10 @@ class _Descent:
         duals = np.where(self._touching, best.gap_duals, best.force_duals)
         improving = degenerate[duals[degenerate] > IMPROVING]
         return degenerate, improving[np.argsort(-duals[improving], kind="stable")]
+
+
+def _is_any(branch: Branch, than: Branch) -> bool:
+    return True
 
 
 def _is_no_worse(branch: Branch, than: Branch) -> bool:

@@ -266,12 +266,18 @@ class Branch(NamedTuple):
 
     def is_better_than(self, other: Branch, by: float = ROUND_OFF) -> bool:
         """Whether it is better by more than round-off: excess of rows, of forces, objective."""
-        for mine, others in (
-            (self.row_excess, other.row_excess), (self.force_excess, other.force_excess),
-        ):  # fmt: skip
+        for mine, others in self._excesses(other):
             if abs(mine - others) > EQUAL_EXCESS:
                 return mine < others
         return self.misfit < other.misfit - by * (1.0 + other.misfit)
+
+    def is_much_better_than(self, other: Branch, share: float) -> bool:
+        """Whether its misfit is below a share of the other's, and no excess is greater."""
+        is_worse = any(mine > others + EQUAL_EXCESS for mine, others in self._excesses(other))
+        return not is_worse and self.is_better_than(other) and self.misfit < share * other.misfit
+
+    def _excesses(self, other: Branch) -> tuple[tuple[float, float], tuple[float, float]]:
+        return (self.row_excess, other.row_excess), (self.force_excess, other.force_excess)
 
 
 class BranchSolver:
@@ -306,12 +312,11 @@ class BranchSolver:
         T = scale[:, None] * np.linalg.inv(factor).T
         q, whitened = problem.g @ T, (reference / scale) @ factor
         size = problem.size_of(max(np.linalg.norm(q), np.linalg.norm(whitened)), T)
-        self._T = T * size
+        self._T, self._scale, self._factor, self._size = T * size, scale, factor, size
         self._geometric = self._geometric_projection(reference)
         self._whitened = PolyhedronProjection(
             self._stack(self._T), q / size, self._geometric.lengths
         )
-        self._start = Projection(whitened / size, np.zeros(n + m + contacts))
         self._reference = reference
         self._row_unit = np.abs(problem.A @ reference).max(initial=0.0) or 1.0
         usual = (problem.forces(reference), problem.force_max[self._limited])
@@ -319,9 +324,12 @@ class BranchSolver:
 
     def start(self) -> Branch:
         """The reference itself, as a branch without duals."""
-        return self._branch(
-            self._reference, Optimum(self._start, self._start.duals, self._lower, self._upper)
-        )
+        return self.at(self._reference)
+
+    def at(self, z: np.ndarray) -> Branch:
+        """An admissible z as a branch without duals, shape (n,)."""
+        w, no_duals = (z / self._scale) @ self._factor / self._size, np.zeros(len(self._lower))
+        return self._branch(z, Optimum(Projection(w, no_duals), no_duals, self._lower, self._upper))
 
     def solve(self, touching: np.ndarray, undecided: np.ndarray | None = None) -> Branch | None:
         """Solve one branch, or the convex problem that contains several.

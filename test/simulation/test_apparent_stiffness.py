@@ -180,6 +180,21 @@ def test_a_slack_cable_holds_nothing():
     assert (found > (1.0 + 1e-6) * held).any()
 
 
+def test_a_cable_that_a_small_push_makes_slack_holds_nothing():
+    """At a tension of 1e-7 N it would resist one way and not the other."""
+    simulation = shipped("diamond", coarse_diamond)
+    stiffness = ApparentStiffness(simulation.model)
+    settle(simulation, simulation.rest_setpoints - [0.01, 0.0, 0.01, 0.0])
+    state, efforts = linearized(simulation), simulation.state.efforts
+    slack = efforts == 0.0
+    found = stiffness.gradient(state, ALL_AXES).compliance
+    for tension, is_held in ((1e-7, False), (1.0, True)):
+        pulled = state._replace(efforts=np.where(slack, tension, efforts))
+        assert stiffness._holds(pulled.efforts).all()
+        compliance = stiffness.gradient(pulled, ALL_AXES).compliance
+        assert np.allclose(compliance, found, rtol=1e-6) != is_held
+
+
 @pytest.mark.parametrize("law", ["corotational", "neo_hookean"])
 def test_its_derivative_by_the_pressure_of_a_cavity_is_that_of_equilibria(inflatable, law):
     """What is driven by its pressure keeps it: dC/dp at given pressures."""

@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.actuation import INVERSION
-from softrobot_twin.simulation.target_trust import GREATEST, LONG_PATIENCE
+from softrobot_twin.simulation.target_trust import GREATEST, LONG_PATIENCE, Approach
 
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 
@@ -217,6 +217,20 @@ def test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached(robot, na
     slides = name.endswith("with slide")
     back = steps_towards(simulation, home, BACK_ON_A_SLIDE if slides else BACK)[-1]
     assert back.effector_errors[0] <= 1e-4
+
+
+def test_a_beam_that_slipped_around_the_rod_comes_home_the_way_it_went(robot):
+    """Straightened behind the rod, its tip rests 43 mm from home with all lengths at rest."""
+    simulation, distance = robot("eight cables and rod")
+    home = simulation.effector_positions().copy()
+    way = np.random.default_rng(20261).standard_normal((3, 3))[-1]
+    steps_towards(simulation, home + distance * way / np.linalg.norm(way), OUT)
+    approaches = set()
+    for _ in range(BACK):
+        result = simulation.step(FollowTargets(home, 0.02))
+        approaches.add(simulation._inverse.trust.approach)
+    assert Approach.RETRACE in approaches and Approach.LEAD_BACK in approaches
+    assert result.status is Status.OK and result.effector_errors[0] <= 1e-4
 
 
 # Shortenings that the optimisation may choose [m].

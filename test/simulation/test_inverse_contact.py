@@ -26,8 +26,8 @@ def posed(monkeypatch):
     """Every program that the inverse poses, and its answer."""
     programs = []
 
-    def record(problem, *given):
-        programs.append((problem, solve_by_pivoting(problem, *given)))
+    def record(problem, *given, **named):
+        programs.append((problem, solve_by_pivoting(problem, *given, **named)))
         return programs[-1][1]
 
     monkeypatch.setattr(inverse_solver, "solve_by_pivoting", record)

@@ -6,6 +6,7 @@ import pytest
 from softrobot_twin.simulation import FollowTargets, Status
 from softrobot_twin.simulation.target_trust import (
     ANOTHER_TARGET,
+    ELSEWHERE,
     FIRST,
     GREATEST,
     LONG_PATIENCE,
@@ -16,6 +17,7 @@ from softrobot_twin.simulation.target_trust import (
     OTHER_LOADS,
     PATIENCE,
     SETTLING_STEPS,
+    STEPS_TO_A_PLACE,
     TIGHTER,
     ActuatorPath,
     Approach,
@@ -23,7 +25,8 @@ from softrobot_twin.simulation.target_trust import (
     TargetTrust,
 )
 
-TOLERANCE = 1e-4
+TOLERANCE, SIZE = 1e-4, 10.0
+NOWHERE = np.empty(0)
 # A target 1 m away, of an effector with one coordinate; the shape at rest is at zero.
 TARGET = 1.0
 
@@ -41,7 +44,7 @@ def situation(
 @pytest.fixture
 def trust() -> TargetTrust:
     """Of one actuator, for which 1 m is large, and of an effector that is at zero at rest."""
-    return TargetTrust(np.ones(1), np.zeros(1), TOLERANCE)
+    return TargetTrust(np.ones(1), np.zeros(1), TOLERANCE, SIZE, 1)
 
 
 def learns(trust, promised, came) -> float:
@@ -364,6 +367,29 @@ def test_a_robot_that_was_caught_goes_back_along_its_path(trust):
     assert trust.approach is Approach.FOLLOW
 
 
+def test_in_another_shape_than_on_the_way_the_effectors_are_led_back_where_they_were(trust):
+    """From place to place: at once where they are near, else after some steps."""
+    trust.begin(situation(-14.0))
+    caught(trust, PATIENCE + 1)
+    assert trust.approach is Approach.RETRACE
+    trust.path.go_back()
+    trust.begin(situation(-9.0 - 0.9 * ELSEWHERE * SIZE, displacement=0.45))
+    assert trust.approach is Approach.RETRACE
+    trust.begin(situation(-9.1 - 1.1 * ELSEWHERE * SIZE, displacement=0.45))
+    assert trust.approach is Approach.LEAD_BACK
+    np.testing.assert_allclose(trust.path.last_effectors, [-9.1])
+    for _ in range(STEPS_TO_A_PLACE):
+        np.testing.assert_allclose(trust.path.last_effectors, [-9.1])
+        trust.begin(situation(-12.0, displacement=0.45))
+    for place in -9.2 - 0.1 * np.arange(8):
+        np.testing.assert_allclose(trust.path.last_effectors, [place])
+        trust.begin(situation(place, displacement=0.3))
+        assert trust.approach is Approach.LEAD_BACK
+    np.testing.assert_allclose(trust.path.last_effectors, [-14.0])
+    trust.begin(situation(-14.0))
+    assert trust.approach is Approach.FOLLOW
+
+
 def test_on_its_way_back_it_follows_as_soon_as_it_is_much_nearer(trust):
     caught(trust, PATIENCE + 1)
     trust.begin(situation(-0.1, displacement=0.1))
@@ -411,10 +437,10 @@ def places_back(path) -> np.ndarray:
 
 
 def test_a_path_leads_back_through_its_places():
-    path = ActuatorPath(np.ones(2))
+    path = ActuatorPath(np.ones(2), 0)
     places = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.2], [0.0, 0.3]])
     for place in places:
-        path.add(place)
+        path.add(place, NOWHERE)
     np.testing.assert_array_equal(places_back(path), places[::-1])
     assert path.last is None
     path.go_back()
@@ -423,18 +449,18 @@ def test_a_path_leads_back_through_its_places():
 
 def test_a_path_keeps_no_places_that_are_near_each_other_by_its_scales():
     scales = np.array([1.0, 100.0])
-    path = ActuatorPath(scales)
+    path = ActuatorPath(scales, 0)
     for step in range(11):
-        path.add(0.3 * PATH_SPACING * step * scales)
+        path.add(0.3 * PATH_SPACING * step * scales, NOWHERE)
     np.testing.assert_allclose(
         places_back(path)[::-1] / (PATH_SPACING * scales), np.array([[0.0], [1.2], [2.4]]) * [1, 1]
     )
 
 
 def test_a_long_path_thins_out_and_keeps_its_begin():
-    path, count = ActuatorPath(np.ones(1)), 10 * LONGEST_PATH
+    path, count = ActuatorPath(np.ones(1), 0), 10 * LONGEST_PATH
     for step in range(count):
-        path.add(np.array([2.0 * PATH_SPACING * step]))
+        path.add(np.array([2.0 * PATH_SPACING * step]), NOWHERE)
     places = places_back(path)[::-1, 0] / (2.0 * PATH_SPACING)
     assert LONGEST_PATH // 4 < len(places) <= LONGEST_PATH
     assert places[0] == 0.0 and count - places[-1] < 0.01 * count
@@ -443,12 +469,12 @@ def test_a_long_path_thins_out_and_keeps_its_begin():
 
 
 def test_a_path_that_begins_anew_has_its_first_spacing():
-    path = ActuatorPath(np.ones(1))
+    path = ActuatorPath(np.ones(1), 0)
     for step in range(3 * LONGEST_PATH):
-        path.add(np.array([2.0 * PATH_SPACING * step]))
+        path.add(np.array([2.0 * PATH_SPACING * step]), NOWHERE)
     path.forget()
-    path.add(np.zeros(1))
-    path.add(np.array([1.5 * PATH_SPACING]))
+    path.add(np.zeros(1), NOWHERE)
+    path.add(np.array([1.5 * PATH_SPACING]), NOWHERE)
     assert len(places_back(path)) == 2
 
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.pivoting import solve_by_pivoting
+from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import Stationarity
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
@@ -75,6 +75,84 @@ def test_the_last_step_s_contacts_save_programs(robot_in_contact):
         warm.append(again.programs)
     assert np.all(np.array(warm) <= np.array(cold))
     assert np.mean(warm) == 1.0 and np.mean(cold) > 1.3
+
+
+def from_all_open(robot, problem, options=None):
+    """The answers of one search, and of two of which the second begins with all contacts open."""
+    first, asked = solve(robot, problem, **options or {}), []
+
+    def second_start(z):
+        asked.append(z)
+        return np.zeros(robot.contacts, dtype=bool)
+
+    both = solve(robot, problem, second_start=second_start, **options or {})
+    np.testing.assert_array_equal(asked, [first.unknowns])
+    return first, both
+
+
+def reached_without_contact(robot, seed):
+    """The robot with a target that it reaches where all its contacts are open."""
+    random, system, bounds = np.random.default_rng(seed), robot.system, robot.bounds
+    tensions = random.uniform(0.0, 1.0, len(robot.tensions))
+    gaps = -system.W_ac.T @ tensions + random.uniform(0.0, 1e-4, robot.contacts)
+    width = np.full(len(tensions), np.inf)
+    return robot._replace(
+        system=system._replace(effectors=-system.W_ea @ tensions, gaps=gaps),
+        bounds=bounds._replace(displacement_min=-width, displacement_max=width),
+        tensions=np.zeros(len(tensions)),
+    )  # fmt: skip
+
+
+def test_a_second_start_gives_the_first_answer_or_a_much_lower_one(
+    robot_in_contact, complementarity_residual
+):
+    lower = 0
+    for seed in range(60):
+        robot = reached_without_contact(robot_in_contact(seed, contacts=4, actuators=3), seed)
+        problem = robot.problem()
+        first, both = from_all_open(robot, problem)
+        unbound = problem.objective(np.linalg.solve(problem.P, -problem.g))
+        if np.array_equal(first.unknowns, both.unknowns):
+            assert both._replace(programs=first.programs).objective == first.objective
+            continue
+        lower += 1
+        assert both.objective - unbound < MUCH_LOWER * (first.objective - unbound)
+        assert both.stationarity in LOCAL_MINIMA and both.row_excess.max() < 1e-12
+        assert complementarity_residual(problem, both.unknowns) < ADMISSIBLE
+    print(f"{lower} of 60 local minima were left")
+    assert lower > 0
+
+
+@pytest.mark.parametrize("most_programs", range(1, 6))
+def test_a_second_start_stays_within_the_budget(robot_in_contact, most_programs):
+    for seed in range(10):
+        robot = robot_in_contact(seed)
+        first, both = from_all_open(robot, robot.problem(), {"most_programs": most_programs})
+        assert first.programs <= both.programs <= most_programs
+        assert both.objective <= first.objective
+
+
+def test_a_second_start_follows_a_proved_guess_too(robot_in_contact):
+    """The answers from the last active set and from the search alone are the same."""
+    proved = 0
+    for seed in range(10):
+        robot = robot_in_contact(seed)
+        problem = robot.problem()
+        last = solve(robot, problem)
+        guess = {"last": last.touching, "active": last.active}
+        first, both = from_all_open(robot, problem, guess)
+        proved += first.solver == WARM_START
+        expected = from_all_open(robot, problem)[1]
+        np.testing.assert_allclose(both.objective, expected.objective, rtol=1e-9, atol=1e-15)
+    assert proved > 0
+
+
+def test_no_second_start_changes_nothing(robot_in_contact):
+    robot = robot_in_contact(0)
+    without = solve(robot)
+    with_none = solve(robot, second_start=lambda z: None)
+    np.testing.assert_array_equal(without.unknowns, with_none.unknowns)
+    assert without.programs == with_none.programs
 
 
 @pytest.mark.parametrize("seed", range(20))
