@@ -68,6 +68,9 @@ install_packages() {
     "${pip[@]}" --use-pep517 --no-build-isolation --no-deps --editable .
     exec 8<&-
     export PYTHONDONTWRITEBYTECODE=
+    if [[ "$*" == *ros-wheels* ]]; then
+        tools/build_tf2_msgs.sh "$folder"
+    fi
     "$python" -c 'import rclpy, diagnostic_msgs.msg, sensor_msgs.msg, std_srvs.srv, visualization_msgs.msg' ||
         refuse "The ROS 2 found lacks rclpy or common messages, as said above: install\
  ros-jazzy-rclpy and ros-jazzy-common-interfaces."
@@ -79,7 +82,7 @@ mkdir -p "$folder"
 exec 9<"$folder"
 flock 9
 requirements=(setup.py setup.cfg requirements/*.txt
-    tools/{set_up.sh,fetch_pip.py,print_requirements.py})
+    tools/{set_up.sh,build_tf2_msgs.sh,fetch_pip.py,print_requirements.py})
 fingerprint=$({ printf '%s\n' "$PWD" "$@"; cat "${requirements[@]}"; } | sha256sum)
 if [ -x "$python" ] && [ "$(cat "$folder/fingerprint" 2>/dev/null)" = "$fingerprint" ]; then
     exit 0

@@ -1,7 +1,7 @@
 """Transforms of rigid bodies, effectors and the base, for ``/tf``.
 
-The package tf2_msgs is part of a ROS installation, and not of the wheels of rclpy: where it is
-missing, nothing is published.
+The package tf2_msgs is part of a ROS installation, and not of the wheels of rclpy: there
+`tools/build_tf2_msgs.sh` builds it. Where it is missing, nothing is published.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Transforms for /tf; tf2_msgs is not among the wheels, so a class stands where its message is."""
+"""Transforms for /tf. tf2_msgs is not among the wheels, and the set-up builds it only where there is
+a compiler: in most tests a class stands where its message is.
+"""
 
 import sys
 from types import ModuleType, SimpleNamespace
@@ -160,3 +162,16 @@ def test_a_twin_that_is_asked_for_tf_tells_once_that_it_cannot(
     make_twin(tf="on")
     world.run(0.5)
     assert capfd.readouterr().err.count("tf2_msgs is not installed") == 1
+
+
+def test_a_twin_publishes_its_effectors_on_tf_also_where_yaml_reads_on_as_a_truth_value(
+    world, make_twin
+):
+    messages = pytest.importorskip("tf2_msgs.msg")
+    received = []
+    world.probe.create_subscription(messages.TFMessage, "/tf", received.append, 10)
+    make_twin(tf=True)
+    world.until(lambda: received, 20.0)
+    (tip,) = received[0].transforms
+    assert (tip.header.frame_id, tip.child_frame_id) == ("base_link", "tip")
+    assert tip.transform.translation.z > 0.05
