@@ -92,3 +92,8 @@ class ParameterError(SoftRobotTwinError):
         self.reason = reason
         stated = f"{value!r} {unit}".rstrip()
         super().__init__(f"parameter {name} = {stated}: {reason}")
+
+
+def one_line(error: Exception) -> str:
+    """What an exception says, in one line."""
+    return " ".join(str(error).split())

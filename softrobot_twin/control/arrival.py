@@ -32,6 +32,7 @@ class Refusal(Enum):
     BELOW_VACUUM = "below_vacuum"
     VOLUME_CONTROLLED = "volume_controlled"
     NOT_POSITIVE = "not_positive"
+    TWO_PUBLISHERS = "two_publishers"
 
     @property
     def hint(self) -> str:
@@ -44,6 +45,7 @@ _HINTS = {
     Refusal.FROM_THE_FUTURE: "its stamp is later than now; do the clocks of both machines agree?",
     Refusal.TOO_LARGE: "it has more bytes than any message needs that is meant for this topic",
     Refusal.WRONG_NAMES: "its names must be those of the scene's actuators",
+    Refusal.TWO_PUBLISHERS: "another publisher sends on this topic: end all but one",
     Refusal.BELOW_VACUUM: "the pressure must be absolute, in Pa, and above 0",
     Refusal.VOLUME_CONTROLLED: "the scene controls this cavity by volume: command its volume [m³] "
     "on ~/command/cables",

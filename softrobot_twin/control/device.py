@@ -15,6 +15,7 @@ from softrobot_twin.control.actuator_names import ActuatorNames, NameOrder
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.voices import LAG_RATE, LAG_SHARE, LAG_TIME, PlaceWatch
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.touches import TouchState
@@ -23,15 +24,6 @@ OUTSIDE_SHARE = 0.1
 """A measured setpoint may be outside the limits by this share of the travel."""
 OUTSIDE_SHARE_OF_REST = 0.01
 """It may be outside them by this share of the setpoint at rest, if that is more."""
-LAG_RATE = 3.0
-"""As long as a device follows its commands, its distance from them increases at most at this
-multiple of the rates."""
-LAG_TIME = 0.05
-"""The distance increases that fast for at most this time [s]. After that the worst case is a device
-that does not move, while its command moves at the actuators' rates."""
-LAG_SHARE = 0.02
-"""Share of the travel that is allowed for noise. A device that is nearer than this to its command
-counts as being at its command."""
 
 
 _OF_ALL = ""
@@ -188,6 +180,7 @@ class MeasuredSetpoints(ActuatorInput):
             None until each was measured.
         arrived: Time of arrival of the newest setpoint of each actuator [s], same shape; minus
             infinity before the first.
+        places: Whether they are measured at two places by turns; the newer place is not used then.
     """
 
     def __init__(
@@ -209,6 +202,7 @@ class MeasuredSetpoints(ActuatorInput):
         least = np.where(names.by_position | is_angle, -np.inf, 0.0)
         least = np.where(self._by_effort, vacuum, least)
         self._low, self._high = np.maximum(low - beyond, least), high + beyond
+        self._moves = limits.rate, _noise(limits)
         self._actuator_names = tuple(actuator_names)
         self._units = tuple(units) or ("m",) * len(self._actuator_names)
         super().__init__(names, settings)
@@ -217,6 +211,7 @@ class MeasuredSetpoints(ActuatorInput):
         """Forgets what was received; the counts stay."""
         super().reset()
         self.arrived = np.full(len(self._low), -np.inf)
+        self.places = PlaceWatch(*self._moves)
         self._measured = np.full(len(self._low), np.nan)
         self._implausible: dict[str, ImplausibleSetpoint] = {}
 
@@ -293,8 +288,10 @@ class MeasuredSetpoints(ActuatorInput):
         for name in [name for name in self._implausible if name != _OF_ALL]:
             if named[self._actuator_names.index(name)]:
                 del self._implausible[name]
-        self._measured = np.where(named, measured, self._measured)
         self.arrived = np.where(named, time, self.arrived)
+        if not self.places.hear(named, measured, time):
+            return
+        self._measured = np.where(named, measured, self._measured)
         self.setpoints = None if np.isnan(self._measured).any() else self._measured
 
     def _find_implausible(self, measured: np.ndarray, source: str) -> bool:
@@ -323,6 +320,14 @@ class MeasuredSetpoints(ActuatorInput):
         return Refusal.OUT_OF_RANGE if self._find_implausible(measured, _OF_ALL) else None
 
 
+def _noise(limits: ActuatorLimits) -> np.ndarray:
+    """What noise may change of a setpoint, shape (actuator_count,)."""
+    # A cable may be allowed to lengthen without limit; its shortening always has a limit.
+    least = np.where(np.isfinite(limits.drive_min), limits.drive_min, 0.0)
+    travel = limits.drive_max - least
+    return LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
+
+
 class DeviceWatch:
     """Detects that a device is not where the commands sent it, so that it is not driven further.
 
@@ -339,11 +344,7 @@ class DeviceWatch:
     """
 
     def __init__(self, limits: ActuatorLimits):
-        self._rate = limits.rate
-        # A cable may be allowed to lengthen without limit; its shortening always has a limit.
-        least = np.where(np.isfinite(limits.drive_min), limits.drive_min, 0.0)
-        travel = limits.drive_max - least
-        self._noise = LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
+        self._rate, self._noise = limits.rate, _noise(limits)
         self.forget()
 
     def forget(self) -> None:

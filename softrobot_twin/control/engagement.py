@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from softrobot_twin.control.command_gate import CommandGate, Passage
+from softrobot_twin.control.command_gate import ActuatorCommand, CommandGate, Passage
 from softrobot_twin.control.device import MeasuredSetpoints
 from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.simulation import Simulation, StepResult
@@ -58,7 +58,7 @@ class Engagement:
         gate: The gate for commands.
         activity: Disabled, resynchronising, returning or, when engaged, holding.
         reason: Why it is in this state; empty where no reason is needed.
-        has_given_up: It was disabled because the model failed, not by a request.
+        has_given_up: It was disabled because something failed, not by a request.
     """
 
     def __init__(
@@ -116,6 +116,11 @@ class Engagement:
         """Stops all commands from now on."""
         self.activity, self.reason, self.has_given_up = Activity.DISABLED, reason, False
 
+    def give_up(self, reason: str) -> None:
+        """Disables because something failed, not by a request."""
+        self.disable(reason)
+        self.has_given_up = True
+
     def reset(self) -> str:
         """Returns to rest: with a device only the model, without one also the commands.
 
@@ -160,6 +165,13 @@ class Engagement:
         is_near = bool((apart <= 2.0 * gate.tolerances.setpoints).all())
         return is_near and self._guidance.is_synchronised
 
+    @property
+    def last_command(self) -> ActuatorCommand | None:
+        """The last command or measurement, where commands may leave now; else None."""
+        if self.activity in (Activity.DISABLED, Activity.RESYNCHRONISING):
+            return None
+        return self.gate.last
+
     def release(self, result: StepResult, time_step: float) -> Passage | None:
         """The command of a step that may be published, or None when none may.
 
@@ -167,7 +179,7 @@ class Engagement:
             result: The step.
             time_step: Time since the last command [s].
         """
-        if self.activity in (Activity.DISABLED, Activity.RESYNCHRONISING):
+        if self.last_command is None:
             return None
         if self._without_model:
             return Passage(self.gate.lead(self.gate.home, time_step), ())
@@ -211,8 +223,7 @@ class Engagement:
         goal, gate = self.goal, self.gate
         if gives_up:
             self._simulation.reset()
-            self.disable(f"the model cannot be moved to where the robot is: {result.status.value}")
-            self.has_given_up = True
+            self.give_up(f"the model cannot be moved to where the robot is: {result.status.value}")
             return True
         near = np.maximum(gate.reach(time_step), self._near)
         # A comparison with NaN is false, so a result that is not finite counts as not arrived.

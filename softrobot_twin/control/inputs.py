@@ -184,6 +184,10 @@ class TargetInput:
         self._newest, self._source = time, "velocity"
         return None
 
+    def stop(self) -> None:
+        """Ends the motion of a target by a velocity."""
+        self._velocity_time = -math.inf
+
     def age(self, now: float) -> float:
         """Time since the last target or velocity arrived [s]; infinite before the first."""
         return now - self._newest

@@ -46,6 +46,7 @@ from softrobot_twin.control.target_correction import (
     approach_poses,
 )
 from softrobot_twin.control.touch_input import TouchInput
+from softrobot_twin.control.voices import CONTESTED_TIME
 from softrobot_twin.simulation import (
     Command,
     CommandEfforts,
@@ -60,6 +61,10 @@ from softrobot_twin.simulation import (
 )
 
 DEVICE_LOST = "device lost"
+DISPUTED = "the device is measured at two places"
+CONTESTED = "two devices measure: the same actuators are at two places by turns"
+_PAUSES = (DEVICE_LOST, DISPUTED)
+"""The resynchronisation waits meanwhile."""
 _SAME_TIME = 1.0e-6
 """A time that is shorter than a period by less than this share counts as a period: round-off."""
 _SHORT_TICK = 0.5
@@ -142,6 +147,10 @@ class Aims(NamedTuple):
         if turns is not None and (~np.isclose(turns, wanted, equal_nan=True)).any():
             return True
         return bool((~self.arrived & np.isfinite(self.wanted)).any())
+
+
+MOST_FAILURES = 3
+"""The loop is disabled after so many ticks in a row that ended with an exception."""
 
 
 class TickTime(NamedTuple):
@@ -292,6 +301,7 @@ class TwinLoop:
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
         self._ticked = self._released = -math.inf
+        self._contested: dict[str, tuple[str, float]] = {}
         self._watch = DeviceWatch(simulation.limits)
         self._engagement = Engagement(
             simulation, self._guidance, self.device if use_device else None
@@ -328,6 +338,11 @@ class TwinLoop:
         return self._engagement.is_enabled
 
     @property
+    def activity(self) -> Activity:
+        """Whether it is disabled, resynchronising, returning or engaged; then it is holding here."""
+        return self._engagement.activity
+
+    @property
     def why_given_up(self) -> str:
         """Why the loop disabled itself; empty when it did not."""
         return self._engagement.reason if self._engagement.has_given_up else ""
@@ -340,6 +355,8 @@ class TwinLoop:
         """
         if self.is_enabled:
             return True, "already enabled"
+        if why := self._why_contested(now):
+            return False, why
         if self.use_device and self.device.implausible is not None:
             return False, f"{self.device.implausible}: there are no setpoints to start from"
         if self.device_is_lost(now):
@@ -349,6 +366,36 @@ class TwinLoop:
         self._forget_commands()
         self._watch.forget()
         return True, self._engagement.enable()
+
+    def contest(self, topic: str, reason: str, is_severe: bool, now: float) -> None:
+        """Takes notice that two publishers send on an input: the loop holds for `CONTESTED_TIME`.
+
+        Args:
+            topic: The input; none of its messages may be passed to the loop meanwhile.
+            reason: What the status says.
+            is_severe: It is where the robot is measured to be: the loop is disabled.
+            now: Time on the clock of `Arrival.time` [s].
+        """
+        self._contested[topic] = (reason, now + CONTESTED_TIME)
+        self.targets.stop()
+        if is_severe and (self.is_enabled or self.why_given_up == CONTESTED):
+            self._engagement.give_up(reason)
+
+    def after_failure(self, failure: str, in_a_row: int) -> ActuatorCommand | None:
+        """Makes the loop safe after a tick that ended with an exception.
+
+        Args:
+            failure: The exception, in one line.
+            in_a_row: How many ticks failed so; from `MOST_FAILURES` on the loop is disabled.
+
+        Returns:
+            The last safe command, which may be published; None where none may.
+        """
+        # What the simulation remembers beside its state may be of an unfinished step.
+        self.simulation.restore(self.simulation.state)
+        if in_a_row >= MOST_FAILURES and self.is_enabled:
+            self._engagement.give_up(f"{in_a_row} ticks in a row failed: {failure}")
+        return self._engagement.last_command
 
     def disable(self) -> None:
         """Publishes no command from the next tick on."""
@@ -395,6 +442,19 @@ class TwinLoop:
             return None
         return np.isfinite(direct.efforts)
 
+    def _why_contested(self, now: float) -> str:
+        """Which input two publishers send on; empty where none."""
+        if self.use_device and self.device.places.is_contested(now):
+            return CONTESTED
+        self._contested = {
+            topic: one for topic, one in self._contested.items() if now < one[1]
+        }  # fmt: skip
+        return next((reason for reason, _ in self._contested.values()), "")
+
+    def _is_disputed(self, now: float) -> bool:
+        """True while it is not known which of two measured places the device is at."""
+        return self.use_device and self.device.places.is_disputed(now)
+
     def device_is_lost(self, now: float) -> bool:
         """True when a device is in use and its measured setpoints do not arrive."""
         return self.use_device and (
@@ -437,7 +497,9 @@ class TwinLoop:
         activity, cause = self._decide(now, aims.reading, accepted)
         self._guide(activity, now, time.reach)
         command = self._command(activity, cause, aims, time)
-        result, released, violated = self._step(command, self.touches.read(now), time.reach)
+        result, released, violated = self._step(
+            command, self.touches.read(now), time.reach, cause
+        )
         predicted = self.simulation.marker_positions()
         self._history.add(ros_time, predicted)
         measured, misfit = self._compare(seen, activity)
@@ -450,7 +512,7 @@ class TwinLoop:
             poses = self._guidance.poses()
         else:
             poses, self._released = self._guidance.send(time.reach), now
-        if cause != DEVICE_LOST and self._engagement.end(result, time.step):
+        if cause not in _PAUSES and self._engagement.end(result, time.step):
             self._forget_markers()
         outcome = TickOutcome(
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
@@ -523,6 +585,8 @@ class TwinLoop:
         """Resynchronises with a device that is not where it was sent."""
         if not self.use_device:
             return
+        if self.is_enabled and self.device.places.is_contested(now):
+            self._engagement.give_up(CONTESTED)
         gate = self._engagement.gate
         moved = self._watch.has_moved(
             self.device, self.device_is_lost(now), gate.last.setpoints,
@@ -555,13 +619,15 @@ class TwinLoop:
         engagement = self._engagement
         if engagement.activity is Activity.RESYNCHRONISING and self.device_is_lost(now):
             return engagement.activity, DEVICE_LOST
+        if engagement.is_enabled and self._is_disputed(now):
+            return engagement.activity, DISPUTED
         if engagement.activity is not Activity.HOLDING:
             return engagement.activity, engagement.reason
         if engagement.gate.is_outside:
             return Activity.HOLDING, "measured outside the limits, returning inside"
         loss = self._loss(now, measured)
         self._is_lost = bool(loss)
-        cause = self._nothing_to_do(now, reading) or loss
+        cause = loss if self._contested else self._nothing_to_do(now, reading) or loss
         if cause:
             return Activity.HOLDING, cause
         return Activity.FOLLOWING if self.mode is Mode.INVERSE else Activity.COMMANDED, ""
@@ -569,6 +635,8 @@ class TwinLoop:
     def _loss(self, now: float, measured: np.ndarray) -> str:
         """The lost measurement for which the robot must hold; empty when there is none."""
         settings = self.settings
+        if why := self._why_contested(now):
+            return why
         if settings.on_lost_device is WhenLost.HOLD and self.device_is_lost(now):
             return DEVICE_LOST
         if settings.on_lost_markers is WhenLost.HOLD and self.markers_are_lost(measured):
@@ -604,7 +672,7 @@ class TwinLoop:
 
     def _command(self, activity: Activity, cause: str, aims: Aims, time: TickTime):
         """The command of this tick's step."""
-        if time.reach == 0.0:
+        if time.reach == 0.0 or cause in _PAUSES:
             return Hold(time.step)
         if activity is Activity.FOLLOWING:
             return FollowTargets(
@@ -615,7 +683,7 @@ class TwinLoop:
             return self._direct_command(time)
         if activity is Activity.RETURNING and self._engagement.leads_by_model:
             return CommandSetpoints(self._engagement.gate.home, *time)
-        if activity is Activity.RESYNCHRONISING and cause != DEVICE_LOST:
+        if activity is Activity.RESYNCHRONISING:
             return CommandSetpoints(self._engagement.goal, *time)
         return Hold(time.step)
 
@@ -629,7 +697,7 @@ class TwinLoop:
         return CommandEfforts(np.where(is_omitted, present, direct.efforts), *time)
 
     def _step(
-        self, command, touched: Touched | None, reach_time: float
+        self, command, touched: Touched | None, reach_time: float, cause: str
     ) -> tuple[StepResult, ActuatorCommand | None, tuple[str, ...]]:
         """Steps the simulation and passes its command through the gate.
 
@@ -637,6 +705,7 @@ class TwinLoop:
             command: The command of this tick.
             touched: What is measured of touches.
             reach_time: Time in which the actuators may move at their rates [s].
+            cause: Why neither targets nor a direct command are followed.
 
         Returns:
             The step, the command that may be published or None, and the limits that the step's own
@@ -650,7 +719,9 @@ class TwinLoop:
             result = simulation.step(command, budget)
         else:
             result = simulation.step(command, budget, touched)
-        passage = self._engagement.release(result, reach_time)
+        passage = None
+        if cause != DISPUTED:
+            passage = self._engagement.release(result, reach_time)
         if passage is None:
             return result, None, ()
         if passage.violated:

@@ -75,6 +75,8 @@ CALLS: dict[str, Decoding] = {
     "touches.accept_force": _ROW,
     "touches.accept_place": _ROW,
     "markers.accept": (_ids, _points, _arrival),
+    "contest": (_same, _same, _same, number),
+    "after_failure": (_same, _same),
     "enable": (number,),
     "disable": (),
     "reset": (),

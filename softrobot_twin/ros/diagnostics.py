@@ -195,6 +195,8 @@ class TwinDiagnostics:
             direction = "ahead" if node.last_clock_step > 0.0 else "back"
             level = max(level, WARN)
             message = f"clock set {direction} by {abs(node.last_clock_step):.3f} s; {message}"
+        if self._new("failed_ticks", node.failed_ticks):
+            level, message = ERROR, f"{message}; a tick failed: {node.failure}"
         if self._new("refused_requests", node.refused_requests):
             level, message = max(level, WARN), f"{message}; a request was refused, see the log"
         return level, message, values | {
@@ -202,6 +204,7 @@ class TwinDiagnostics:
             "clock_steps": node.clock_steps,
             "simulated_time": node.is_simulated_time,
             "refused_requests": node.refused_requests,
+            "failed_ticks": node.failed_ticks,
         }
 
     def _of_solver(self):

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from softrobot_twin.errors import SceneError, SoftRobotTwinError
+from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -68,7 +68,7 @@ def run_node(
     try:
         _run(name, load, arguments, stop, about)
     except SoftRobotTwinError as error:
-        words = str(error) if isinstance(error, SceneError) else _one_line(error)
+        words = str(error) if isinstance(error, SceneError) else one_line(error)
         print(f"{name}: {words}", file=sys.stderr)
         return REFUSED
     except BaseException:
@@ -172,7 +172,7 @@ def _run(
             node = node_class()
         except (ParameterException, NameValidationException, RCLError, ValueError) as error:
             # The message is rclpy's own.
-            raise ArgumentsError(_one_line(error)) from error
+            raise ArgumentsError(one_line(error)) from error
         stop.only_record()
         executor = LeanExecutor()
         executor.add_node(node)
@@ -233,7 +233,7 @@ def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> 
     of unknown type or a negative time. Without this protection any sender could end the node.
 
     Args:
-        node: The node; an exception in its ticks is raised.
+        node: The node.
         executor: Executor that contains the node.
         is_over: Called between callbacks; True ends the loop.
     """
@@ -245,8 +245,6 @@ def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> 
         except ExternalShutdownException:
             return
         except Exception as error:  # noqa: BLE001 - any error caused by a message
-            if node.is_ticking:
-                raise
             node.refuse_request(error)
 
 
@@ -257,12 +255,8 @@ def _asks_for_help(arguments: Sequence[str]) -> bool:
 def _rcl_message(error: Exception) -> str:
     """The message of rcl without positions in its source code."""
     if type(error).__name__ == "UnknownROSArgsError":
-        return f"unknown arguments of ROS: {_one_line(error)}; see --help"
-    return _one_line(error).split(", at /")[0].removeprefix("failed to initialize rcl: ")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+        return f"unknown arguments of ROS: {one_line(error)}; see --help"
+    return one_line(error).split(", at /")[0].removeprefix("failed to initialize rcl: ")
 
 
 def twin(arguments: Sequence[str] | None = None) -> int:

@@ -44,6 +44,32 @@ class StatusOutput:
         self._sent, self._due = found, now + LEAST_PERIOD
         self._publisher.publish(self._message(outcome))
 
+    def tell_failure(self, failure: str) -> None:
+        """Publishes that a tick ended with an exception, in one line."""
+        loop = self._loop
+        found = (failure, loop.why_given_up)
+        if found == self._sent:
+            return
+        self._sent = found
+        activity = loop.activity.value
+        values = {
+            "activity": activity, "cause": loop.why_given_up or failure, "status": "exception",
+            "active_limits": "", "kept_back": "", **self._fixed_values(),
+        }  # fmt: skip
+        self._publisher.publish(self._of(
+            DiagnosticStatus.ERROR, f"{activity}: a tick failed ({values['cause']})", values
+        ))  # fmt: skip
+
+    def _fixed_values(self) -> dict[str, str]:
+        return {"mode": self._loop.mode.value, "uses_device": str(self._loop.use_device).lower()}
+
+    def _of(self, level: bytes, message: str, values: dict[str, str]) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=level, name=f"{self._name}: status", message=message,
+            hardware_id=self._loop.simulation.scene.name,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )  # fmt: skip
+
     def _message(self, outcome: TickOutcome) -> DiagnosticStatus:
         loop, result = self._loop, outcome.result
         level = DiagnosticStatus.OK if result.status in _GOOD else DiagnosticStatus.WARN
@@ -58,12 +84,6 @@ class StatusOutput:
             "active_limits": " ".join(result.report.active_limits),
             "resting": str(result.report.is_resting).lower(),
             "kept_back": " ".join(outcome.violated),
-            "mode": loop.mode.value,
-            "uses_device": str(loop.use_device).lower(),
+            **self._fixed_values(),
         }
-        return DiagnosticStatus(
-            level=level, name=f"{self._name}: status",
-            message=f"{message} ({cause})" if cause else message,
-            hardware_id=loop.simulation.scene.name,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        )  # fmt: skip
+        return self._of(level, f"{message} ({cause})" if cause else message, values)

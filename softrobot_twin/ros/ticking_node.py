@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 from rcl_interfaces.msg import SetParametersResult
@@ -21,6 +23,8 @@ from softrobot_twin.control.loop_timing import (
     GarbageCollection,
     TickClock,
 )
+from softrobot_twin.control.voices import PublisherWatch
+from softrobot_twin.errors import one_line
 from softrobot_twin.ros.messages import arrival_of
 from softrobot_twin.ros.parameters import ALL_TABLES, Entry, similar, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
@@ -75,12 +79,14 @@ class GraphWatch:
         return found
 
     def _sentence(self, topic: str, count: int) -> str:
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        names = sorted(
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers
-        )
-        names_shown = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
-        return f"{count} publishers on {topic} ({names_shown}): end all but one"
+        return f"{count} publishers on {topic} ({publisher_names(self._node, topic)}): end all but one"
+
+
+def publisher_names(node: Node, topic: str) -> str:
+    """Full names of the nodes that publish on a topic, as `node` sees them."""
+    publishers = node.get_publishers_info_by_topic(topic)
+    names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
+    return ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
 
 
 _WARN_EVERY = 2.0
@@ -108,7 +114,10 @@ class TickingNode(Node):
         clock_steps: How often the clock of the stamps was set.
         last_clock_step: Change of the clock at the last time [s]; positive when forward.
         refused_requests: Messages and requests that failed inside rclpy.
-        is_ticking: True during a tick, and after one that failed.
+        failed_ticks: Ticks that ended with an exception, since the start.
+        has_worked: Whether `work` of the newest tick was done.
+        failure: The newest of these exceptions, in one line.
+        failures_in_a_row: How many of the newest ticks did.
     """
 
     tick_clock: TickClock
@@ -120,7 +129,8 @@ class TickingNode(Node):
         self.clashes: list[Clash] = []
         self.clock_steps = self.refused_requests = 0
         self.last_clock_step = 0.0
-        self.is_ticking = False
+        self.failed_ticks, self.failures_in_a_row, self.failure = 0, 0, ""
+        self.has_worked = False
         self.is_simulated_time = bool(self.get_parameter("use_sim_time").value)
         self._time = (ElapsedTime(lambda: self.get_clock().now().nanoseconds)
                       if self.is_simulated_time else time.monotonic)
@@ -192,20 +202,36 @@ class TickingNode(Node):
                            "limit rtprio 5, see Priority in docs/ros.md")  # fmt: skip
 
     def tick(self) -> None:
-        """Runs one tick and the work that can wait until after it."""
-        self.is_ticking = True
+        """Runs one tick and the work that can wait until after it. An exception ends the tick only."""
         until_next = self._timer.time_until_next_call()
         now = self.tick_clock.begin(
             self.tick_clock.period if until_next is None else until_next / NANOSECONDS
         )
-        self.work(now)
+        self.has_worked = self._try(self.work, now)
         tick = self.tick_clock.end()
         self._watch_clock()
         if change := self.priority.offer():
             self.get_logger().warning(change)
-        self.after_work(now)
-        self.is_ticking = False
+        failed = not self._try(self.after_work, now) or not self.has_worked
+        self.failed_ticks += failed
+        self.failures_in_a_row = self.failures_in_a_row + 1 if failed else 0
+        if failed:
+            self._try(self.after_failure, now)
         self.collector.offer(tick.spare_time)
+
+    def _try(self, work: Callable[[float], None], now: float) -> bool:
+        """Does a part of a tick; False where it raised an exception, which is logged."""
+        try:
+            work(now)
+            return True
+        except Exception as error:  # noqa: BLE001 - no error may end the node
+            self.failure = f"{type(error).__name__}: {one_line(error)}"
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            self.get_logger().error(
+                f"a tick failed: {self.failure} ({Path(where.filename).name}, line {where.lineno})",
+                throttle_duration_sec=_WARN_EVERY,
+            )
+            return False
 
     def work(self, now: float) -> None:
         """The work of a tick; `now` is a time on the monotonic clock [s]."""
@@ -213,6 +239,9 @@ class TickingNode(Node):
 
     def after_work(self, now: float) -> None:
         """Work that can wait until after a tick."""
+
+    def after_failure(self, now: float) -> None:
+        """What is left to do in a tick that ended with an exception."""
 
     def request_diagnostics(self) -> None:
         """Called when diagnostics should be published at once."""
@@ -244,7 +273,8 @@ class TickingNode(Node):
     ) -> Subscription:
         """Receives a declared topic; counts and logs refused messages.
 
-        A message that is too large is refused unread: reading it would delay the ticks.
+        A message that is too large is refused unread: reading it would delay the ticks. While two
+        publishers send by turns, the messages of both are refused.
 
         Args:
             topic: The topic.
@@ -258,13 +288,35 @@ class TickingNode(Node):
         shown = self.resolve_topic_name(topic.full_name(name, twin))
         take = self.noted(kind, shown, take)
 
-        def receive(content: bytes) -> None:
+        watch, said = PublisherWatch(), ""
+
+        def receive(content: bytes, about: dict) -> None:
+            nonlocal said
+            now = time.monotonic()
+            if not watch.hear(about["publication_sequence_number"], now):
+                warn(shown, refusals.add(Refusal.TWO_PUBLISHERS))
+                if watch.is_contested(now):
+                    said = said or (f"two publishers on {shown} ({publisher_names(self, shown)}): "
+                                    "end all but one")  # fmt: skip
+                    self.contest(topic, shown, said)
+                return
+            said = ""
             if len(content) > most:
                 warn(shown, refusals.add(Refusal.TOO_LARGE))
             else:
                 warn(shown, take(deserialize_message(content, kind)))
 
         return open_subscription(self, topic, receive, name, twin)
+
+    def contest(self, topic: Topic, name: str, sentence: str) -> None:
+        """Called at each message while two publishers send on an input.
+
+        Args:
+            topic: The input.
+            name: Its full name.
+            sentence: The problem, the publishers and the remedy.
+        """
+        self.get_logger().error(sentence, throttle_duration_sec=_WARN_EVERY)
 
     def noted(self, kind: type, topic: str, take: Callable) -> Callable:
         """A function that takes messages of a topic as `take` does, and may record them."""
@@ -273,7 +325,7 @@ class TickingNode(Node):
     def refuse_request(self, error: Exception) -> None:
         """Counts and logs a message that rclpy failed to process; the node continues."""
         self.refused_requests += 1
-        words = " ".join(str(error).split()) or type(error).__name__
+        words = one_line(error) or type(error).__name__
         self.get_logger().error(
             f"a message or request was refused: {words}", throttle_duration_sec=_WARN_EVERY
         )

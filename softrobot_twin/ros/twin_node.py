@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from softrobot_twin.control.arrival import Refusal, RefusalCounts
+from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
@@ -54,7 +55,7 @@ from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
-from softrobot_twin.ros.topics import open_publisher
+from softrobot_twin.ros.topics import Topic, open_publisher
 from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
@@ -403,6 +404,16 @@ class TwinNode(TickingNode):
         names = (*simulation.actuator_names, *simulation.motors, *simulation.pulleys.names)
         return self.listen(TOPICS[topic], take, refusals, name, names=names)
 
+    def contest(self, topic: Topic, name: str, sentence: str) -> None:
+        """Takes notice that two publishers send; what the loop does not use stops nothing."""
+        super().contest(topic, name, sentence)
+        loop, is_of_device = self.loop, topic.name.startswith("~/measured_")
+        if is_of_device and not loop.use_device:
+            return
+        if topic.name == "~/markers" and not loop.settings.closed_loop:
+            return
+        loop.contest(name, sentence, is_of_device, self.monotonic())
+
     def _take_target(self, effector: int, message: PointStamped) -> Refusal | None:
         point = message.point
         return self.loop.targets.accept_point(
@@ -520,13 +531,7 @@ class TwinNode(TickingNode):
         send = self._repeated.send
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
-            names = self.loop.simulation.actuator_names
-            send(self._cables, cables_message(names, *outcome.command, header))
-            if self._angles is not None:
-                send(self._angles, angles_message(self.loop.pulleys, *outcome.command, header))
-            pressures = self.loop.cavities.absolute(outcome.command.efforts)
-            for name, pressure in pressures.items():
-                send(self._pressures[name], pressure_message(pressure, header))
+            self._publish_command(outcome.command, header)
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
         for name, pressure in sealed.items():
             send(self._pressures[name], pressure_message(pressure, header))
@@ -552,6 +557,24 @@ class TwinNode(TickingNode):
             wants_markers, *(output.publish(outcome, header) for output in outputs)
         ])  # fmt: skip
 
+    def _publish_command(self, command: ActuatorCommand, header: Header) -> None:
+        send, names = self._repeated.send, self.loop.simulation.actuator_names
+        send(self._cables, cables_message(names, *command, header))
+        if self._angles is not None:
+            send(self._angles, angles_message(self.loop.pulleys, *command, header))
+        for name, pressure in self.loop.cavities.absolute(command.efforts).items():
+            send(self._pressures[name], pressure_message(pressure, header))
+
+    def after_failure(self, now: float) -> None:
+        """Tells the failure, and publishes the last safe command."""
+        command = self.loop.after_failure(self.failure, self.failures_in_a_row)
+        self._status.tell_failure(self.failure)
+        if self.recording is not None:
+            self.recording.pass_on()
+        if command is not None:
+            stamp = stamp_of(self.get_clock().now().nanoseconds)
+            self._publish_command(command, Header(stamp=stamp, frame_id=self.loop_frame))
+
     @property
     def loop_frame(self) -> str:
         """Frame of all positions."""
@@ -561,8 +584,9 @@ class TwinNode(TickingNode):
         """Publishes markers and the status when they are due and diagnostics once a second, and
         logs problems of the last tick."""
         newest = self._window.newest
-        self._visualization.offer(newest, self._stamp, now)
-        if not self.loop.is_repeating:
+        if self.has_worked:
+            self._visualization.offer(newest, self._stamp, now)
+        if self.has_worked and not self.loop.is_repeating:
             self._status.offer(newest, now)
             self._warn_of(newest, now)
         if now < self._diagnostics_due:

@@ -1,0 +1,177 @@
+"""Who speaks on an input: two publishers on one topic are noticed by the numbers of their messages,
+two devices by what they measure.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+CONTESTED_TIME = 1.0
+"""An input is contested for this time after two publishers were last heard by turns [s]."""
+SILENT_AFTER = 3.0
+"""A voice that was not heard for so many of its intervals is silent."""
+LEAST_SILENCE, LONGEST_SILENCE = 0.1, 1.0
+"""It is silent after this time at the earliest, and at the latest [s]."""
+LAG_RATE = 3.0
+"""As long as a device follows its commands, its distance from them increases at most at this
+multiple of the rates."""
+LAG_TIME = 0.05
+"""The distance increases that fast for at most this time [s]. After that the worst case is a device
+that does not move, while its command moves at the actuators' rates."""
+LAG_SHARE = 0.02
+"""Share of the travel that is allowed for noise. A device that is nearer than this to its command
+counts as being at its command."""
+_FIRST_INTERVAL = 0.1
+"""Interval of a voice that spoke once [s]."""
+_MOST_LOST, _MOST_LOST_FACTOR = 20, 5.0
+"""Messages of one publisher that may be missing in a row, beside so many times those that its
+interval lets expect. A larger gap is another publisher's number."""
+_REMEMBERED = 10.0
+"""A voice is forgotten after this time [s]."""
+_MOST_VOICES = 8
+
+
+class Voice:
+    """What is heard of one publisher or device.
+
+    Attributes:
+        heard: When it was heard last [s].
+        interval: Time between its last two messages [s].
+    """
+
+    def __init__(self, time: float):
+        self.heard, self.interval = time, _FIRST_INTERVAL
+
+    def hear(self, time: float) -> None:
+        """It speaks at a time [s]."""
+        self.interval, self.heard = time - self.heard, time
+
+    def is_silent(self, now: float) -> bool:
+        """Whether it has ended, as far as its interval tells."""
+        silence = min(max(SILENT_AFTER * self.interval, LEAST_SILENCE), LONGEST_SILENCE)
+        return now - self.heard > silence
+
+
+class _Publisher(Voice):
+    """A voice that numbers its messages."""
+
+    number = 0
+
+    def continues(self, number: int, time: float) -> bool:
+        """Whether a message of this number can be its next one."""
+        expected = (time - self.heard) / self.interval if self.interval > 0.0 else 0.0
+        lost = _MOST_LOST + _MOST_LOST_FACTOR * expected
+        return 0 < number - self.number <= lost
+
+
+class PublisherWatch:
+    """Notices that two publishers send on one topic, by the numbers that each gives its messages.
+
+    A publisher that was started again counts anew, and the one before is never heard again: that is
+    no contest. A message of a new publisher is not used until the one before is silent. When a
+    publisher is heard again after another, two of them send, and neither is used.
+    """
+
+    def __init__(self) -> None:
+        self._voices: list[_Publisher] = []
+        self._last: _Publisher | None = None
+        self._used: _Publisher | None = None
+        self._contested = -math.inf
+
+    def hear(self, number: int | None, time: float) -> bool:
+        """Hears a message.
+
+        Args:
+            number: Its number by its publisher; None where the middleware does not number them.
+            time: When it arrived [s].
+
+        Returns:
+            Whether it may be used.
+        """
+        if number is None:
+            return True
+        self._voices = [voice for voice in self._voices if time - voice.heard < _REMEMBERED]
+        known = [voice for voice in self._voices if voice.continues(number, time)]
+        if known:
+            # Of two at the same number the last speaker is meant: the other may have ended.
+            voice = max(known, key=lambda one: (one.number, one is self._last))
+            voice.hear(time)
+            if voice is not self._last:
+                self._contested, self._used = time, None
+        else:
+            voice = _Publisher(time)
+            self._voices = [*self._voices[1 - _MOST_VOICES:], voice]
+        voice.number, self._last = number, voice
+        if self.is_contested(time):
+            return False
+        if self._used is None or self._used.is_silent(time):
+            self._used = voice
+        return voice is self._used
+
+    def is_contested(self, now: float) -> bool:
+        """Whether two publishers were heard by turns lately; `now` is a time [s]."""
+        return now - self._contested < CONTESTED_TIME
+
+
+class PlaceWatch:
+    """Notices that actuators are measured at two places by turns, as by two devices.
+
+    A measurement that is further from the one before than the actuator can have moved is used once
+    nothing is measured at the old place any more: so it is where a device was started again. When
+    the old place is measured again twice within `CONTESTED_TIME`, two devices measure.
+
+    Args:
+        rate: Greatest speed of each actuator, in its unit per second, shape (actuator_count,).
+        noise: What is allowed beside that, same shape.
+    """
+
+    def __init__(self, rate: np.ndarray, noise: np.ndarray):
+        self._rate, self._noise = rate, noise
+        self._places = np.full(len(rate), np.nan)
+        self._heard = np.full(len(rate), -np.inf)
+        self._interval = np.full(len(rate), _FIRST_INTERVAL)
+        self._other: Voice | None = None
+        self._returned = self._contested = -math.inf
+
+    def hear(self, named: np.ndarray, measured: np.ndarray, time: float) -> bool:
+        """Hears a measurement.
+
+        Args:
+            named: Which actuators are measured, shape (actuator_count,).
+            measured: Their setpoints, same shape.
+            time: When it arrived [s].
+
+        Returns:
+            Whether it may be used.
+        """
+        since = np.minimum(time - self._heard, LONGEST_SILENCE)
+        # Without a rate limit, the product with a time of 0 would be NaN.
+        since = np.maximum(since, 1.0e-9)
+        longest = self._rate * np.maximum(LAG_RATE * np.minimum(since, LAG_TIME), since)
+        moved = named & (np.abs(measured - self._places) > longest + self._noise)
+        silence = np.clip(SILENT_AFTER * self._interval, LEAST_SILENCE, LONGEST_SILENCE)
+        if (moved & (time - self._heard <= silence)).any():
+            if self._other is None:
+                self._other = Voice(time)
+            else:
+                self._other.hear(time)
+            return False
+        if self._other is not None and not moved.any():
+            if time - self._returned < CONTESTED_TIME:
+                self._contested = time
+            self._returned = time
+        self._other = None
+        self._places = np.where(named, measured, self._places)
+        self._interval = np.where(named & np.isfinite(self._heard), since, self._interval)
+        self._heard = np.where(named, time, self._heard)
+        return True
+
+    def is_contested(self, now: float) -> bool:
+        """Whether two places were measured by turns lately; `now` is a time [s]."""
+        return now - self._contested < CONTESTED_TIME
+
+    def is_disputed(self, now: float) -> bool:
+        """Whether the newest measurement is not used yet, or two places are contested."""
+        return self._other is not None and not self._other.is_silent(now) or self.is_contested(now)

@@ -1,0 +1,163 @@
+"""Two publishers, and two devices, are told from one that was started again or loses messages."""
+
+import secrets
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.engagement import Activity
+from softrobot_twin.control.twin_loop import CONTESTED, DISPUTED
+from softrobot_twin.control.voices import CONTESTED_TIME, PublisherWatch
+
+INSIDE = (0.01, 0.0, 0.134)
+
+
+def drawn():
+    """A generator whose seed is printed."""
+    seed = secrets.randbits(32)
+    print(f"seed {seed}")
+    return np.random.default_rng(seed)
+
+
+def stream(draw, begin, end, first=1):
+    """Numbers and times of a publisher of a drawn rate, of whose messages some are lost."""
+    interval = 10.0 ** draw.uniform(-2.5, 0.0)
+    times = np.arange(begin + draw.uniform(0.0, interval), end, interval)
+    times = times + draw.uniform(-0.2, 0.2, len(times)) * interval
+    kept = draw.random(len(times)) > draw.choice((0.0, 0.3))
+    return [(time, first + k, interval) for k, (time, own) in enumerate(zip(times, kept)) if own]
+
+
+@pytest.mark.parametrize("case", range(20))
+def test_one_publisher_that_loses_messages_and_is_started_again_is_never_contested(case):
+    draw, watch = drawn(), PublisherWatch()
+    # Each begins to count anew after the one before has ended.
+    for begin in (0.0, 11.0, 20.0):
+        first = int(draw.choice((1, 1, 500)))
+        for time, number, _ in stream(draw, begin, begin + draw.uniform(1.0, 8.0), first):
+            watch.hear(number, time)
+            assert not watch.is_contested(time)
+
+
+@pytest.mark.parametrize("case", range(20))
+def test_two_publishers_are_contested_and_neither_is_used_by_turns(case):
+    draw, watch = drawn(), PublisherWatch()
+    first, second = stream(draw, 0.0, 8.0), stream(draw, 3.0, 8.0, int(draw.choice((1, 40, 5000))))
+    heard = sorted([(*one, 0) for one in first] + [(*one, 1) for one in second])
+    used = [(time, who) for time, number, _, who in heard if watch.hear(number, time)]
+    late = 3.0 + 4.0 * max(first[0][2], second[0][2]) + CONTESTED_TIME
+    turns = [one for before, one in zip(used, used[1:]) if one[1] != before[1] and one[0] > late]
+    assert len(turns) <= 1
+    both = [time for time, *_ in heard if time > late]
+    slow = max(first[0][2], second[0][2]) > 0.3 * CONTESTED_TIME
+    assert slow or not both or all(watch_is_contested_at(heard, time) for time in both[5:6])
+
+
+def watch_is_contested_at(heard, until):
+    """Whether a new watch finds a contest in what was heard up to a time [s]."""
+    watch = PublisherWatch()
+    for time, number, *_ in heard:
+        if time <= until:
+            watch.hear(number, time)
+    return watch.is_contested(until)
+
+
+def test_the_next_publisher_is_used_once_the_one_before_is_silent():
+    watch = PublisherWatch()
+    assert all(watch.hear(number, 0.02 * number) for number in range(1, 50))
+    assert not watch.hear(1, 1.0) and not watch.hear(2, 1.02)
+    assert watch.hear(3, 1.2) and watch.hear(4, 1.22)
+
+
+def test_middleware_that_numbers_nothing_is_not_contested():
+    watch = PublisherWatch()
+    assert all(watch.hear(None, 0.01 * k) for k in range(10)) and not watch.is_contested(0.1)
+
+
+@pytest.fixture
+def enabled(drive):
+    """A driver of a Diamond with device, enabled and at its target."""
+    driver = drive(use_device=True, rate=50.0, message_timeout=0.0)
+    driver.loop.device.accept(
+        driver.loop.simulation.actuator_names, driver.loop.simulation.rest_setpoints, [],
+        driver.arrival(),
+    )
+    assert driver.loop.enable(driver.time)[0]
+    driver.lengths = driver.loop.simulation.rest_setpoints
+    follow(driver, 30)
+    assert driver.outcomes[-1].activity is Activity.FOLLOWING
+    driver.outcomes.clear()
+    return driver
+
+
+def follow(driver, count, measure=True, false=None):
+    """Ticks in which the device is measured, then another one."""
+    for _ in range(count):
+        if measure:
+            driver.measure(driver.lengths)
+        if false is not None:
+            driver.measure(false)
+        driver.target(*INSIDE)
+        outcome = driver.tick()
+        if outcome.command is not None:
+            driver.lengths = outcome.command.setpoints
+    return driver.outcomes[-1]
+
+
+def false_lengths(driver):
+    """Lengths far from those of the device."""
+    return driver.lengths - 0.5 * driver.loop.simulation.limits.drive_max
+
+
+def test_a_second_device_disables_and_is_told(enabled):
+    false = false_lengths(enabled)
+    before = enabled.lengths
+    assert follow(enabled, 10, false=false).activity is Activity.DISABLED
+    assert enabled.loop.why_given_up == CONTESTED
+    assert np.abs(enabled.lengths - before).max() < 0.05 * 10 / 50
+    assert not len(enabled.commands)
+    assert enabled.loop.enable(enabled.time) == (False, CONTESTED)
+    follow(enabled, 60)
+    assert enabled.loop.enable(enabled.time)[0]
+    assert follow(enabled, 30).activity is Activity.FOLLOWING
+
+
+def test_a_second_device_before_enable_refuses_it(drive):
+    driver = drive(use_device=True, rate=50.0, message_timeout=0.0)
+    driver.lengths = driver.loop.simulation.rest_setpoints
+    follow(driver, 10, false=false_lengths(driver))
+    assert driver.loop.enable(driver.time) == (False, CONTESTED)
+
+
+def test_one_wrong_measurement_stops_the_commands_until_the_next_right_one(enabled):
+    false = false_lengths(enabled)
+    enabled.measure(false)
+    outcome = follow(enabled, 1, measure=False)
+    assert (outcome.cause, outcome.command) == (DISPUTED, None)
+    assert follow(enabled, 2).activity is Activity.FOLLOWING
+    assert follow(enabled, 30).command is not None
+
+
+def test_a_device_that_was_started_again_is_resynchronised(enabled):
+    enabled.lengths = false_lengths(enabled)
+    seen = set()
+    for _ in range(100):
+        outcome = follow(enabled, 1)
+        seen.add(outcome.activity)
+    assert Activity.RESYNCHRONISING in seen and Activity.DISABLED not in seen
+    assert outcome.activity is Activity.FOLLOWING
+
+
+def test_two_publishers_of_targets_hold_until_one_is_left(drive):
+    driver = drive(message_timeout=0.0)
+    driver.target(*INSIDE)
+    assert driver.tick(3).activity is Activity.FOLLOWING
+    driver.loop.targets.accept_velocity((1.0, 0.0, 0.0), driver.time)
+    driver.loop.contest("/twin/target/tip", "two publishers on it", False, driver.time)
+    before = driver.outcomes[-1].command.setpoints
+    outcome = driver.tick(3)
+    assert (outcome.activity, outcome.cause) == (Activity.HOLDING, "two publishers on it")
+    assert np.array_equal(outcome.command.setpoints, before)
+    driver.tick(round(CONTESTED_TIME * 20))
+    assert driver.tick().activity is Activity.FOLLOWING
+    assert driver.outcomes[-1].reading.targets[0] == pytest.approx(INSIDE)
