@@ -343,6 +343,11 @@ class TwinLoop:
         return self._engagement.activity
 
     @property
+    def last_command(self) -> ActuatorCommand | None:
+        """The last command or measurement, where commands may leave now; else None."""
+        return self._engagement.last_command
+
+    @property
     def why_given_up(self) -> str:
         """Why the loop disabled itself; empty when it did not."""
         return self._engagement.reason if self._engagement.has_given_up else ""
@@ -395,7 +400,7 @@ class TwinLoop:
         self.simulation.restore(self.simulation.state)
         if in_a_row >= MOST_FAILURES and self.is_enabled:
             self._engagement.give_up(f"{in_a_row} ticks in a row failed: {failure}")
-        return self._engagement.last_command
+        return self.last_command
 
     def disable(self) -> None:
         """Publishes no command from the next tick on."""

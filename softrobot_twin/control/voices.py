@@ -11,9 +11,9 @@ import numpy as np
 CONTESTED_TIME = 1.0
 """An input is contested for this time after two publishers were last heard by turns [s]."""
 SILENT_AFTER = 3.0
-"""A voice that was not heard for so many of its intervals is silent."""
+"""A publisher or device that was not heard for so many of its intervals has ended."""
 LEAST_SILENCE, LONGEST_SILENCE = 0.1, 1.0
-"""It is silent after this time at the earliest, and at the latest [s]."""
+"""It has ended after this time at the earliest, and at the latest [s]."""
 LAG_RATE = 3.0
 """As long as a device follows its commands, its distance from them increases at most at this
 multiple of the rates."""
@@ -24,46 +24,34 @@ LAG_SHARE = 0.02
 """Share of the travel that is allowed for noise. A device that is nearer than this to its command
 counts as being at its command."""
 _FIRST_INTERVAL = 0.1
-"""Interval of a voice that spoke once [s]."""
+"""Interval of one that was heard once [s]."""
 _MOST_LOST, _MOST_LOST_FACTOR = 20, 5.0
 """Messages of one publisher that may be missing in a row, beside so many times those that its
 interval lets expect. A larger gap is another publisher's number."""
 _REMEMBERED = 10.0
-"""A voice is forgotten after this time [s]."""
+"""A publisher is forgotten after this time [s]."""
 _MOST_VOICES = 8
 
 
-class Voice:
-    """What is heard of one publisher or device.
+class _Publisher:
+    """What is heard of one publisher: its newest number, when, and its interval [s]."""
 
-    Attributes:
-        heard: When it was heard last [s].
-        interval: Time between its last two messages [s].
-    """
+    def __init__(self, number: int, time: float):
+        self.number, self.heard, self.interval = number, time, _FIRST_INTERVAL
 
-    def __init__(self, time: float):
-        self.heard, self.interval = time, _FIRST_INTERVAL
+    def continues(self, number: int, time: float) -> bool:
+        """Whether a message of this number can be its next one."""
+        expected = (time - self.heard) / self.interval if self.interval > 0.0 else 0.0
+        return 0 < number - self.number <= _MOST_LOST + _MOST_LOST_FACTOR * expected
 
-    def hear(self, time: float) -> None:
-        """It speaks at a time [s]."""
-        self.interval, self.heard = time - self.heard, time
+    def hear(self, number: int, time: float) -> None:
+        """It sends a message."""
+        self.number, self.interval, self.heard = number, time - self.heard, time
 
     def is_silent(self, now: float) -> bool:
         """Whether it has ended, as far as its interval tells."""
         silence = min(max(SILENT_AFTER * self.interval, LEAST_SILENCE), LONGEST_SILENCE)
         return now - self.heard > silence
-
-
-class _Publisher(Voice):
-    """A voice that numbers its messages."""
-
-    number = 0
-
-    def continues(self, number: int, time: float) -> bool:
-        """Whether a message of this number can be its next one."""
-        expected = (time - self.heard) / self.interval if self.interval > 0.0 else 0.0
-        lost = _MOST_LOST + _MOST_LOST_FACTOR * expected
-        return 0 < number - self.number <= lost
 
 
 class PublisherWatch:
@@ -97,13 +85,13 @@ class PublisherWatch:
         if known:
             # Of two at the same number the last speaker is meant: the other may have ended.
             voice = max(known, key=lambda one: (one.number, one is self._last))
-            voice.hear(time)
+            voice.hear(number, time)
             if voice is not self._last:
                 self._contested, self._used = time, None
         else:
-            voice = _Publisher(time)
+            voice = _Publisher(number, time)
             self._voices = [*self._voices[1 - _MOST_VOICES:], voice]
-        voice.number, self._last = number, voice
+        self._last = voice
         if self.is_contested(time):
             return False
         if self._used is None or self._used.is_silent(time):
@@ -132,7 +120,7 @@ class PlaceWatch:
         self._places = np.full(len(rate), np.nan)
         self._heard = np.full(len(rate), -np.inf)
         self._interval = np.full(len(rate), _FIRST_INTERVAL)
-        self._other: Voice | None = None
+        self._elsewhere = np.full(len(rate), -np.inf)
         self._returned = self._contested = -math.inf
 
     def hear(self, named: np.ndarray, measured: np.ndarray, time: float) -> bool:
@@ -153,16 +141,13 @@ class PlaceWatch:
         moved = named & (np.abs(measured - self._places) > longest + self._noise)
         silence = np.clip(SILENT_AFTER * self._interval, LEAST_SILENCE, LONGEST_SILENCE)
         if (moved & (time - self._heard <= silence)).any():
-            if self._other is None:
-                self._other = Voice(time)
-            else:
-                self._other.hear(time)
+            self._elsewhere[moved] = time
             return False
-        if self._other is not None and not moved.any():
+        if (named & ~moved & np.isfinite(self._elsewhere)).any():
             if time - self._returned < CONTESTED_TIME:
                 self._contested = time
             self._returned = time
-        self._other = None
+        self._elsewhere[named] = -np.inf
         self._places = np.where(named, measured, self._places)
         self._interval = np.where(named & np.isfinite(self._heard), since, self._interval)
         self._heard = np.where(named, time, self._heard)
@@ -174,4 +159,5 @@ class PlaceWatch:
 
     def is_disputed(self, now: float) -> bool:
         """Whether the newest measurement is not used yet, or two places are contested."""
-        return self._other is not None and not self._other.is_silent(now) or self.is_contested(now)
+        is_new = (now - self._elsewhere <= SILENT_AFTER * _FIRST_INTERVAL).any()
+        return bool(is_new) or self.is_contested(now)

@@ -9,7 +9,7 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
-from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.control.twin_loop import DISPUTED, TwinLoop
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, Status
@@ -442,6 +442,10 @@ def test_a_device_that_lost_its_pressure_is_not_driven_further(drive_air):
     # Its hose came off.
     measure(driver, 0.0)
     outcome = driver.tick()
+    assert outcome.cause == DISPUTED and outcome.command is None
+    for _ in range(6):
+        measure(driver, 0.0)
+        outcome = driver.tick()
     assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
     count = len(driver.commands)
     for _ in range(60):

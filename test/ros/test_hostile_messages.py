@@ -35,6 +35,9 @@ from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.topics import largest_message
 from softrobot_twin.ros.twin_node import TwinNode
 
+UNNUMBERED = {"publication_sequence_number": None}
+"""What rclpy tells of a message: by this, all are of one publisher."""
+
 NODES = (TwinNode, DeviceNode, TargetNode)
 """In the order of `ALL_TABLES`."""
 AIR = 101325.0
@@ -251,7 +254,7 @@ class Witness:
         """Sends what a correct device measures."""
         for end in inputs(self._twin):
             if is_measurement(end):
-                end.callback(serialize_message(self.measurement(draw, end)))
+                end.callback(serialize_message(self.measurement(draw, end)), UNNUMBERED)
                 self.heard()
 
     def heard(self):
@@ -385,7 +388,7 @@ def run_hostile(world, parameters, case, seed, count, every):
             hostile.header(message.header, True)
         else:
             message = hostile.message(end.msg_type)
-        end.callback(serialize_message(message))
+        end.callback(serialize_message(message), UNNUMBERED)
         if is_measured:
             witness.heard()
         if draw.random() < 0.01 and not twin.loop.is_enabled:
@@ -429,7 +432,7 @@ def test_no_message_ends_a_device(world, parameters, robot):
     device.tick_clock = TickClock(period, lambda: times[-1])
     for number in range(COUNT):
         end = hostile.random.choice(ends)
-        end.callback(serialize_message(hostile.message(end.msg_type)))
+        end.callback(serialize_message(hostile.message(end.msg_type)), UNNUMBERED)
         if number % every == every - 1:
             times.append(times[-1] + period)
             device.tick()
@@ -445,7 +448,7 @@ def test_no_message_ends_a_target(world):
     sent = []
     target._targets.publish = sent.append
     for _ in range(1000):
-        end.callback(serialize_message(hostile.message(PointStamped)))
+        end.callback(serialize_message(hostile.message(PointStamped)), UNNUMBERED)
     for _ in range(10):
         target.tick()
     assert len(sent) == 10
@@ -470,8 +473,8 @@ def test_a_message_that_is_too_large_is_refused_unread_on_every_topic(
     monkeypatch.setattr(ticking_node, "deserialize_message", read)
     ends = inputs(node)
     for end in ends:
-        end.callback(bytes(2**21))
-        end.callback(bytes(2**21))
+        end.callback(bytes(2**21), UNNUMBERED)
+        end.callback(bytes(2**21), UNNUMBERED)
     assert len(ends) == len(told)  # Once in two seconds.
     assert all("refused, too_large" in line for line in told)
     if node_class is TwinNode:

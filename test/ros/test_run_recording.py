@@ -37,6 +37,9 @@ from softrobot_twin.ros.twin_node import TwinNode
 
 from .test_hostile_messages import begin, draw_seed, hostile_to, inputs, parameters  # noqa: F401
 
+UNNUMBERED = {"publication_sequence_number": None}
+"""What rclpy tells of a message: by this, all are of one publisher."""
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -78,7 +81,7 @@ def live_run(world, make_twin, small_scene_file, tmp_path):
     world.until(lambda: is_following(twin))
     for number in range(30):
         for end in inputs(twin):
-            end.callback(serialize_message(hostile.message(end.msg_type)))
+            end.callback(serialize_message(hostile.message(end.msg_type)), UNNUMBERED)
         if number == 10:
             set_gain(world, 3.5)
         run_ticks(world, twin, 2)
@@ -154,7 +157,7 @@ def test_hostile_messages_of_every_kind_are_replayed_to_the_bit(
     for _ in range(25):
         for end in inputs(twin):
             for _ in range(4):
-                end.callback(serialize_message(hostile.message(end.msg_type)))
+                end.callback(serialize_message(hostile.message(end.msg_type)), UNNUMBERED)
         twin.tick()
     twin.recording.close()
     again = Replay(RunFile(path))
