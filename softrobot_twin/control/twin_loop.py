@@ -402,6 +402,10 @@ class TwinLoop:
             self._engagement.give_up(f"{in_a_row} ticks in a row failed: {failure}")
         return self.last_command
 
+    def give_up(self, reason: str) -> None:
+        """Publishes no command from the next tick on, and says why until it is enabled."""
+        self._engagement.give_up(reason)
+
     def disable(self) -> None:
         """Publishes no command from the next tick on."""
         self._engagement.disable()

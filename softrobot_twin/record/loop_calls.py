@@ -78,6 +78,7 @@ CALLS: dict[str, Decoding] = {
     "contest": (_same, _same, _same, number),
     "after_failure": (_same, _same),
     "enable": (number,),
+    "give_up": (_same,),
     "disable": (),
     "reset": (),
     "apply": (settings_from_json,),

@@ -60,23 +60,31 @@ class GraphWatch:
         others: Full names of further topics that should have one publisher.
     """
 
-    def __init__(self, node: Node, critical: Sequence[str], others: Sequence[str] = ()):
+    def __init__(self, node: TickingNode, critical: Sequence[str], others: Sequence[str] = ()):
         self._node = node
         self._topics = [(topic, True) for topic in critical] + [(topic, False) for topic in others]
 
     def clashes(self) -> list[Clash]:
         """The present clashes."""
-        found = []
+        found, are_ghosts = [], self._node.are_ghosts()
         own = (self._node.get_name(), self._node.get_namespace())
         names = self._node.get_node_names_and_namespaces()
-        if (count := names.count(own)) > 1:
+        if (count := names.count(own)) > 1 and not are_ghosts:
             name = self._node.get_fully_qualified_name()
             found.append(Clash("name", f"{count} nodes are called {name}: end all but one, or "
                                "rename one with -r __node:=NAME", True))
         for topic, is_severe in self._topics:
             if (count := self._node.count_publishers(topic)) > 1:
+                if are_ghosts and self._is_own(topic):
+                    continue
                 found.append(Clash(topic, self._sentence(topic, count), is_severe))
         return found
+
+    def _is_own(self, topic: str) -> bool:
+        """Whether all publishers on a topic have the name of this node."""
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        own = (self._node.get_name(), self._node.get_namespace())
+        return all((one.node_name, one.node_namespace) == own for one in publishers)
 
     def _sentence(self, topic: str, count: int) -> str:
         return f"{count} publishers on {topic} ({publisher_names(self._node, topic)}): end all but one"
@@ -357,14 +365,14 @@ class TickingNode(Node):
         """
         self._graph = GraphWatch(self, _names(critical), _names(others))
         # A separate timer: ticks may be rare, and with simulated time they may pause.
-        self.create_timer(_GRAPH_PERIOD, self._watch_graph,
+        self.create_timer(_GRAPH_PERIOD, self.watch_graph,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def look_for_clashes(self) -> list[Clash]:
         """The clashes at this moment."""
         return [] if self._graph is None else self._graph.clashes()
 
-    def _watch_graph(self) -> None:
+    def watch_graph(self) -> None:
         """Checks the graph and logs new clashes."""
         before = {clash.key for clash in self.clashes}
         keys_before = {clash.key for clash in self._last_look}
@@ -375,6 +383,10 @@ class TickingNode(Node):
                 self.get_logger().error(clash.sentence)
         if {clash.key for clash in self.clashes} != before:
             self.request_diagnostics()
+
+    def are_ghosts(self) -> bool:
+        """Whether it is known that further nodes of this name in the graph have crashed."""
+        return False
 
     def _watch_clock(self) -> None:
         """Logs a change of the clock of the stamps; the inputs detect it independently."""

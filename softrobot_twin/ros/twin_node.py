@@ -32,6 +32,7 @@ from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.claim import TopicClaim
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.marker_bytes import to_bytes
 from softrobot_twin.ros.messages import (
@@ -215,6 +216,7 @@ class TwinNode(TickingNode):
     """
 
     recording: RunRecording | None = None
+    _claim: TopicClaim | None = None
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
@@ -230,6 +232,7 @@ class TwinNode(TickingNode):
         self.warn_about_unknown_parameters()
         self._values = values
         settings = loop_settings(values)
+        self._claim = TopicClaim(self, self.resolve_topic_name(TOPICS["~/cables"].full_name()))
         path = find_scene_file(str(values["scene_file"]), "scene_file")
         if values["record"]:
             # Only a recorded run loads the room that writes it.
@@ -271,6 +274,9 @@ class TwinNode(TickingNode):
         angles = () if self._angles is None else (self._angles,)
         self.watch_topics((self._cables, *angles, *self._pressures.values(), *self._solids.commands,
                            *self._measurements), self._commands)
+        self._claim.listen()
+        self._yield_to_rivals()
+        self._claim.is_enabled = lambda: self.loop.is_enabled
         self._log_ready(path)
 
     def create_publisher(self, *arguments, **options) -> Publisher:
@@ -490,11 +496,28 @@ class TwinNode(TickingNode):
             return self.loop.markers.refusals.add(content)
         return self.loop.markers.accept(*content, self.arrival(message.header))
 
+    def _yield_to_rivals(self) -> None:
+        """Disables the loop while another twin has precedence on these topics."""
+        if self.loop.is_enabled and (why := self._claim.why_not()):
+            self.loop.give_up(why)
+
+    def watch_graph(self) -> None:
+        """Checks the graph, and who else commands the hardware."""
+        self._yield_to_rivals()
+        super().watch_graph()
+
+    def are_ghosts(self) -> bool:
+        """Whether nodes of this name in the graph are of a twin that has crashed."""
+        return self._claim.is_alone
+
     def _enable(self, request: SetBool.Request, response: SetBool.Response):
-        clashes = self.look_for_clashes() if request.data and not self.loop.is_enabled else []
-        if clashes:
+        clashes, rival = [], ""
+        if request.data and not self.loop.is_enabled:
+            clashes, rival = self.look_for_clashes(), self._claim.why_not()
+        if clashes or rival:
+            sentences = [clash.sentence for clash in clashes]
             response.success = False
-            response.message = "; ".join(clash.sentence for clash in clashes)
+            response.message = "; ".join([rival, *sentences] if rival else sentences)
         elif request.data:
             response.success, response.message = self.loop.enable(self.monotonic())
         else:
@@ -675,6 +698,8 @@ class TwinNode(TickingNode):
         """Closes the view, the recording and the process that estimates the mesh's error, then
         destroys the node.
         """
+        if self._claim is not None:
+            self._claim.close()
         if self._mesh_error is not None:
             self._mesh_error.close()
         if self._reduction is not None:

@@ -1,0 +1,145 @@
+"""Whose topics these are: only one twin may command the hardware on a topic.
+
+Each twin says several times a second that it lives. A twin that crashed says nothing more, while the
+middleware lists its publishers for another 20 s.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from softrobot_twin.ros.topics import BEST_EFFORT
+
+BEAT_PERIOD = 0.1
+"""Time from beat to beat [s]."""
+LIFE_TIME = 1.0
+"""A twin that was not heard for this time is dead [s]."""
+_SAME_AGE = 1.0
+"""Of twins whose ages differ by less [s], an order by name decides."""
+_QUALITY = QoSProfile(depth=10, reliability=BEST_EFFORT)
+
+
+class Rival(NamedTuple):
+    """Another twin on the same topics.
+
+    Attributes:
+        heard: When it was heard last, on the monotonic clock [s].
+        began: When it began, on this machine's monotonic clock [s].
+        name: Its full name, its process and its machine.
+        identity: Its own.
+        is_enabled: Whether it publishes commands.
+    """
+
+    heard: float
+    began: float
+    name: str
+    identity: str
+    is_enabled: bool
+
+
+class TopicClaim:
+    """Claims a topic for a twin, and hears who else does.
+
+    Args:
+        node: The twin; its topics need not be open yet.
+        topic: Full name of the topic of its commands.
+    """
+
+    def __init__(self, node: Node, topic: str):
+        self.topic, self._node = topic, node
+        self.is_enabled: Callable[[], bool] = lambda: False
+        self._name = (f"{node.get_fully_qualified_name()} (process {os.getpid()} on "
+                      f"{socket.gethostname()})")  # fmt: skip
+        self._identity, self._began = uuid.uuid4().hex, time.monotonic()
+        self._rivals: dict[str, Rival] = {}
+        # Neither is a topic of the run: they are not recorded.
+        self._publisher = Node.create_publisher(node, String, f"{topic}/claim", _QUALITY)
+        self._subscription = Node.create_subscription(
+            node, String, f"{topic}/claim", self._hear, _QUALITY
+        )
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._beat, name="claim", daemon=True)
+        self._thread.start()
+
+    def _beat(self) -> None:
+        while not self._ends.wait(BEAT_PERIOD):
+            age = time.monotonic() - self._began
+            beat = [self._identity, self._name, age, bool(self.is_enabled())]
+            try:
+                self._publisher.publish(String(data=json.dumps(beat)))
+            except Exception:  # noqa: BLE001 - the node ends
+                return
+
+    def _hear(self, message: String) -> None:
+        try:
+            identity, name, age, is_enabled = json.loads(message.data)
+            age = float(age)
+        except (ValueError, TypeError):
+            return  # It is not from a twin.
+        if identity == self._identity or not isinstance(identity, str):
+            return
+        now = time.monotonic()
+        self._forget_dead(now)
+        self._rivals[identity] = Rival(now, now - age, str(name), identity, bool(is_enabled))
+
+    def _forget_dead(self, now: float) -> None:
+        self._rivals = {
+            key: rival for key, rival in self._rivals.items() if now - rival.heard < LIFE_TIME
+        }  # fmt: skip
+
+    def listen(self) -> None:
+        """Hears for `LIFE_TIME` who else lives, where the graph knows of others.
+
+        Called before the first tick, while no executor runs.
+        """
+        end = time.monotonic() + LIFE_TIME
+        others = self._node.count_publishers(self._subscription.topic_name) > 1
+        while others and not self._rivals and time.monotonic() < end:
+            taken = self._subscription.handle.take_message(String, False)
+            if taken is None:
+                time.sleep(0.02)
+            else:
+                self._hear(taken[0])
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether no other twin on this topic lives."""
+        self._forget_dead(time.monotonic())
+        return not self._rivals
+
+    def why_not(self) -> str:
+        """Why this twin may not publish: another one has precedence; empty where none has.
+
+        An enabled one has precedence before one that is not, then the older one; of twins that were
+        started together, the one whose name and identity come first.
+        """
+        self._forget_dead(time.monotonic())
+        own = Rival(0.0, self._began, self._name, self._identity, bool(self.is_enabled()))
+        for rival in self._rivals.values():
+            if self._has_precedence(rival, own):
+                return f"{self.topic} is commanded by {rival.name}: end one of both"
+        return ""
+
+    @staticmethod
+    def _has_precedence(rival: Rival, own: Rival) -> bool:
+        if rival.is_enabled is not own.is_enabled:
+            return rival.is_enabled
+        if abs(rival.began - own.began) > _SAME_AGE:
+            return rival.began < own.began
+        return (rival.name, rival.identity) < (own.name, own.identity)
+
+    def close(self) -> None:
+        """Says nothing more."""
+        self._ends.set()
+        self._thread.join()
