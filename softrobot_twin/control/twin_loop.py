@@ -79,6 +79,7 @@ CALLS = (
     "direct.accept", "selected.accept", "device.accept", "angles.accept", "measured_angles.accept",
     "pressures.accept", "measured_pressures.accept", "poses.accept", "touches.accept_force",
     "touches.accept_place", "markers.accept", "enable", "disable", "reset", "apply",
+    "contest", "give_up", "after_failure",
 )  # fmt: skip
 """All calls by which anything reaches a loop from outside, but `tick`."""
 MOST_REPEATS = 19
@@ -574,6 +575,7 @@ class TwinLoop:
             or (self.use_device and not self.device_is_lost(now))
             or any(part.age(now) <= settings.target_timeout for part in commands)
             or bool(self.correction.offsets.any())
+            or bool(self._contested)
         )
 
     def _time_of_tick(self, now: float) -> TickTime:

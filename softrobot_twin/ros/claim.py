@@ -16,10 +16,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from softrobot_twin.ros.topics import BEST_EFFORT
+from softrobot_twin.ros.topics import CLAIM
 
 BEAT_PERIOD = 0.1
 """Time from beat to beat [s]."""
@@ -27,7 +26,6 @@ LIFE_TIME = 1.0
 """A twin that was not heard for this time is dead [s]."""
 _SAME_AGE = 1.0
 """Of twins whose ages differ by less [s], an order by name decides."""
-_QUALITY = QoSProfile(depth=10, reliability=BEST_EFFORT)
 
 
 class Rival(NamedTuple):
@@ -64,9 +62,9 @@ class TopicClaim:
         self._identity, self._began = uuid.uuid4().hex, time.monotonic()
         self._rivals: dict[str, Rival] = {}
         # Neither is a topic of the run: they are not recorded.
-        self._publisher = Node.create_publisher(node, String, f"{topic}/claim", _QUALITY)
+        self._publisher = Node.create_publisher(node, String, f"{topic}/claim", CLAIM)
         self._subscription = Node.create_subscription(
-            node, String, f"{topic}/claim", self._hear, _QUALITY
+            node, String, f"{topic}/claim", self._hear, CLAIM
         )
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="claim", daemon=True)

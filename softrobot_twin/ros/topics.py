@@ -17,7 +17,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -31,6 +31,8 @@ effect."""
 STREAM = QoSProfile(depth=1, reliability=BEST_EFFORT)
 """Of what is measured many times a second: a subscription of this kind accepts both kinds of
 publishers."""
+CLAIM = QoSProfile(depth=10, reliability=BEST_EFFORT)
+"""Of what each of several nodes says many times a second."""
 LATCHED = QoSProfile(depth=1, reliability=RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what changes rarely: who subscribes late receives the last message."""
 DIAGNOSTICS = QoSProfile(depth=10, reliability=RELIABLE)
@@ -230,6 +232,10 @@ TWIN_TOPICS = _by_name(
           "that holds it; of a motor of a hinge its angle [rad] and torque [N m]; of a cavity its "
           "gauge pressure [Pa] in both, or with `control: volume` its volume [m³] and gauge "
           "pressure [Pa]"),
+    Topic("~/cables/claim", OUT, String, CLAIM, "",
+          "ten times a second: that this twin lives, and whether it is enabled; below the name to "
+          "which `~/cables` is remapped. Twins on the same topic hear each other by it: the later "
+          "one is silent and says whose topics these are, and one that crashed blocks nothing"),
     Topic("~/angles", OUT, JointState, NEWEST, "rad, N m",
           "`position` = angle [rad], `effort` = torque that holds the cables [N m], about the axis "
           "in the positive sense; of each pulley, by the name of its cable or motor, with the same "
