@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from softrobot_twin.ros.topics import CLAIM
@@ -26,6 +27,8 @@ LIFE_TIME = 1.0
 """A twin that was not heard for this time is dead [s]."""
 _SAME_AGE = 1.0
 """Of twins whose ages differ by less [s], an order by name decides."""
+_MOST_BYTES = 1000
+"""A larger message is no beat, and is not read."""
 
 
 class Rival(NamedTuple):
@@ -64,7 +67,7 @@ class TopicClaim:
         # Neither is a topic of the run: they are not recorded.
         self._publisher = Node.create_publisher(node, String, f"{topic}/claim", CLAIM)
         self._subscription = Node.create_subscription(
-            node, String, f"{topic}/claim", self._hear, CLAIM
+            node, String, f"{topic}/claim", self._hear, CLAIM, raw=True
         )
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="claim", daemon=True)
@@ -79,11 +82,14 @@ class TopicClaim:
             except Exception:  # noqa: BLE001 - the node ends
                 return
 
-    def _hear(self, message: String) -> None:
+    def _hear(self, content: bytes) -> None:
+        if len(content) > _MOST_BYTES:
+            return
         try:
-            identity, name, age, is_enabled = json.loads(message.data)
+            beat = deserialize_message(content, String).data
+            identity, name, age, is_enabled = json.loads(beat)
             age = float(age)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RuntimeError, RecursionError):
             return  # It is not from a twin.
         if identity == self._identity or not isinstance(identity, str):
             return
@@ -104,7 +110,7 @@ class TopicClaim:
         end = time.monotonic() + LIFE_TIME
         others = self._node.count_publishers(self._subscription.topic_name) > 1
         while others and not self._rivals and time.monotonic() < end:
-            taken = self._subscription.handle.take_message(String, False)
+            taken = self._subscription.handle.take_message(String, True)
             if taken is None:
                 time.sleep(0.02)
             else:

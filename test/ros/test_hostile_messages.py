@@ -21,7 +21,7 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 
 from softrobot_twin.control.arrival import Refusal
@@ -349,8 +349,8 @@ def hostile_to(twin, seed):
 
 
 def inputs(node):
-    """The node's own subscriptions, without those of rclpy."""
-    return [entry for entry in node.subscriptions if entry.msg_type not in (Clock,)]
+    """The subscriptions of a node's loop: neither those of rclpy nor that of other twins' claims."""
+    return [entry for entry in node.subscriptions if entry.msg_type not in (Clock, String)]
 
 
 def is_measurement(end):

@@ -92,7 +92,9 @@ def test_every_topic_has_a_unit_and_a_meaning():
     for topics in NODES.values():
         for topic in topics.values():
             assert len(topic.meaning) > 8 and "|" not in topic.meaning, topic.name
-            assert topic.unit or topic.type_name.startswith("diagnostic_msgs/"), topic.name
+            assert topic.unit or topic.type_name.startswith(
+                ("diagnostic_msgs/", "std_msgs/String")
+            ), topic.name
 
 
 def test_a_quality_of_service_is_told_in_words():
