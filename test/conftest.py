@@ -434,7 +434,7 @@ def half_trained(tmp_path_factory) -> Path:
     finder = StateFinder(training_scene(load_scene(scene), sampling), "body")
     names = [cable["name"] for cable in mapping["cables"]]
     axes = sampled_axes(finder.simulation, [f"{name}_shortening_m=0:0.011" for name in names])
-    samples = samples_of(finder.simulation, axes, sampling, (), 80, 0)
+    samples = samples_of(finder.simulation, axes, sampling, (), 80, 0, True)
     states = joined([finder(samples[tour]) for tour in chains(samples, spread_of(samples))])
     body = finder.simulation.model.bodies[0]
     trained = train(body, rest_stiffness(body), states, 24, TrainingOptions(spare=24), 0.003)

@@ -243,18 +243,27 @@ class Training:
     causes: list[str] = field(default_factory=list)
     way: TargetWay | None = None
 
-    def samples(self, count: int, seed: int, margin: float = 0.0) -> np.ndarray:
+    def training_samples(self, count: int) -> np.ndarray:
+        """Samples of a training: with the corners of the box, or from wider boxes of targets."""
+        return self.samples(count, self.options.seed, MARGIN, with_corners=True)
+
+    def samples(
+        self, count: int, seed: int, margin: float = 0.0, with_corners: bool = False
+    ) -> np.ndarray:
         """Samples, that at rest first; see `samples_of` and `samples_along`.
 
         Args:
             count: Their number.
             seed: Their seed.
             margin: Share of its width by which a box of targets is wider at each side.
+            with_corners: Whether the corners of the actuators' box are among them.
         """
         if self.way is not None:
             return samples_along(self.simulation, self.way, count, seed)
         boxes = [box.widened(margin) for box in self.options.targets]
-        return samples_of(self.simulation, self.axes, self.sampling, boxes, count, seed)
+        return samples_of(
+            self.simulation, self.axes, self.sampling, boxes, count, seed, with_corners
+        )
 
     def fresh_samples(self, count: int, seed: int) -> np.ndarray:
         """Samples to judge by, without that at rest, which every training has seen.
@@ -482,7 +491,7 @@ def train_by_need(training: Training) -> tuple[Trained, States, list[Round], boo
     """
     options, body = training.options, training.body
     K, tolerance, mode_count = rest_stiffness(body), options.tolerance, options.modes
-    first = training.samples(options.snapshots or FIRST_SNAPSHOTS, options.seed, MARGIN)
+    first = training.training_samples(options.snapshots or FIRST_SNAPSHOTS)
     seed, rounds = ROUND_SEED, []
     states, fresh = training.states("first states", first, training.fresh_samples(JUDGES, seed))
     for number in range(1, MOST_ROUNDS + 1):
@@ -561,7 +570,7 @@ def _tell_round(number: int, done: Round) -> None:
 def train_once(training: Training) -> tuple[Trained, States]:
     """Train with a given number of states."""
     options = training.options
-    groups = [training.samples(options.snapshots or SNAPSHOTS, options.seed, MARGIN)]
+    groups = [training.training_samples(options.snapshots or SNAPSHOTS)]
     if options.states:
         # In the same run of the workers.
         groups.append(training.fresh_samples(options.states, FRESH_SEED))

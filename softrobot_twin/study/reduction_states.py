@@ -61,6 +61,8 @@ LAST_FOLLOWS, CLOSE = 12, 0.001
 STALLED = 0.98
 # States of a chain: what a lost worker costs.
 CHAIN_LENGTH = 12
+# Most corners of the actuators' box, as a share of the samples of a training.
+MOST_CORNERS = 0.25
 # States of a pass of a whole path.
 PASS_LENGTH = 40
 
@@ -191,9 +193,12 @@ def spread_points(body: Body, count: int) -> np.ndarray:
 
 def samples_of(
     simulation: Simulation, axes: Sequence[Axis], sampling: Sampling,
-    boxes: Sequence[TargetBox], count: int, seed: int,
+    boxes: Sequence[TargetBox], count: int, seed: int, with_corners: bool = False,
 ) -> np.ndarray:  # fmt: skip
     """Samples on a shifted Sobol sequence, that at rest first; more begin with the same ones.
+
+    In a training the corners of the actuators' box come next, in place of the first ones: without
+    them poses within the box left the range of what was seen, by up to 1.9 times.
 
     Every second one is without a load.
 
@@ -204,6 +209,8 @@ def samples_of(
         boxes: Boxes of targets, in which targets are sampled in place of setpoints.
         count: Number of samples.
         seed: Seed of the shift.
+        with_corners: Whether the corners of the box of the actuators are among them, where they are
+            at most a share of all (`MOST_CORNERS`).
 
     Returns:
         See `Columns`, shape (count, width).
@@ -222,6 +229,9 @@ def samples_of(
             low, high = np.array(box.low), np.array(box.high)
             targets[1:, names.index(box.effector)] = low + shares * (high - low)
     else:
+        if with_corners and 2 ** len(axes) <= MOST_CORNERS * (count - 1):
+            corners = np.array(list(np.ndindex((2,) * len(axes))), float)
+            points[: len(corners), :own] = corners
         for sample, shares in zip(setpoints[1:], points[:, :own], strict=True):
             drives = simulation.actuators.drives(simulation.rest_setpoints)
             for axis, share in zip(axes, shares, strict=True):

@@ -106,7 +106,7 @@ def test_range_and_spare_modes_judge_a_body_together():
 def test_the_range_is_in_each_report_and_none_without_reduced_bodies(pair):
     full, reduced = pair
     first = wound(reduced, 0.002, True).report.sampled_range
-    second = wound(reduced, [0.003, 0.007, 0.007, 0.003]).report.sampled_range
+    second = wound(reduced, 0.010).report.sampled_range
     assert 0.0 < first < second < 1.0
     assert wound(full, 0.002, True).report.sampled_range == 0.0
 

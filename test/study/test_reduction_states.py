@@ -55,6 +55,25 @@ def test_samples_begin_at_rest_and_more_begin_with_the_same(finder):
     assert (samples(finder, 20, seed=1)[1:] != few[1:]).any()
 
 
+def test_a_training_has_the_corners_of_the_box_where_they_are_few(finder):
+    axes = sampled_axes(finder.simulation)
+    assert len(axes) == 4
+
+    def setpoints(count, with_corners):
+        drawn = samples_of(finder.simulation, axes, SAMPLING, (), count, 0, with_corners)
+        return columns_of(finder.simulation).split(drawn)[0]
+
+    plain, cornered = setpoints(80, False), setpoints(80, True)
+    np.testing.assert_array_equal(cornered[17:], plain[17:])
+    np.testing.assert_array_equal(cornered[0], plain[0])
+    ends = np.sort(np.unique(cornered[1:17], axis=0), axis=0)
+    assert len(ends) == 16
+    wound = (finder.simulation.rest_setpoints - cornered[1:17]).round(9)
+    for axis, column in zip(axes, wound.T, strict=True):
+        assert sorted(set(column)) == pytest.approx([axis.low, axis.high])
+    np.testing.assert_array_equal(setpoints(60, True), plain[:60])
+
+
 def test_half_of_the_samples_is_loaded_at_one_point_each(finder):
     _, _, forces, _ = columns_of(finder.simulation).split(samples(finder, 201))
     sizes = np.linalg.norm(forces, axis=2)
