@@ -399,7 +399,7 @@ def air_scene(block, tmp_path_factory) -> dict:
 def half_trained(tmp_path_factory) -> Path:
     """Scene file of a small Diamond whose reduced body was trained on half of what its cables wind.
 
-    It has 24 modes in use and 24 spare ones, of 80 equilibria with each cable wound by up to 11 mm.
+    It has 24 modes in use and 24 spare ones, of 128 equilibria with each cable wound by up to 11 mm.
     """
     import numpy as np
     import yaml
@@ -434,7 +434,7 @@ def half_trained(tmp_path_factory) -> Path:
     finder = StateFinder(training_scene(load_scene(scene), sampling), "body")
     names = [cable["name"] for cable in mapping["cables"]]
     axes = sampled_axes(finder.simulation, [f"{name}_shortening_m=0:0.011" for name in names])
-    samples = samples_of(finder.simulation, axes, sampling, (), 80, 0, True)
+    samples = samples_of(finder.simulation, axes, sampling, (), 128, 0, True)
     states = joined([finder(samples[tour]) for tour in chains(samples, spread_of(samples))])
     body = finder.simulation.model.bodies[0]
     trained = train(body, rest_stiffness(body), states, 24, TrainingOptions(spare=24), 0.003)

@@ -66,7 +66,7 @@ def judged(pair, shortenings):
 
 def test_at_twice_the_training_range_the_estimate_is_within_a_factor_of_two(pair):
     """Row 39 of the hard cases; the true error is that of the full model at the same lengths."""
-    true, estimate, ranges, share, told, named = judged(pair, drawn(2.0 * TRAINED, 20, 3))
+    true, estimate, ranges, share, told, named = judged(pair, drawn(2.0 * TRAINED, 40, 3))
     ratio = estimate / true
     print(f"errors {100 * share.min():.2f} to {100 * share.max():.2f} %, estimate by error "
           f"{ratio.min():.2f} to {ratio.max():.2f}")  # fmt: skip
