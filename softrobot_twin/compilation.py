@@ -11,6 +11,8 @@ error, for seconds.
 from __future__ import annotations
 
 import gc
+import logging
+import time
 from collections.abc import Callable
 
 import numba
@@ -69,9 +71,58 @@ def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
             kernel._cache = KernelCache(function)
         if is_inner:
             kernel.__class__ = InnerKernel
+        _progress.known += 1
         return kernel
 
     return compiled
+
+
+SILENT, TOLD_EVERY = 2.0, 4.0
+"""Time of compilation in a process before the first line about it, and from line to line [s]."""
+_log = logging.getLogger("softrobot_twin")
+
+
+class CompilationProgress(event.Listener):
+    """Tells from time to time how many kernels were compiled, and which is next.
+
+    Attributes:
+        known: Kernels of the imported modules: no more can be needed, and a scene needs fewer.
+        compiled: Kernels that this process has compiled; those kept on disk are not among them.
+        seconds: Time that this took [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.known = self.compiled = 0
+        self.seconds = self._told_at = 0.0
+        self._clock, self._began = clock, 0.0
+        self._depth = 0
+
+    def on_start(self, event: event.Event) -> None:
+        """Before a kernel is compiled, or one that it calls."""
+        now = self._clock()
+        if self._depth == 0:
+            self._began = now
+        self._depth += 1
+        seconds = self.seconds + now - self._began
+        if seconds < SILENT or seconds - self._told_at < TOLD_EVERY:
+            return
+        self._told_at = seconds
+        function = event.data["dispatcher"].py_func
+        module = function.__module__.removeprefix(_PACKAGE)
+        _log.warning(
+            "softrobot_twin: compiled %d of at most %d kernels in %.0f s, now %s.%s",
+            self.compiled, self.known, seconds, module, function.__name__,
+        )  # fmt: skip
+
+    def on_end(self, event: event.Event) -> None:
+        """After it, or after it failed."""
+        self._depth -= 1
+        self.compiled += 1
+        if self._depth == 0:
+            self.seconds += self._clock() - self._began
+
+
+_progress = CompilationProgress()
 
 
 class _CollectLater(event.Listener):
@@ -100,3 +151,4 @@ class _CollectLater(event.Listener):
 
 
 event.register("numba:compile", _CollectLater())
+event.register("numba:compile", _progress)

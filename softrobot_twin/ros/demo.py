@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -333,6 +334,7 @@ LAST_LINES = 15
 _NICE = 5
 """Nice value of all processes but the twin on a machine with a single core."""
 
+_COMPILED = re.compile(r"compiled \d+ of at most \d+ kernels")
 _SIGNAL_TIMEOUTS = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
 """Signals that request the end of a process, and the wait after each of them [s]."""
 
@@ -440,6 +442,17 @@ class DemoProcess:
         """The end of its output."""
         text = self.log.read_text(encoding="utf-8", errors="replace")
         return text.splitlines()[-LAST_LINES:]
+
+    def written(self) -> int:
+        """Size of its output [bytes]."""
+        return self.log.stat().st_size
+
+    def compiles(self) -> str:
+        """What it compiles, such as ``twin compiled 42 of at most 380 kernels``; empty where its
+        last line tells of something else.
+        """
+        found = _COMPILED.search((self.last_lines() or [""])[-1])
+        return f"{self.name} {found[0]}" if found else ""
 
     def send(self, number: signal.Signals) -> None:
         """Sends a signal to the process and its children; does nothing when it has ended."""
@@ -649,7 +662,8 @@ def _seconds(header) -> float:
 
 
 _START_TIMEOUT = 180.0
-"""Longest time from the start of a process to its first message, compiling included [s]."""
+"""Longest time of the start without a new line in the log of a node [s]. A node that compiles kernels
+writes one every few seconds."""
 _ANSWER_TIMEOUT = 60.0
 """Longest wait for an answer of a running process [s]."""
 _WATCH_PERIOD = 0.1
@@ -796,8 +810,8 @@ class Demo:
         # After the start of the nodes, because children inherit the share of this process.
         of_rest.give(0)
         self._until(lambda: recorder.twin_effector.times and recorder.device_effector.times,
-                    _START_TIMEOUT, "twin", "twin and device do not publish effectors")
-        self._until(recorder.target_is_found, _START_TIMEOUT, "target", "it was not found")
+                    _START_TIMEOUT, "twin", "twin and device do not publish effectors", True)
+        self._until(recorder.target_is_found, _START_TIMEOUT, "target", "it was not found", True)
         self._phase = "enabling"
         self._enable()
         self._until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin",
@@ -868,15 +882,22 @@ class Demo:
         return future.result()
 
     def _until(self, is_done: Callable[[], object], timeout: float, name: str,
-               reason: str) -> None:
+               reason: str, is_starting: bool = False) -> None:
         """Receives messages until a condition holds; checks the processes meanwhile.
+
+        Args:
+            is_done: The condition.
+            timeout: Longest wait [s]; while nodes start, from the last line that one of them wrote.
+            name: The node that is waited for.
+            reason: What it does not do.
+            is_starting: Whether nodes start, which may compile kernels for minutes.
 
         Raises:
             ProcessDiedError: A process ended.
             DemoError: The condition did not hold within the timeout.
             _StopRequested: A signal was received.
         """
-        deadline = time.monotonic() + timeout
+        deadline, written = time.monotonic() + timeout, 0
         while not is_done():
             if self._stop_requested:
                 raise _StopRequested
@@ -887,6 +908,10 @@ class Demo:
             self._looked = now
             for process in self._processes:
                 process.check_running()
+            if is_starting and (size := sum(one.written() for one in self._processes)) != written:
+                deadline, written = now + timeout, size
+                self._phase = next(filter(None, (one.compiles() for one in self._processes)),
+                                   "starting")  # fmt: skip
             self._show_status(self._status(now))
             if now > deadline:
                 raise DemoError(name, f"{reason}, waited {timeout:g} s; see {name}.log in "

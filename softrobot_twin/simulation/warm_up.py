@@ -24,7 +24,7 @@ def tell_of_compilation() -> None:
     """Say once, before a long silence, that this machine has few compiled kernels yet."""
     if count_kept() < _FEW_KERNELS:
         logging.getLogger("softrobot_twin").warning(
-            "softrobot_twin: kernels are compiled for this machine, once: about a minute")
+            "softrobot_twin: kernels are compiled for this machine, once: a minute or two")
 
 
 def run_every_path(simulation) -> None:

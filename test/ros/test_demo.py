@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.demo import (
     RUNS,
     START_TOPIC,
+    Demo,
+    DemoError,
     DemoOutcome,
     DemoProcess,
     ProcessDiedError,
@@ -210,6 +213,31 @@ def test_a_process_that_died_is_reported_with_its_last_lines(module):
     assert (caught.value.name, caught.value.exit_code) == ("mortal", 3)
     assert caught.value.last_lines == ("it was so dark",)
     assert stop_all([process]) == {"mortal": 3}
+
+
+COMPILING = """
+import time
+for count in range(8):
+    print(f'softrobot_twin: compiled {count} of at most 60 kernels in 9 s, now a.b', flush=True)
+    time.sleep(0.5)
+time.sleep(60)
+"""
+
+
+def test_the_start_is_waited_for_as_long_as_a_node_tells_of_its_progress(
+    module, tmp_path, monkeypatch
+):
+    shown = []
+    demo = Demo(SimpleNamespace(folder=tmp_path), shown.append)
+    demo._processes = [module("twin", COMPILING)]
+    demo._executor = SimpleNamespace(spin_once=lambda timeout_sec: time.sleep(timeout_sec))
+    monkeypatch.setattr(demo, "_status", lambda now: demo._phase)
+    line = "softrobot_twin: compiled 1 of at most 60 kernels in 9 s, now a.b"
+    await_line(demo._processes[0], line)
+    with pytest.raises(DemoError, match="it is late, waited 2 s"):
+        demo._until(lambda: False, 2.0, "twin", "it is late", is_starting=True)
+    assert "twin compiled 7 of at most 60 kernels" in shown
+    stop_all(demo._processes)
 
 
 def test_the_twin_has_half_of_the_cores_and_the_other_processes_the_other_half():

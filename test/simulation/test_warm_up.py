@@ -1,8 +1,11 @@
-"""What is said before kernels are compiled."""
+"""What is said before and while kernels are compiled."""
+
+from types import SimpleNamespace
 
 import pytest
 
-from softrobot_twin import kernel_cache
+from softrobot_twin import compilation, kernel_cache
+from softrobot_twin.compilation import CompilationProgress
 from softrobot_twin.kernel_cache import closure_hash
 from softrobot_twin.simulation.warm_up import tell_of_compilation
 
@@ -19,3 +22,32 @@ def test_a_first_compilation_is_told_once(tmp_path, monkeypatch, caplog, kernel_
     tell_of_compilation()
     tell_of_compilation()
     assert caplog.text.count("compiled for this machine, once") == is_told
+
+
+def test_a_long_compilation_tells_every_few_seconds_how_far_it_is(caplog):
+    now = [100.0]
+    progress = CompilationProgress(lambda: now[0])
+    progress.known = 60
+    kernel = SimpleNamespace(data={"dispatcher": compilation.njit()(lambda x: x)})
+    for _ in range(20):
+        progress.on_start(kernel)
+        now[0] += 0.5
+        progress.on_start(kernel)  # One that it calls.
+        now[0] += 0.5
+        progress.on_end(kernel)
+        progress.on_end(kernel)
+        now[0] += 100.0  # What lies between is no compilation.
+    assert (progress.compiled, progress.seconds) == (40, 20.0)
+    lines = [record.getMessage() for record in caplog.records]
+    assert len(lines) == 4
+    assert "compiled 8 of at most 60 kernels in 4 s, now " in lines[0]
+
+
+def test_a_short_compilation_is_silent(caplog):
+    now = [0.0]
+    progress = CompilationProgress(lambda: now[0])
+    for _ in range(3):
+        progress.on_start(SimpleNamespace(data={}))
+        now[0] += 0.5
+        progress.on_end(SimpleNamespace(data={}))
+    assert not caplog.records
