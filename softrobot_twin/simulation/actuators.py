@@ -261,6 +261,20 @@ class Actuators:
             for name, path in zip(group.names, group.kind.paths(group, positions))
         }
 
+    def path_lengths(self, positions: np.ndarray) -> dict[str, float]:
+        """Lengths of the paths of what only pulls, by names [m].
+
+        The path of a slack cable is shorter than the length that its winch is set to.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return {
+            name: float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+            for group in self.groups if group.kind.one_sided
+            for name, path in zip(group.names, group.kind.paths(group, positions), strict=True)
+        }  # fmt: skip
+
     def doubts(self, model) -> Iterator[str]:
         """Warnings of unlikely values; see `ActuatorKind.doubts`."""
         for group in self.groups:

@@ -35,6 +35,7 @@ from softrobot_twin.simulation.table_columns import (
     target_name,
 )
 
+PATH = Quantity("path", "m")
 COMPUTE_TIME = "compute_time_s"
 ACTIVE_LIMITS = "active_limits"
 TEXT_COLUMNS = (ACTIVE_LIMITS, DRIVEN_BY, STATUS)
@@ -74,7 +75,8 @@ class RunRow(NamedTuple):
 def actuator_columns(actuators: Actuators) -> list[tuple[str, Quantity]]:
     """Name and quantity of each column about actuators, in the order of `actuator_cells`.
 
-    Of a cable: its length [m], its tension [N], its shortening [m] and its length at rest [m]. Of a
+    Of a cable: the length that its winch is set to [m], its tension [N], the winch's shortening [m],
+    its length at rest [m], and the length of its path [m], which is shorter where it is slack. Of a
     cavity whose pressure is commanded: its pressure [Pa], its growth [m³] and its volume [m³]. Of a
     motor of a hinge: its angle [rad] and its torque [N m]. Last, of each pulley, its angle [rad]
     and its torque [N m].
@@ -95,7 +97,8 @@ def _quantities(kind: ActuatorKind) -> tuple[Quantity, ...]:
     if kind.displacement == kind.setpoint:  # It is 0 at rest.
         return kind.setpoint, kind.effort
     rest = Quantity(f"rest_{kind.setpoint.word}", kind.setpoint.unit)
-    return kind.setpoint, kind.effort, kind.displacement, rest
+    quantities = kind.setpoint, kind.effort, kind.displacement, rest
+    return (*quantities, PATH) if kind.one_sided else quantities
 
 
 def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
@@ -106,6 +109,7 @@ def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
         actuators: The actuators of the scene.
     """
     extents = actuators.extents(result.displacements)
+    paths = actuators.path_lengths(result.state.positions)
     cells = []
     for index, kind in enumerate(actuators.kinds):
         setpoint, displacement = result.setpoints[index], result.displacements[index]
@@ -116,6 +120,8 @@ def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
         else:
             cells += [setpoint, result.efforts[index], displacement,
                       actuators.rest_setpoints[index]]
+            if kind.one_sided:
+                cells.append(paths[actuators.names[index]])
     pulleys = actuators.pulleys
     for pair in zip(pulleys.angles(result.setpoints), pulleys.torques(result.efforts), strict=True):
         cells += pair

@@ -405,11 +405,12 @@ def test_files_name_its_quantities_and_units(inflated, tmp_path):
     header = RunColumns(simulation).names
     assert header[header.index("left_volume_m3") :][:4] == (
         "left_volume_m3", "left_pressure_Pa", "left_expansion_m3", "left_rest_volume_m3")
-    assert header[header.index("east_length_m") :][:4] == (
-        "east_length_m", "east_tension_N", "east_shortening_m", "east_rest_length_m")
+    assert header[header.index("east_length_m") :][:5] == (
+        "east_length_m", "east_tension_N", "east_shortening_m", "east_rest_length_m",
+        "east_path_m")
     result = simulation.step(Hold(STEP))
     cells = actuator_cells(result, simulation.actuators)
-    assert cells[16] == result.setpoints[4] and cells[17] == result.efforts[4]
+    assert cells[20] == result.setpoints[4] and cells[21] == result.efforts[4]
 
 
 def test_a_file_of_targets_drives_it_by_volume_or_pressure(inflated, tmp_path):

@@ -97,3 +97,15 @@ def test_a_cable_without_commanded_tension_holds_nothing_back(limited):
         by_effort = limited.step(st.efforts(long_tension_N=tension, other_tension_N=0.0))
     assert by_effort["long_tension_N"] == pytest.approx(tension, rel=1e-6)
     assert by_effort.tip[2] == pytest.approx(result.tip[2], abs=1e-6)
+
+
+def test_results_tell_the_winch_and_the_path_apart(limited):
+    limited.reset()
+    commanded = limited.settle(st.setpoints(long_shortening_m=0.008, other_shortening_m=0.0))
+    limited.reset()
+    found = limited.settle(st.targets(tip=commanded.tip.tolist()))
+    for result, own in ((commanded, 0.0), (found, LIMITED)):
+        assert result["other_length_m"] == pytest.approx(result["other_rest_length_m"] - own)
+        assert result["other_path_m"] < result["other_length_m"] - 0.001
+        assert result["long_path_m"] == pytest.approx(result["long_length_m"], abs=1e-7)
+    assert found["other_path_m"] == pytest.approx(commanded["other_path_m"], abs=1e-6)

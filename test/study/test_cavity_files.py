@@ -65,7 +65,8 @@ def test_what_a_regulator_holds_is_written_once_and_its_volume_beside_it(simulat
     result = simulation.step(CommandSetpoints([*simulation.rest_setpoints[:1], 400.0], 1.0))
     columns = [column(*one) for one in actuator_columns(simulation.actuators)]
     assert columns == ["line_length_m", "line_tension_N", "line_shortening_m",
-                       "line_rest_length_m", "air_pressure_Pa", "air_growth_m3", "air_volume_m3"]
+                       "line_rest_length_m", "line_path_m", "air_pressure_Pa", "air_growth_m3",
+                       "air_volume_m3"]
     cells = dict(zip(columns, actuator_cells(result, simulation.actuators), strict=True))
     assert cells["air_pressure_Pa"] == pytest.approx(400.0) == result.efforts[1]
     (volume,) = simulation.cavities.volumes(simulation.state)
@@ -77,10 +78,10 @@ def test_what_a_syringe_holds_is_written_with_its_pressure(simulation_of):
     simulation = simulation_of(control="volume")
     simulation.step(CommandSetpoints(simulation.rest_setpoints * [1.0, 1.1], 1.0))
     columns = [column(*one) for one in actuator_columns(simulation.actuators)]
-    assert columns[4:] == ["air_volume_m3", "air_pressure_Pa", "air_growth_m3",
+    assert columns[5:] == ["air_volume_m3", "air_pressure_Pa", "air_growth_m3",
                            "air_rest_volume_m3"]
     result = simulation.step(Hold(1.0))
-    volume, pressure, growth, rest = actuator_cells(result, simulation.actuators)[4:]
+    volume, pressure, growth, rest = actuator_cells(result, simulation.actuators)[5:]
     assert volume == pytest.approx(1.1 * rest) and pressure == result.efforts[1] > 0.0
     assert growth == pytest.approx(volume - rest)
 

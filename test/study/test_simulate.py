@@ -39,6 +39,7 @@ def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column
         "step,time_s,tip_x_m,tip_y_m,tip_z_m,tip_target_x_m,tip_target_y_m,tip_target_z_m,"
         "tip_error_m,"
         + "".join(f"{name}_length_m,{name}_tension_N,{name}_shortening_m,{name}_rest_length_m,"
+                  f"{name}_path_m,"
                   for name in "abcd")
         + "residual_N,linearization_error_m,iterations,compute_time_s,active_limits,driven_by,"
         "status")

@@ -1,0 +1,253 @@
+"""Compares the inverse problem with an optimiser over direct steps, on random robots.
+
+    tools/compare_inverse.py SEED COUNT
+
+Each robot is a bar of hexahedra or a beam with random cables, and one or two effectors with random
+directions and weights; some have an orientation or a wanted stiffness. Targets are within reach or
+far out. The robot follows its targets for 300 steps. Then the weighted distance is minimised over the
+lengths of the cables by `scipy.optimize.least_squares` on direct steps, from where the robot is and
+from poses at random. A robot is worse where it is left more than 1 % further away than that, told
+where its status is not `ok`, and restless where a command still moves by more than 1e-6 of the
+size in the last 60 steps, or where these end as neither ok, saturated nor unreachable.
+"""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import softrobot_twin as st
+
+STEPS, LATE, RESTED = 300, 60, 1.0e-6
+# Direct steps at each commanded pose; starts of the optimiser beside the robot's own pose.
+DIRECT_STEPS, STARTS, EVALUATIONS = 6, 2, 25
+WORSE = 1.01
+# Distances below this share of the size are reached.
+REACHED = 1.0e-5
+RESTING = ("ok", "saturated", "unreachable")
+DIRECTIONS = (["z"], ["y", "z"], ["x", "z"], ["x", "y", "z"])
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A random robot and what it is asked for.
+
+    Attributes:
+        scene: The scene, as keywords of `softrobot_twin.build`.
+        targets: Targets by the names of `softrobot_twin.targets`.
+        weights: Square roots of the weights of the effectors' rows, by effector.
+        size: Length of the body [m].
+        kind: What it is, in a few words.
+    """
+
+    scene: dict
+    targets: dict
+    weights: dict
+    size: float
+    kind: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """How a robot fared.
+
+    Attributes:
+        status: Status after the last step.
+        limits: Names of the active limits.
+        ours: Weighted distance that the inverse leaves [m].
+        best: The least that the optimiser found, or ours [m].
+        late_move: Largest move of a command in a late step, by the size.
+        late: Statuses of the late steps.
+        size: Length of the body [m].
+    """
+
+    status: str
+    limits: tuple[str, ...]
+    ours: float
+    best: float
+    late_move: float
+    late: frozenset
+    size: float
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether a pose that direct steps reach is nearer by more than 1 %."""
+        return self.ours > WORSE * self.best and self.ours > REACHED * self.size
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the status says that the target is missed."""
+        return self.status != "ok"
+
+    @property
+    def is_restless(self) -> bool:
+        """Whether commands still move, or the status is none of a robot at rest."""
+        return self.late_move > RESTED or not self.late <= set(RESTING)
+
+
+def random_robot(rng: np.random.Generator) -> Robot:
+    """Draws a robot and its targets."""
+    length, count = rng.uniform(0.08, 0.2), int(rng.integers(2, 6))
+    is_beam = bool(rng.random() < 0.5)
+    body, point, on, tension = (_beam if is_beam else _bar)(rng, length)
+    first = rng.uniform(0.0, 2.0 * np.pi)
+    limit = (None, None, 0.03, 0.1)[int(rng.integers(0, 4))]
+    cables = []
+    for i in range(count):
+        angle = first + 2.0 * np.pi * i / count + rng.normal() * 0.2
+        end = 1.0 if i < 2 or rng.random() < 0.6 else rng.uniform(0.4, 0.8)
+        cable = dict(
+            name=f"c{i}", pull_point=point(0.0, angle),
+            points=[point(end * share, angle) for share in (1 / 3, 2 / 3, 1.0)],
+            tension=[0.0, float(20.0 * tension)], **on,
+        )  # fmt: skip
+        if limit is not None:
+            cable["shortening"] = [-limit * length, limit * length * rng.uniform(0.2, 1.5)]
+        cables.append(cable)
+    effectors, targets, weights, words = [], {}, {}, []
+    for name, share in (("tip", 1.0), ("mid", 4 / 7))[: 1 + (rng.random() < 0.4)]:
+        place = point(share, None)
+        directions = DIRECTIONS[int(rng.integers(0, len(DIRECTIONS)))]
+        weight = float(rng.uniform(0.3, 3.0))
+        effectors.append(
+            dict(name=name, points=[place], directions=directions, weight=weight, **on)
+        )
+        far = 10 ** rng.uniform(-1.3, 0.3) * length * share
+        off = np.array([-abs(rng.normal()) * 0.3, *rng.normal(size=2)]) * far
+        targets[name] = (np.array(place) + off).tolist()
+        weights[name] = np.sqrt(weight) * np.isin(["x", "y", "z"], directions)
+        words.append(f"{name} {''.join(directions)}")
+    kind = "beam" if is_beam else "bar"
+    scene = dict(
+        name=kind, gravity=[0.0, 0.0, 0.0], cables=cables, effectors=effectors,
+        solver=dict(newton_iterations=5, residual_tolerance=1e-5 * max(float(tension), 1e-3)),
+        **body,
+    )  # fmt: skip
+    limits = "" if limit is None else f" limited to {limit:g} L"
+    return Robot(scene, targets, weights, length, f"{kind} {count} cables{limits} {words}")
+
+
+def _beam(rng, length: float):
+    """A straight beam; its points by share of its length and angle, and its scale of tension."""
+    radius, young = rng.uniform(0.002, 0.004), 10 ** rng.uniform(6.0, 7.0)
+    beam = dict(
+        name="b", points=[[0, 0, 0], [float(length), 0, 0]], elements=8, fixed=["start"],
+        section=dict(circle=dict(radius=float(radius))),
+        material=dict(young_modulus=float(young), poisson_ratio=0.4, density=1100.0),
+    )  # fmt: skip
+
+    def point(share, angle):
+        off = 0.0 if angle is None else 2.0 * radius
+        angle = angle or 0.0
+        return [float(share * length), float(off * np.cos(angle)), float(off * np.sin(angle))]
+
+    tension = young * np.pi * radius**4 / 4.0 / length / (2.0 * radius)
+    return dict(beams=[beam]), point, dict(body="b"), tension
+
+
+def _bar(rng, length: float):
+    """The same of a bar of hexahedra."""
+    width, young = length * rng.uniform(0.14, 0.22), 10 ** rng.uniform(4.9, 5.6)
+    body = dict(
+        mesh=dict(box=dict(size=[float(length), float(width), float(width)], cells=[7, 2, 2])),
+        element="hexahedral",
+        material=dict(young_modulus=float(young), poisson_ratio=0.4, density=1000.0),
+        fixed=[dict(box=dict(minimum=[-1e-6, -1, -1], maximum=[1e-6, 1, 1]))],
+    )  # fmt: skip
+
+    def point(share, angle):
+        off = 0.0 if angle is None else 0.42 * width
+        angle, centre = angle or 0.0, 0.5 * width
+        return [float(share * length), float(centre + off * np.cos(angle)),
+                float(centre + off * np.sin(angle))]  # fmt: skip
+
+    return dict(body=body), point, {}, young * width**4 / 12.0 / length / (0.42 * width)
+
+
+def compare(robot: Robot, rng: np.random.Generator) -> Finding:
+    """Lets a robot follow its targets, and looks for nearer poses by direct steps."""
+    twin = st.build(**robot.scene)
+    names = [cable["name"] for cable in robot.scene["cables"]]
+    asked, commands, late = st.targets(robot.targets), [], set()
+    for step in range(STEPS):
+        result = twin.step(asked)
+        if step >= STEPS - LATE:
+            commands.append(_setpoints(result, names))
+            late.add(result.status.value)
+    late_move = float(np.abs(np.diff(commands, axis=0)).max()) / robot.size
+    ours, state, limits = _missed(robot, result), twin.state, twin.simulation.actuators.limits
+    least, most = limits.displacement_min.copy(), limits.displacement_max.copy()
+    least = np.maximum(least, -0.5 * robot.size)
+
+    def at(shortenings):
+        twin.state = state
+        given = {f"{name}_shortening_m": float(s) for name, s in zip(names, shortenings)}
+        for _ in range(DIRECT_STEPS):
+            found = twin.step(st.setpoints(given))
+            if found.is_at_rest:
+                break
+        if found.status.value != "ok" or max(found[f"{name}_tension_N"] for name in names) >= (
+            robot.scene["cables"][0]["tension"][1]
+        ):
+            return np.full(3 * len(robot.weights), 10.0 * robot.size)
+        return _missed(robot, found)
+
+    best, own = float(np.linalg.norm(ours)), commands[-1]
+    if best > REACHED * robot.size:
+        starts = [own, *(own + 0.1 * robot.size * rng.normal(size=len(names))
+                         for _ in range(STARTS))]  # fmt: skip
+        for start in starts:
+            inside = np.clip(start, least + 1e-9, most - 1e-9)
+            found = least_squares(
+                at, inside, bounds=(least, most), x_scale=0.02 * robot.size, diff_step=1e-4,
+                max_nfev=EVALUATIONS,
+            )
+            best = min(best, float(np.linalg.norm(found.fun)))
+    return Finding(
+        result.status.value, result.limits, float(np.linalg.norm(ours)), best, late_move,
+        frozenset(late), robot.size,
+    )  # fmt: skip
+
+
+def _setpoints(result, names: list[str]) -> np.ndarray:
+    return np.array([result[f"{name}_shortening_m"] for name in names])
+
+
+def _missed(robot: Robot, result) -> np.ndarray:
+    """Weighted distances of the effectors, one row after the other [m]."""
+    return np.concatenate([
+        weights * (np.array(result.effectors[name]) - robot.targets[name])
+        for name, weights in robot.weights.items()
+    ])  # fmt: skip
+
+
+def main() -> None:
+    """Compares some robots, and prints those that are worse or restless, and the counts."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("seed", type=int)
+    parser.add_argument("count", type=int)
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    worse = untold = restless = 0
+    for index in range(given.count):
+        rng = np.random.default_rng([given.seed, index])
+        robot = random_robot(rng)
+        found = compare(robot, rng)
+        worse, untold = worse + found.is_worse, untold + (found.is_worse and not found.is_told)
+        restless += found.is_restless
+        if found.is_worse or found.is_restless:
+            print(
+                f"{index}: {robot.kind}: {found.status} {found.limits}, "
+                f"ours {1e3 * found.ours:.3f} mm, best {1e3 * found.best:.3f} mm, "
+                f"late move {found.late_move:.1e} of the size, late {sorted(found.late)}",
+                flush=True,
+            )
+    print(f"{given.count} robots: worse {worse}, of these not told {untold}; restless {restless}")
+
+
+if __name__ == "__main__":
+    main()
