@@ -3,8 +3,7 @@
     tools/compare_inverse.py SEED COUNT
 
 Each robot is a bar of hexahedra or a beam with random cables, and one or two effectors with random
-directions and weights; some have an orientation or a wanted stiffness. Targets are within reach or
-far out. The robot follows its targets for 300 steps. Then the weighted distance is minimised over the
+directions and weights; some cables are limited. Targets are within reach or far out. The robot follows its targets for 300 steps. Then the weighted distance is minimised over the
 lengths of the cables by `scipy.optimize.least_squares` on direct steps, from where the robot is and
 from poses at random. A robot is worse where it is left more than 1 % further away than that, told
 where its status is not `ok`, and restless where a command still moves by more than 1e-6 of the
@@ -26,8 +25,6 @@ STEPS, LATE, RESTED = 300, 60, 1.0e-6
 # Direct steps at each commanded pose; starts of the optimiser beside the robot's own pose.
 DIRECT_STEPS, STARTS, EVALUATIONS = 6, 2, 25
 WORSE = 1.01
-# Distances below this share of the size are reached.
-REACHED = 1.0e-5
 RESTING = ("ok", "saturated", "unreachable")
 DIRECTIONS = (["z"], ["y", "z"], ["x", "z"], ["x", "y", "z"])
 
@@ -62,7 +59,7 @@ class Finding:
         best: The least that the optimiser found, or ours [m].
         late_move: Largest move of a command in a late step, by the size.
         late: Statuses of the late steps.
-        size: Length of the body [m].
+        tolerance: Distance within which a target counts as reached [m].
     """
 
     status: str
@@ -71,12 +68,12 @@ class Finding:
     best: float
     late_move: float
     late: frozenset
-    size: float
+    tolerance: float
 
     @property
     def is_worse(self) -> bool:
         """Whether a pose that direct steps reach is nearer by more than 1 %."""
-        return self.ours > WORSE * self.best and self.ours > REACHED * self.size
+        return self.ours > WORSE * self.best and self.ours > self.tolerance
 
     @property
     def is_told(self) -> bool:
@@ -197,7 +194,8 @@ def compare(robot: Robot, rng: np.random.Generator) -> Finding:
         return _missed(robot, found)
 
     best, own = float(np.linalg.norm(ours)), commands[-1]
-    if best > REACHED * robot.size:
+    tolerance = twin.simulation.scene.solver.reach_tolerance
+    if best > tolerance:
         starts = [own, *(own + 0.1 * robot.size * rng.normal(size=len(names))
                          for _ in range(STARTS))]  # fmt: skip
         for start in starts:
@@ -209,7 +207,7 @@ def compare(robot: Robot, rng: np.random.Generator) -> Finding:
             best = min(best, float(np.linalg.norm(found.fun)))
     return Finding(
         result.status.value, result.limits, float(np.linalg.norm(ours)), best, late_move,
-        frozenset(late), robot.size,
+        frozenset(late), tolerance,
     )  # fmt: skip
 
 
