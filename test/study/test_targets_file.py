@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation.cable_actuator import CableActuator
-from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets
-from softrobot_twin.simulation.input_tables import (
-    SINGLE_ROW_TIME_STEP,
-    TableFileError,
-    read_targets,
+from softrobot_twin.simulation.command import (
+    DEFAULT_TIME_STEP,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
 )
+from softrobot_twin.simulation.input_tables import TableFileError, read_targets
 from softrobot_twin.simulation.pulleys import Pulleys
 
 EFFECTORS = ("tip", "side")
@@ -74,7 +75,7 @@ def test_a_time_step_is_the_distance_to_the_row_before(tmp_path):
 
 def test_a_single_row_has_the_stated_time_step(tmp_path):
     table = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n7,0,0,0\n")
-    np.testing.assert_array_equal(table.time_steps, [SINGLE_ROW_TIME_STEP])
+    np.testing.assert_array_equal(table.time_steps, [DEFAULT_TIME_STEP])
 
 
 def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
