@@ -122,11 +122,11 @@ def line_of_key(path: Path, key: str) -> int | None:
     """
     try:
         found = path.stat()
-        node = _root(path, found.st_mtime_ns, found.st_size)
+        node, places = _root(path, found.st_mtime_ns, found.st_size), parts(key)
     except (OSError, ValueError, yaml.YAMLError):
         return None
     line = None
-    for part in parts(key):
+    for part in places:
         if isinstance(part, int):
             if isinstance(node, yaml.SequenceNode) and part < len(node.value):
                 node = node.value[part]

@@ -52,7 +52,7 @@ def scene_error(
         as_written: Returns where the scene file has what is at a location, and the copy of an entry
             that it is in, or None; see `softrobot_twin.scene.patterns.as_written`.
     """
-    details = error.errors(include_url=False)
+    details = [{**one, "loc": _place(one)} for one in error.errors(include_url=False)]
     # A misspelt key also makes the correct one missing; the message names the misspelt one.
     misspelt = {tuple(d["loc"][:-1]) for d in details if d["type"] == "extra_forbidden"}
     details = [d for d in details if d["type"] != "missing" or tuple(d["loc"][:-1]) not in misspelt]
@@ -63,12 +63,23 @@ def scene_error(
     # An error of a repeated entry as it was written is one error, not one for each copy.
     alike: dict[tuple, list] = {}
     for one in details:
-        alike.setdefault((as_written(tuple(one["loc"]))[0], one["type"]), []).append(one)
+        key = as_written(one["loc"])[0], one["type"] if one["type"] == "refusal" else ""
+        alike.setdefault(key, []).append(one)
     found = [_one_error(same, root, path, above, as_written)
              for same in list(alike.values())[:_MOST_ERRORS]]  # fmt: skip
     first = found[0]
     return SceneError(path, first.key, first.value, first.unit, first.reason, found[1:],
                       len(alike) - len(found))  # fmt: skip
+
+
+def _place(one: Any) -> tuple:
+    """Location of an error, without what pydantic adds for alternatives of a value."""
+    place = tuple(one["loc"])
+    if one["type"] == "extra_forbidden":
+        return place
+    odd = (index for index, part in enumerate(place)
+           if isinstance(part, str) and not part.replace("_", "").isalnum())  # fmt: skip
+    return place[: next(odd, len(place))]
 
 
 def _one_error(

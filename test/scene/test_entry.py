@@ -57,7 +57,7 @@ def test_unambiguous_entries_have_a_short_form(original, keys, short, long):
 
 @pytest.mark.parametrize("original, keys, value, key, words", [
     (DIAMOND, "cables", {"north": {"points": [0, 0, 0]}}, "cables", "each entry starts with '- '"),
-    (DIAMOND, "body.material", "silicone", "body.material", "a section with these keys: law"),
+    (DIAMOND, "body.material", "silicone", "body.material.preset", "is none of the presets"),
     (DIAMOND, "body.mesh.rotation", 90, "body.mesh.rotation", "must be a list of 3 numbers"),
     (DIAMOND, "effectors.0.points", [[0, 0]], "effectors[0].points[0]",
      "must be a list of 3 numbers; it has 2"),

@@ -162,6 +162,15 @@ def test_a_missing_key_has_the_line_of_its_section(tmp_path):
     assert str(error.value).startswith(f"{file}:8: springs[0].stiffness = '(nothing)'")
 
 
+def test_an_error_in_a_value_of_several_kinds_is_one_error_at_its_key(tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text("name: a\nbeams:\n  - name: b\n    joined:\n      - {at: middle, to: world}\n")
+    with pytest.raises(SceneError) as error:
+        load_scene(file)
+    lines = [line for line in str(error.value).splitlines() if ".at = " in line]
+    assert len(lines) == 1 and lines[0].startswith(f"{file}:5: beams[0].joined[0].at = 'middle'")
+
+
 def test_errors_beyond_the_tenth_are_counted(tmp_path):
     file = tmp_path / "scene.yaml"
     file.write_text("".join(f"key_{number}: 1\n" for number in range(300)))
