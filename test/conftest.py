@@ -443,3 +443,13 @@ def half_trained(tmp_path_factory) -> Path:
     mapping["body"]["reduced"] = {"file": "body.npz"}
     scene.write_text(yaml.safe_dump(mapping))
     return scene
+
+
+@pytest.fixture(autouse=True)
+def _own_state(tmp_path_factory, monkeypatch):
+    """No test continues from the last command of another one, or of a real robot."""
+    home = tmp_path_factory.getbasetemp() / f"state_{next(_STATES)}"
+    monkeypatch.setenv("XDG_STATE_HOME", str(home))
+
+
+_STATES = itertools.count()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -79,7 +79,7 @@ CALLS = (
     "direct.accept", "selected.accept", "device.accept", "angles.accept", "measured_angles.accept",
     "pressures.accept", "measured_pressures.accept", "poses.accept", "touches.accept_force",
     "touches.accept_place", "markers.accept", "enable", "disable", "reset", "apply",
-    "contest", "give_up", "after_failure",
+    "contest", "give_up", "after_failure", "continue_from",
 )  # fmt: skip
 """All calls by which anything reaches a loop from outside, but `tick`."""
 MOST_REPEATS = 19
@@ -402,6 +402,20 @@ class TwinLoop:
         if in_a_row >= MOST_FAILURES and self.is_enabled:
             self._engagement.give_up(f"{in_a_row} ticks in a row failed: {failure}")
         return self.last_command
+
+    def continue_from(self, setpoints, efforts, poses: Mapping[str, Sequence]) -> None:
+        """Takes what was sent last before this loop for its own last command.
+
+        The model moves there before anything is published.
+
+        Args:
+            setpoints: In the unit of each actuator's kind, shape (actuator_count,).
+            efforts: In the unit of each actuator's kind, same shape.
+            poses: Position [m] and quaternion (x, y, z, w) of each guided body, by name.
+        """
+        self._engagement.gate.start_from(setpoints, efforts)
+        for name, pose in poses.items():
+            self._guidance.sent[name] = Pose(*(np.array(part, float) for part in pose))
 
     def give_up(self, reason: str) -> None:
         """Publishes no command from the next tick on, and says why until it is enabled."""

@@ -79,6 +79,7 @@ CALLS: dict[str, Decoding] = {
     "after_failure": (_same, _same),
     "enable": (number,),
     "give_up": (_same,),
+    "continue_from": (numbers, numbers, _same),
     "disable": (),
     "reset": (),
     "apply": (settings_from_json,),

@@ -26,6 +26,7 @@ from softrobot_twin.control.arrival import Refusal, RefusalCounts
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.inputs import ActuatorInput
+from softrobot_twin.control.last_command import LastCommand
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
@@ -217,6 +218,7 @@ class TwinNode(TickingNode):
 
     recording: RunRecording | None = None
     _claim: TopicClaim | None = None
+    _last_command: LastCommand | None = None
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
@@ -276,6 +278,10 @@ class TwinNode(TickingNode):
                            *self._measurements), self._commands)
         self._claim.listen()
         self._yield_to_rivals()
+        if not self.loop.use_device:
+            domain, topic = self.context.get_domain_id(), self._cables.topic_name
+            self._last_command = LastCommand(simulation, f"{domain} {topic}")
+            self._continue_from_last_command()
         self._claim.is_enabled = lambda: self.loop.is_enabled
         self._log_ready(path)
 
@@ -501,6 +507,16 @@ class TwinNode(TickingNode):
         if self.loop.is_enabled and (why := self._claim.why_not()):
             self.loop.give_up(why)
 
+    def _continue_from_last_command(self) -> None:
+        """Without a device, moves the model to where the hardware was sent last, by any twin."""
+        if self._last_command is None or (stored := self._last_command.read()) is None:
+            return
+        self.loop.continue_from(
+            stored.setpoints, stored.efforts,
+            {name: [part.tolist() for part in pose] for name, pose in stored.poses.items()},
+        )  # fmt: skip
+        self.get_logger().info(f"continues from the last command, {self._last_command.path}")
+
     def watch_graph(self) -> None:
         """Checks the graph, and who else commands the hardware."""
         self._yield_to_rivals()
@@ -519,6 +535,8 @@ class TwinNode(TickingNode):
             response.success = False
             response.message = "; ".join([rival, *sentences] if rival else sentences)
         elif request.data:
+            if not self.loop.is_enabled:
+                self._continue_from_last_command()
             response.success, response.message = self.loop.enable(self.monotonic())
         else:
             self.loop.disable()
@@ -555,6 +573,8 @@ class TwinNode(TickingNode):
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
             self._publish_command(outcome.command, header)
+            if self._last_command is not None:
+                self._last_command.keep(*outcome.command, outcome.guided_poses)
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
         for name, pressure in sealed.items():
             send(self._pressures[name], pressure_message(pressure, header))
@@ -646,6 +666,9 @@ class TwinNode(TickingNode):
 
     def _warn_of(self, outcome: TickOutcome, now: float) -> None:
         logger, activity = self.get_logger(), outcome.activity.value
+        if self._last_command is not None and self._last_command.failure:
+            logger.warning(f"the last command is not kept for the next start: "
+                           f"{self._last_command.failure}", throttle_duration_sec=60.0)
         if self.loop.is_enabled and self.loop.device_is_lost(now):
             logger.warning(f"device lost: {activity}", throttle_duration_sec=_WARN_EVERY)
         if self.loop.is_enabled and self.loop.markers_are_lost(outcome.measured_markers):
@@ -700,6 +723,8 @@ class TwinNode(TickingNode):
         """
         if self._claim is not None:
             self._claim.close()
+        if self._last_command is not None:
+            self._last_command.close()
         if self._mesh_error is not None:
             self._mesh_error.close()
         if self._reduction is not None:

@@ -283,7 +283,7 @@ def test_without_record_nothing_of_it_is_loaded_started_or_replaced(
         text=True, timeout=120,
     )  # fmt: skip
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("RESULT")]
-    assert line == "RESULT [] [] ['MainThread', 'claim'] None Publisher", done.stderr
+    assert line == "RESULT [] [] ['MainThread', 'claim', 'last command'] None Publisher", done.stderr
 
 
 # --- definitions ---------------------------------------------------------------------------------

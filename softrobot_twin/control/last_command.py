@@ -1,0 +1,124 @@
+"""The last command of a twin without a device, in a file that outlives its process.
+
+Without a device nobody measures where the robot is. A twin that is started again continues from the
+command that the hardware got last, whatever ended the twin before. A thread writes the file, and
+the loop never waits. It is not forced to the disk: a loss of power may cost the last seconds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.control.inputs import Pose
+from softrobot_twin.simulation import Simulation
+
+
+class StoredCommand(NamedTuple):
+    """What was sent last.
+
+    Attributes:
+        setpoints: In the unit of each actuator's kind, shape (actuator_count,).
+        efforts: In the unit of each actuator's kind, shape (actuator_count,).
+        poses: Poses of the guided bodies, by name.
+    """
+
+    setpoints: np.ndarray
+    efforts: np.ndarray
+    poses: dict[str, Pose]
+
+
+class LastCommand:
+    """Keeps the last command of the twins that send to one topic.
+
+    Args:
+        simulation: The model.
+        topic: What tells the robot from others: domain and full name of the topic of its commands.
+
+    Attributes:
+        path: The file, below ``$XDG_STATE_HOME/softrobot_twin`` or
+            ``~/.local/state/softrobot_twin``. Its name holds a digest of topic and actuators.
+        failure: Why nothing is kept; empty while it is.
+    """
+
+    def __init__(self, simulation: Simulation, topic: str):
+        self._names, self._guided = simulation.actuator_names, tuple(simulation.guided_names)
+        units = [kind.setpoint.unit for kind in simulation.actuators.kind_of.values()]
+        told = json.dumps([topic, self._names, units, self._guided])
+        home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+        digest = hashlib.sha256(told.encode()).hexdigest()[:16]
+        self.path = Path(home) / "softrobot_twin" / f"last_command_{digest}.json"
+        self.failure = ""
+        self._newest: tuple | None = None
+        self._signal, self._ends = threading.Event(), False
+        self._thread: threading.Thread | None = None
+
+    def read(self) -> StoredCommand | None:
+        """What was sent last; None where nothing is known, or what is there cannot be used."""
+        try:
+            with self.path.open("rb") as file:
+                values = json.loads(file.readline(100_000))
+            setpoints, efforts = (np.array(values[key], float) for key in ("setpoints", "efforts"))
+            poses = {name: Pose(*(np.array(part, float) for part in values["poses"][name]))
+                     for name in self._guided}  # fmt: skip
+        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+            return None
+        count = len(self._names)
+        fits = setpoints.shape == efforts.shape == (count,) and all(
+            pose.position.shape == (3,) and pose.quaternion.shape == (4,) for pose in poses.values()
+        )
+        numbers = [setpoints, efforts, *(part for pose in poses.values() for part in pose)]
+        if not fits or not all(np.isfinite(part).all() for part in numbers):
+            return None
+        return StoredCommand(setpoints, efforts, poses)
+
+    def keep(self, setpoints: np.ndarray, efforts: np.ndarray, poses: Mapping[str, Pose]) -> None:
+        """Keeps a command that was sent; see `StoredCommand`. Returns at once."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="last command", daemon=True)
+            self._thread.start()
+        self._newest = (setpoints, efforts, dict(poses))
+        self._signal.set()
+
+    def close(self) -> None:
+        """Writes the newest command, and ends."""
+        self._ends = True
+        self._signal.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o600)
+        except OSError as error:
+            self.failure = f"{self.path}: {error.strerror}"
+            return
+        try:
+            while not self._ends:
+                self._signal.wait()
+                self._signal.clear()
+                newest, self._newest = self._newest, None
+                if newest is not None:
+                    # One call writes the whole line: a process that dies leaves the old or the new.
+                    os.pwrite(file, _line(*newest), 0)
+        except OSError as error:
+            self.failure = f"{self.path}: {error.strerror}"
+        finally:
+            os.close(file)
+
+
+def _line(setpoints, efforts, poses) -> bytes:
+    """A command as one line of JSON."""
+    values = {
+        "setpoints": setpoints.tolist(), "efforts": efforts.tolist(),
+        "poses": {name: [part.tolist() for part in pose] for name, pose in poses.items()},
+    }  # fmt: skip
+    return json.dumps(values).encode() + b"\n"

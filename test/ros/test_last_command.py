@@ -1,0 +1,97 @@
+"""Without a device a twin that is started again continues from the last command."""
+
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+from softrobot_twin.control.last_command import LastCommand
+from softrobot_twin.ros.claim import LIFE_TIME
+from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.simulation import Simulation
+
+RATE = 0.05
+
+
+def drive(world, twin):
+    """Lets a twin follow a target; its last command [m]."""
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    rest = twin.loop.simulation.rest_setpoints
+    while np.abs(twin.loop.last_command.setpoints - rest).max() < 0.004:
+        targets.publish(world.target_message((0.012, 0.0, 0.134)))
+        world.run(0.02)
+    twin.stop()
+    world.probe.destroy_publisher(targets)
+    time.sleep(0.1)  # Its thread writes.
+    return twin.loop.last_command.setpoints.copy()
+
+
+@pytest.mark.parametrize("ends", ("at once", "cleanly"))
+def test_a_twin_that_is_started_again_continues_where_the_hardware_is(world, make_twin, ends):
+    first = make_twin(rate=50.0)
+    last = drive(world, first)
+    first._claim.close()
+    if ends == "cleanly":
+        first.destroy_node()
+    time.sleep(LIFE_TIME)
+    heard = world.hear(JointState, "/twin/cables", 100)
+    second = make_twin(rate=50.0)
+    world.until(lambda: len(heard) > 5)
+    commands = np.vstack([last, *(message.position for message in heard)])
+    assert np.abs(np.diff(commands, axis=0)).max() <= RATE / 50.0 + 1e-9
+    assert second.loop.is_enabled
+
+
+def test_a_twin_enabled_after_another_continues_where_that_one_ended(world, make_twin):
+    first, second = make_twin(rate=50.0), make_twin(rate=50.0)
+    assert not second.loop.is_enabled
+    last = drive(world, first)
+    heard = world.hear(JointState, "/twin/cables", 100)
+    first._claim.close()
+    time.sleep(LIFE_TIME + 0.2)
+    assert second._enable(SetBool.Request(data=True), SetBool.Response()).success
+    world.until(lambda: len(heard) > 5)
+    commands = np.vstack([last, *(message.position for message in heard)])
+    assert np.abs(np.diff(commands, axis=0)).max() <= RATE / 50.0 + 1e-9
+
+
+def test_another_topic_or_robot_has_another_file(small_scene_file):
+    simulation = Simulation.from_scene_file(small_scene_file)
+    paths = {LastCommand(simulation, topic).path for topic in ("1 /twin/cables", "2 /twin/cables")}
+    assert len(paths) == 2
+
+
+@pytest.mark.parametrize("content", (
+    "", "{}", "[]", "\0\0", '{"setpoints": [1, 2], "efforts": [0, 0], "poses": {}}',
+    '{"setpoints": [NaN, 0, 0, 0], "efforts": [0, 0, 0, 0], "poses": {}}',
+    '{"setpoints": ["a", 0, 0, 0], "efforts": [0, 0, 0, 0], "poses": {}}', "[" * 100_000,
+))  # fmt: skip
+def test_a_damaged_file_is_not_used(small_scene_file, content):
+    simulation = Simulation.from_scene_file(small_scene_file)
+    stored = LastCommand(simulation, "1 /twin/cables")
+    stored.path.parent.mkdir(parents=True)
+    stored.path.write_text(content)
+    assert stored.read() is None
+
+
+def test_with_a_device_nothing_is_kept(world, small_scene_file):
+    twin = world.add(TwinNode, scene_file=str(small_scene_file), use_device=True)
+    assert twin._last_command is None
+
+
+def test_a_folder_that_cannot_be_written_stops_nothing(simulation_of, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    stored = LastCommand(simulation_of, "1 /twin/cables")
+    stored.keep(simulation_of.rest_setpoints, np.zeros(4), {})
+    stored.close()
+    assert stored.failure and stored.read() is None
+
+
+@pytest.fixture
+def simulation_of(small_scene_file):
+    """The small Diamond."""
+    return Simulation.from_scene_file(small_scene_file)
