@@ -138,7 +138,7 @@ KEPT = {
     "ros": (
         "demo::test_ctrl_c_ends_all_three_processes_and_writes_the_report",
         "demo::test_the_demo_leads_the_robot[diamond]",
-        "demo::test_the_demo_leads_the_robot[grasper]", "hostile_messages",
+        "hostile_messages",
     ),
     "scripting": ("python_page",),
     "simulation": (
