@@ -52,7 +52,9 @@ def scene_error(
         as_written: Returns where the scene file has what is at a location, and the copy of an entry
             that it is in, or None; see `softrobot_twin.scene.patterns.as_written`.
     """
-    details = [{**one, "loc": _place(one)} for one in error.errors(include_url=False)]
+    details: list[dict[str, Any]] = [
+        {**one, "loc": _place(one)} for one in error.errors(include_url=False)
+    ]
     # A misspelt key also makes the correct one missing; the message names the misspelt one.
     misspelt = {tuple(d["loc"][:-1]) for d in details if d["type"] == "extra_forbidden"}
     details = [d for d in details if d["type"] != "missing" or tuple(d["loc"][:-1]) not in misspelt]
