@@ -80,7 +80,7 @@ LIBRARIES = {
         "apparent_compliance::test_a_body_reduced_to_vertebrae",
         "apparent_compliance::test_a_contact_that_presses_holds_its_gap",
         "apparent_compliance::test_with_friction_a_small_push_lets_the_cables_stick",
-        "apparent_stiffness", "beams", "cavities",
+        "apparent_stiffness", "beam_masses", "beams", "cavities",
         "compiled_early::test_the_first_contact_of_every_pair_compiles_nothing",
         "compiled_early::test_fallback_solvers_are_compiled_before_the_first_step",
         "elastic_cables", "element_kinds", "factorizations", "full_model_error", "hinges",
@@ -453,3 +453,13 @@ def _own_state(tmp_path_factory, monkeypatch):
 
 
 _STATES = itertools.count()
+
+
+@pytest.fixture
+def drawn_rng():
+    """A generator of random numbers from a drawn seed, which is printed; `DRAWN_SEED` sets it."""
+    import numpy as np
+
+    seed = int(os.environ.get("DRAWN_SEED", np.random.SeedSequence().entropy % 2**32))
+    print(f"DRAWN_SEED={seed}")
+    return np.random.default_rng(seed)

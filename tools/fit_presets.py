@@ -86,14 +86,15 @@ def main() -> int:
     """Prints the table."""
     made = table(
         "Material presets", "preset", "law", "constants [Pa]", "rms error", "largest",
-        "fitted to strain",
+        "data from strain", "to strain",
     )  # fmt: skip
     for name, preset in MATERIAL_PRESETS.items():
         fit = fitted(preset)
         constants = ", ".join(f"{key} {value:g}" for key, value in fit.constants.items())
         made.add_row(
             name, preset.law, constants, f"{100.0 * fit.rms_error:.1f} %",
-            f"{100.0 * fit.largest_error:.1f} %", f"{100.0 * preset.largest_strain:.0f} %",
+            f"{100.0 * fit.largest_error:.1f} %", f"{100.0 * preset.smallest_strain:.0f} %",
+            f"{100.0 * preset.largest_strain:.0f} %",
         )  # fmt: skip
     console().print(made)
     return 0

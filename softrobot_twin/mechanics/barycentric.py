@@ -118,13 +118,19 @@ class BarycentricMapping:
             np.take_along_axis(weights, order, axis=1)[:, :width],
         )
 
-    def mean(self) -> BarycentricMapping:
-        """One point that moves as the mean of all of them."""
+    def mean(self, shares: np.ndarray | None = None) -> BarycentricMapping:
+        """One point that moves as a weighted mean of all of them.
+
+        Args:
+            shares: Weight of each point, not negative, shape (point_count,); equal when left out.
+        """
+        shares = np.ones(self.point_count) if shares is None else shares
         nodes, place = np.unique(self.nodes, return_inverse=True)
-        weights = np.bincount(place.ravel(), self.barycentric_weights.ravel(), len(nodes))
+        parts = shares[:, None] * self.barycentric_weights
+        weights = np.bincount(place.ravel(), parts.ravel(), len(nodes))
         carrying = weights != 0.0
         return BarycentricMapping(
-            nodes[carrying][None, :], weights[carrying][None, :] / self.point_count
+            nodes[carrying][None, :], weights[carrying][None, :] / shares.sum()
         )
 
     def _widened(self, width: int) -> BarycentricMapping:

@@ -201,6 +201,22 @@ class InertiaTerm(ForceTerm, Protocol):
     is_inertia: bool = True
     weight: float = 1.0
 
+    def begin_second_order(
+        self, positions: np.ndarray, ahead: np.ndarray, velocities: np.ndarray,
+        accelerations: np.ndarray, time_step: float,
+    ) -> None:  # fmt: skip
+        """Remember the state at the beginning of a step of a scheme of second order.
+
+        Args:
+            positions: Node positions [m], guided ones already moved, shape (node_count, 3).
+            ahead: The velocity that the scheme extrapolates by, of the unknowns [m/s] and [rad/s],
+                shape (free_node_count, 3).
+            velocities: Those at the beginning, same shape.
+            accelerations: Same shape.
+            time_step: h [s].
+        """
+        self.begin_step(positions, ahead, time_step)
+
     def add_accelerations(
         self, positions: np.ndarray, forces: np.ndarray, accelerations: np.ndarray
     ) -> None:

@@ -434,6 +434,32 @@ class HingedFrames(RigidFrames):
         super().advance(positions, move, share)
         self.follow(positions, relative)
 
+    def recede(self, positions: np.ndarray, move: np.ndarray) -> None:
+        """Undo a move; see `RigidFrames.recede`."""
+        relative = self.relative(positions)
+        # The turn of a ball joint is in the axes that its parent had before it moved.
+        super().advance(positions, move, -1.0)
+        turn_relative(
+            positions, self.hinges.parents, self.hinges.axes, self._first_own, move, -1.0, relative
+        )
+        self.follow(positions, relative)
+
+    def twist_derivatives(self, positions: np.ndarray) -> list:
+        """Derivatives of places and turns of hinged frames; see `HingedTwists`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            For each the unknowns that it depends on, with D, shape (3, 3).
+        """
+        twists = HingedTwists(self)
+        twists.update(positions)
+        return [
+            [(int(u), D) for u, D in zip(own, derivatives, strict=True) if u >= 0]
+            for own, derivatives in zip(twists.unknowns, twists.derivatives, strict=True)
+        ]
+
     def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
         """Moves of the free bodies, and turns of hinged frames against their parents [rad].
 

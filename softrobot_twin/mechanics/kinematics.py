@@ -965,7 +965,7 @@ class CarriedTerm(ForceTerm):
         """
         self._term, self.name = term, term.name
         self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
-        self.stays_upright = term.stays_upright
+        self.stays_upright, self.is_inertia = term.stays_upright, term.is_inertia
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))
@@ -995,6 +995,25 @@ class CarriedTerm(ForceTerm):
     ) -> None:
         """See `ForceTerm.begin_rates`."""
         self._term.begin_rates(positions, reference, velocities, span)
+
+    @property
+    def weight(self) -> float:
+        """See `InertiaTerm`."""
+        return self._term.weight
+
+    @weight.setter
+    def weight(self, weight: float) -> None:
+        self._term.weight = weight
+
+    def begin_second_order(
+        self, positions, ahead, velocities, accelerations, time_step: float
+    ) -> None:
+        """See `InertiaTerm.begin_second_order`."""
+        self._term.begin_second_order(positions, ahead, velocities, accelerations, time_step)
+
+    def add_accelerations(self, positions, forces, accelerations) -> None:
+        """See `InertiaTerm.add_accelerations`."""
+        self._term.add_accelerations(positions, forces, accelerations)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces; see `ForceTerm.add_forces`."""

@@ -357,6 +357,19 @@ class RigidFrames:
             origins = self._carried_origins[4 * self.free_body_count :]
             place_attached(positions, self.attached.nodes, origins, self.attached.local)
 
+    def recede(self, positions: np.ndarray, move: np.ndarray) -> None:
+        """Undo a move: `advance` by the move leads back again.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); changed.
+            move: Of the unknowns [m] and [rad], shape (free_node_count, 3).
+        """
+        self.advance(positions, move, -1.0)
+
+    def twist_derivatives(self, positions: np.ndarray) -> list:
+        """None: free frames have unknowns of their own; see `HingedFrames.twist_derivatives`."""
+        return []
+
     def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
         """Translation [m] and rotation vector log(R_after R_beforeᵀ) [rad] of the free bodies.
 
@@ -463,9 +476,11 @@ def remember_poses(x, origins, centres, rotations):
 class RigidMotion(ForceTerm):
     """Force term whose forces follow the motion since the step's beginning.
 
+    Nodes of beams are free bodies without a mass of their own, after all others.
+
     Attributes:
-        masses: Mass of each free body [kg], shape (free_body_count,).
-        inertias: Inertia about its origin in its own frame [kg m²], shape (free_body_count, 3, 3).
+        masses: Mass of each free body that has one [kg], shape (count,).
+        inertias: Inertia about its origin in its own frame [kg m²], shape (count, 3, 3).
     """
 
     remembers_start = True
@@ -475,21 +490,25 @@ class RigidMotion(ForceTerm):
 
         Args:
             frames: The rigid bodies; a free body's origin is its centre of mass.
-            masses: Mass of each free body [kg], shape (free_body_count,).
+            masses: Mass of the first free bodies [kg], shape (count,).
             inertias: Inertia about the centre of mass in the body's frame [kg m²],
-                shape (free_body_count, 3, 3), symmetric.
+                shape (count, 3, 3), symmetric.
 
         Raises:
             ValueError: The numbers of bodies differ.
         """
-        count = frames.free_body_count
-        self._frames = frames
         self.masses = np.array(masses, dtype=float).reshape(-1)
         self.inertias = np.array(inertias, dtype=float).reshape(-1, 3, 3)
-        if len(self.masses) != count or len(self.inertias) != count:
+        count = len(self.masses)
+        if len(self.inertias) != count or count > frames.free_body_count:
             raise ValueError(
-                f"{count} free bodies, {len(self.masses)} masses, {len(self.inertias)} inertias"
+                f"{frames.free_body_count} free bodies, {count} masses, "
+                f"{len(self.inertias)} inertias"
             )
+        self._origins, self._first_unknown = frames.origins[:count], frames.first_unknown
+        self._translations, self._rotation_unknowns = (
+            frames.translations[:count], frames.rotations[:count]
+        )
         self._centres = np.zeros((count, 3))
         self._rotations = np.tile(np.eye(3), (count, 1, 1))
         # Before the first step there is no motion yet, and no force.
@@ -499,7 +518,7 @@ class RigidMotion(ForceTerm):
 
     def stencils(self) -> np.ndarray:
         """Translation and rotation do not couple about the centre of mass, shape (2 k, 1)."""
-        unknowns = np.column_stack([self._frames.translations, self._frames.rotations])
+        unknowns = np.column_stack([self._translations, self._rotation_unknowns])
         return unknowns.reshape(-1, 1)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
@@ -508,12 +527,12 @@ class RigidMotion(ForceTerm):
         self._offsets, self._strides = slots(unknowns, unknowns)
 
     def _remember_poses(self, positions: np.ndarray) -> None:
-        remember_poses(positions, self._frames.origins, self._centres, self._rotations)
+        remember_poses(positions, self._origins, self._centres, self._rotations)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces [N] and torques [N m]; it inverts no element."""
         add_motion_forces(
-            positions, self._frames.origins, self._frames.first_unknown, self.masses,
+            positions, self._origins, self._first_unknown, self.masses,
             self.inertias, self._centres, self._rotations, self._scale, self._in_middle,
             self._pushes, self._twists, forces,
         )  # fmt: skip
@@ -531,7 +550,7 @@ class RigidMotion(ForceTerm):
         """
         self.add_forces(positions, forces)
         add_motion_stiffness(
-            positions, self._frames.origins, self.masses, self.inertias, self._rotations,
+            positions, self._origins, self.masses, self.inertias, self._rotations,
             self._scale, self._in_middle, projected, self._offsets, self._strides, storage,
         )  # fmt: skip
 
@@ -578,7 +597,7 @@ class RigidInertia(RigidMotion, InertiaTerm):
         self._scale, self._in_middle = 1.0 / time_step**2, self.weight != 1.0
         self._write_momenta(positions, velocities, self._twists)
         self._twists /= time_step
-        np.multiply(self.masses[:, None], velocities[self._frames.translations], self._pushes)
+        np.multiply(self.masses[:, None], velocities[self._translations], self._pushes)
         self._pushes /= time_step
         if self._in_middle:
             for values in (self._twists, self._pushes):
@@ -587,12 +606,41 @@ class RigidInertia(RigidMotion, InertiaTerm):
 
     def add_accelerations(self, positions, forces, accelerations) -> None:
         """Add M⁻¹ f; see `InertiaTerm`."""
-        frames = self._frames
-        accelerations[frames.translations] += forces[frames.translations] / self.masses[:, None]
-        R = positions[frames.origins[:, None] + [1, 2, 3]] - positions[frames.origins][:, None]
-        inverses = np.einsum("kia,kij,kjb->kab", R, self._inverse_inertias, R)
-        torques = forces[frames.rotations]
-        accelerations[frames.rotations] += np.einsum("kab,kb->ka", inverses, torques)
+        accelerations[self._translations] += forces[self._translations] / self.masses[:, None]
+        inverses = self._in_world(positions, self._inverse_inertias)
+        torques = forces[self._rotation_unknowns]
+        accelerations[self._rotation_unknowns] += np.einsum("kab,kb->ka", inverses, torques)
+
+    def _in_world(self, positions: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+        """Matrices in the bodies' own axes in world axes, shape (count, 3, 3)."""
+        R = positions[self._origins[:, None] + [1, 2, 3]] - positions[self._origins][:, None]
+        return np.einsum("kia,kij,kjb->kab", R, matrices, R)
+
+    def gyroscopic_rates(self, positions, velocities) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation unknowns, and J⁻¹ (ω × J ω) of each body [rad/s²], shapes (count,) and (count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            velocities: Of the unknowns [m/s] and [rad/s], shape (free_node_count, 3).
+        """
+        momenta = self.angular_momenta(positions, velocities)
+        torques = np.cross(velocities[self._rotation_unknowns], momenta)
+        inverses = self._in_world(positions, self._inverse_inertias)
+        return self._rotation_unknowns, np.einsum("kab,kb->ka", inverses, torques)
+
+    def world_blocks(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Blocks of the mass matrix: their unknowns, and m 1 or J of each [kg] or [kg m²].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Of shapes (2 count,) and (2 count, 3, 3).
+        """
+        blocks = [self.masses[:, None, None] * np.eye(3), self._in_world(positions, self.inertias)]
+        return (
+            np.concatenate([self._translations, self._rotation_unknowns]), np.concatenate(blocks)
+        )
 
     def carry_rates(
         self, before: np.ndarray, after: np.ndarray, rates: np.ndarray, in_middle: bool = False
@@ -605,9 +653,8 @@ class RigidInertia(RigidMotion, InertiaTerm):
             rates: Of the unknowns, shape (free_node_count, 3); those of rotations are changed.
             in_middle: Whether the momentum is that in the middle of the turn between them.
         """
-        frames = self._frames
         carry_rates(
-            writable(before), writable(after), frames.origins, frames.first_unknown,
+            writable(before), writable(after), self._origins, self._first_unknown,
             self.inertias, self._inverse_inertias, in_middle, rates,
         )  # fmt: skip
 
@@ -617,21 +664,21 @@ class RigidInertia(RigidMotion, InertiaTerm):
         return np.linalg.inv(self.inertias)
 
     def angular_momenta(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
-        """Angular momentum of each body about its centre [N m s], shape (free_body_count, 3)."""
+        """Angular momentum of each body about its centre [N m s], shape (count, 3)."""
         momenta = np.empty((len(self.masses), 3))
         self._write_momenta(positions, velocities, momenta)
         return momenta
 
     def _write_momenta(self, positions, velocities, out) -> None:
         write_momenta(
-            positions, velocities, self._frames.origins, self._frames.first_unknown,
+            positions, velocities, self._origins, self._first_unknown,
             self.inertias, out,
         )  # fmt: skip
 
     def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
         """½ m v² + ½ ω·J ω of all free bodies [J]."""
-        linear = velocities[self._frames.translations]
-        angular = velocities[self._frames.rotations]
+        linear = velocities[self._translations]
+        angular = velocities[self._rotation_unknowns]
         spinning = np.sum(self.angular_momenta(positions, velocities) * angular)
         return 0.5 * float(self.masses @ np.sum(linear**2, axis=1) + spinning)
 
@@ -646,10 +693,10 @@ class RigidDamping(RigidMotion):
 
         Args:
             frames: The rigid bodies; a free body's origin is its centre of mass.
-            masses: Mass of each free body [kg], shape (free_body_count,).
+            masses: Mass of each free body [kg], shape (count,).
             inertias: Inertia about the centre of mass in the body's frame [kg m²],
-                shape (free_body_count, 3, 3).
-            rates: α of each [1/s], shape (free_body_count,), or one for all.
+                shape (count, 3, 3).
+            rates: α of each [1/s], shape (count,), or one for all.
         """
         rates = np.broadcast_to(np.asarray(rates, dtype=float), np.shape(masses))
         super().__init__(frames, rates * masses, rates[:, None, None] * np.asarray(inertias))

@@ -47,8 +47,16 @@ class MaterialPreset(NamedTuple):
         return self.curve[-1][0]
 
     @property
+    def smallest_strain(self) -> float:
+        """Engineering strain from which on there are data: below it, the law is extrapolated."""
+        return self.curve[0][0]
+
+    @property
     def strain_range(self) -> tuple[float, float]:
-        """Principal strains of the test: from the lateral contraction at its end to its end."""
+        """Principal strains of the test: from the lateral contraction at its end to its end.
+
+        It holds the strains below the first of the data, which every body passes.
+        """
         return ((1.0 + self.largest_strain) ** -0.5 - 1.0, self.largest_strain)
 
 

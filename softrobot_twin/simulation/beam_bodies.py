@@ -1,13 +1,12 @@
 """Beams of a scene: their nodes at rest, the frames that these move with, and their elements.
 
-A node of a beam has a frame of its own, with its mass and rotary inertia, unless it is joined: then
-it moves with the frame of the rigid body, or shares one frame with the nodes of other beams in the
-same place. So a joint is no constraint and adds no unknown. A node on a hinge or a ball joint has a
-frame that its parent carries (`mechanics/hinged_frames.py`), with one unknown.
+A node of a beam has a frame of its own unless it is joined: then it moves with the frame of the
+rigid body, or shares one frame with the nodes of other beams in the same place. So a joint is no
+constraint and adds no unknown. A node on a hinge or a ball joint has a frame that its parent carries
+(`mechanics/hinged_frames.py`), with one unknown.
 
-The mass is lumped: half of that of each element at each of its nodes. A node joined to a free rigid
-body adds a point mass to it, and a hinged node to its parent; the rotary inertia of the
-cross-section at a hinge is left out.
+Frames of nodes have no mass: it is that of the elements between them
+(`mechanics/beam_masses.py`).
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
+from softrobot_twin.mechanics.beam_masses import BeamMasses, element_masses, hermite
 from softrobot_twin.mechanics.beam_sections import BeamSection, rectangle, tube
 from softrobot_twin.mechanics.beams import BeamElements, element_stiffness, write_deformations
 from softrobot_twin.mechanics.hinged_frames import WORLD as WORLD_FRAME
@@ -128,7 +128,7 @@ class BeamBody:
 
     @property
     def node_lengths(self) -> np.ndarray:
-        """Length whose mass each node bears [m], shape (node_count,)."""
+        """Half of the length of the elements at each node [m], shape (node_count,)."""
         shares = np.zeros(self.node_count)
         shares[:-1] += 0.5 * self.lengths
         shares[1:] += 0.5 * self.lengths
@@ -190,7 +190,7 @@ class BeamBody:
         return sum(
             place[:, None] * self.places[elements + end]
             + (along * length)[:, None] * self.element_axes[elements, end, :, 0]
-            for end, place, along, _ in _hermite(np.asarray(shares, float))
+            for end, place, along, _ in hermite(np.asarray(shares, float))
         )
 
     def carried_by(self, elements, shares, points) -> BarycentricMapping:
@@ -208,7 +208,7 @@ class BeamBody:
         Returns:
             Their mapping, onto at most eight frame nodes each.
         """
-        axis, ends = self.axis_at(elements, shares), _hermite(np.asarray(shares, float))
+        axis, ends = self.axis_at(elements, shares), hermite(np.asarray(shares, float))
         length = self.lengths[elements]
         nodes, weights = [], []
         for end, place, along, turn in ends:
@@ -276,17 +276,6 @@ class BeamBody:
         )  # fmt: skip
 
 
-def _hermite(s: np.ndarray) -> tuple:
-    """For each end of an element: its number, and the weights at shares s of its place, of its
-    tangent times the length, and of what turns with it.
-    """
-    late = s * s * (3.0 - 2.0 * s)
-    return (
-        (0, 1.0 - late, s * (1.0 - s) ** 2, 1.0 - s),
-        (1, late, -s * s * (1.0 - s), s),
-    )
-
-
 def _on_frames(frame_nodes: np.ndarray, local: np.ndarray) -> BarycentricMapping:
     """Points that are constant in frames, on the frame nodes."""
     weights = np.column_stack([1.0 - local.sum(axis=1), local])
@@ -295,10 +284,19 @@ def _on_frames(frame_nodes: np.ndarray, local: np.ndarray) -> BarycentricMapping
 
 def all_elements(
     beams: tuple[BeamBody, ...], rest_positions: np.ndarray, frames: RigidFrames
-) -> BeamElements:
-    """The elements of all beams of a scene; see `BeamBody.elements`."""
-    parts = [beam.elements(rest_positions, frames) for beam in beams]
-    return BeamElements(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+) -> tuple[BeamElements, BeamMasses]:
+    """The elements of all beams of a scene, see `BeamBody.elements`, and their mass."""
+    elements = [beam.elements(rest_positions, frames) for beam in beams]
+    masses = [
+        element_masses(
+            own, beam.lengths, beam.section, beam.entry.material.density, beam.entry.damping.mass
+        )
+        for beam, own in zip(beams, elements, strict=True)
+    ]
+    return tuple(
+        kind(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        for kind, parts in ((BeamElements, elements), (BeamMasses, masses))
+    )
 
 
 # --- the shape at rest ----------------------------------------------------------------------------
@@ -612,47 +610,21 @@ class BeamNet:
                         "more elements are needed between two joints",
                     )  # fmt: skip
 
-    def end_masses(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes on a rigid body, hinged ones included, at rest [m], (count, 3), and their masses [kg].
-        """
-        points, masses = [np.empty((0, 3))], [np.empty(0)]
-        for beam in self.beams:
-            first = int(self._firsts[beam.index])
-            own = [k for k in range(beam.node_count) if self._bearer(first + k) == name]
-            points.append(beam.places[own])
-            per_length = beam.entry.material.density * beam.section.area
-            masses.append(per_length * beam.node_lengths[own])
-        return np.concatenate(points), np.concatenate(masses)
-
     def frame_parts(self) -> tuple[FramePart, ...]:
-        """The frames of nodes with their mass, by their order."""
-        count = len(self.is_fixed)
-        mass, inertia = np.zeros(count), np.zeros((count, 3, 3))
-        radius, drag = np.zeros(count), np.zeros(count)
+        """The frames of nodes, by their order; their mass is that of the elements."""
+        radius = np.zeros(len(self.is_fixed))
         for beam in self.beams:
-            first = int(self._firsts[beam.index])
-            density, section, lengths = beam.entry.material.density, beam.section, beam.node_lengths
-            second = np.diag([section.polar_inertia, section.inertia_y, section.inertia_z])
-            for k in range(beam.node_count):
-                f = self._bearer(first + k)
-                if isinstance(f, str):
-                    continue
-                own = density * section.area * lengths[k]
-                mass[f] += own
-                drag[f] += own * beam.entry.damping.mass
-                if self.hinge[first + k] >= 0:
-                    continue
-                base, node = self.representatives[f]
-                turn = base.axes[node].T @ beam.axes[k]
-                inertia[f] += density * lengths[k] * turn @ second @ turn.T
-                radius[f] = max(radius[f], lengths[k] + section.radius)
+            own = slice(int(self._firsts[beam.index]), int(self._firsts[beam.index + 1]))
+            has_own = self.frame[own] >= 0
+            reach = beam.node_lengths[has_own] + beam.section.radius
+            np.maximum.at(radius, self.frame[own][has_own], reach)
         return tuple(
             FramePart(
                 f"{beam.name}.{node}", not self.is_fixed[f], beam.places[node], beam.axes[node],
-                float(mass[f]), inertia[f], float(radius[f]), float(drag[f] / mass[f]),
+                0.0, np.zeros((3, 3)), float(radius[f]), 0.0,
             )
             for f, (beam, node) in enumerate(self.representatives)
-        )  # fmt: skip
+        )
 
     def placed(self, rigid: tuple, first_frame_node: int) -> tuple[BeamBody, ...]:
         """The beams with their carriers.

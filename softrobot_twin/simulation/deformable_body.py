@@ -525,18 +525,22 @@ def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping
     """The mean over the part of a ball about each point that lies in the body.
 
     The ball is the same on every mesh, so the displacement by a force there converges under
-    refinement.
+    refinement. A sample outside counts less and less with its distance, and not at all from the
+    distance of two samples on: nothing jumps as the point, the radius or the mesh changes.
     """
     line = np.arange(-BALL_STEPS, BALL_STEPS + 1) / BALL_STEPS
     cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     ball = radius * cube[np.linalg.norm(cube, axis=1) <= 1.0 + 1.0e-9]
     found = locate_points(body.mesh.corner_mesh, (points[:, None] + ball).reshape(-1, 3))
-    inside = (found.distances <= ON_BODY * body.size).reshape(len(points), -1)
+    away = np.minimum(found.distances.reshape(len(points), -1) * BALL_STEPS / radius, 1.0)
+    shares = 1.0 - away * away * (3.0 - 2.0 * away)
     place = np.arange(found.cells.size).reshape(len(points), -1)
     # The ball of a point that was snapped may not contain any of the body: it remains a point.
-    inside[~inside.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
+    shares[~shares.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
     spread = [
-        body.on_mesh(found.cells[own[kept]], found.barycentric_weights[own[kept]]).mean()
-        for own, kept in zip(place, inside, strict=True)
+        body.on_mesh(
+            found.cells[own[share > 0.0]], found.barycentric_weights[own[share > 0.0]]
+        ).mean(share[share > 0.0])
+        for own, share in zip(place, shares, strict=True)
     ]
     return body.carried_by(reduce(BarycentricMapping.followed_by, spread))

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.beam_masses import BeamDamping, BeamInertia, BeamMasses, BeamWeight
 from softrobot_twin.mechanics.beams import BeamElements, Beams
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -128,12 +129,33 @@ def _mean(points: BarycentricMapping) -> BarycentricMapping:
 
 def _beam_terms(layout: Layout) -> Iterator[ForceTerm]:
     """One term for all beams; a second one for elements at hinges, and what keeps hinges definite.
+
+    Then weight and damping of their mass.
     """
-    elements = all_elements(layout.beams, layout.nodes.rest_positions, layout.frames)
-    frames = layout.hinged
-    if frames is None:
+    elements, masses = _beam_elements(layout)
+    if layout.hinged is None:
         yield Beams(elements)
-        return
+    else:
+        yield from _hinged_terms(layout, elements)
+    scene = layout.scene
+    if any(scene.gravity):
+        yield _on_frames(BeamWeight(masses, np.array(scene.gravity)), layout)
+    if scene.integration == "dynamic" and masses.damping.any():
+        yield _on_frames(BeamDamping(masses), layout)
+
+
+def _beam_elements(layout: Layout) -> tuple[BeamElements, BeamMasses]:
+    return all_elements(layout.beams, layout.nodes.rest_positions, layout.frames)
+
+
+def _on_frames(term: ForceTerm, layout: Layout) -> ForceTerm:
+    """A term of forces and moments on frames, those of hinged ones on their unknowns."""
+    return term if layout.hinged is None else on_unknowns(term, HingedTwists(layout.hinged))
+
+
+def _hinged_terms(layout: Layout, elements: BeamElements) -> Iterator[ForceTerm]:
+    """The elements of beams, those at hinges in a term of their own, and the hinges."""
+    frames = layout.hinged
     at_hinge = (elements.unknowns >= layout.nodes.free_node_count).any(axis=1)
     others, own = (BeamElements(*(field[is_own] for field in elements))
                    for is_own in (~at_hinge, at_hinge))  # fmt: skip
@@ -325,13 +347,15 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
         moving = free_index[nodes] >= 0
         masses = np.broadcast_to(entry.masses, len(nodes))[moving]
         yield LumpedInertia(nodes[moving], free_index[nodes[moving]], masses)
-    free = [part for part in layout.framed if part.is_free]
+    free = [part for part in (*layout.rigid, *layout.vertebrae) if part.is_free]
+    inertia = None
     if free:
-        yield RigidInertia(
+        inertia = RigidInertia(
             layout.frames,
             np.array([part.mass for part in free]),
             np.array([part.inertia for part in free]),
         )
+        yield inertia
         rates = np.array([part.damping for part in free])
         if rates.any():
             yield RigidDamping(
@@ -340,6 +364,8 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
                 np.array([part.inertia for part in free]),
                 rates,
             )
+    if layout.beams:
+        yield _on_frames(BeamInertia(_beam_elements(layout)[1], layout.frames, inertia), layout)
 
 
 def check_masses_held(layout: Layout) -> None:

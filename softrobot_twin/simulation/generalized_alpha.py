@@ -129,6 +129,7 @@ class GeneralizedAlpha(Dynamics):
         h = time_step
         if past is None:
             zeta, span, ahead, rate = 0.5, 0.5 * h, velocities, 0.5 * velocities
+            v_dot = np.zeros_like(velocities)
         else:
             v, v_dot = velocities, past.accelerations
             a = v_dot + h * past.acceleration_rates
@@ -139,7 +140,7 @@ class GeneralizedAlpha(Dynamics):
             rate = (1.0 - ratio) * v + h * (0.5 - w.beta - ratio * (1.0 - w.gamma)) * a
         for term in self._inertia:
             term.weight = 1.0 / zeta
-            term.begin_step(before, ahead, h)
+            term.begin_second_order(positions, ahead, velocities, v_dot, h)
         if self._damping:
             reference = self._reference(before, positions, h * rate, 1.0 - span / h)
             for term in self._damping:

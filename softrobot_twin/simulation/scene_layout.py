@@ -202,12 +202,12 @@ def build_rigid_parts(
                 "body or join it to a beam that is held",
             )  # fmt: skip
         node = first_node + 4 * index
-        parts.append(_build_part(entry, index, node, bodies, net, scene, notes))
+        parts.append(_build_part(entry, index, node, bodies, scene, notes))
     _check_attached_once(parts, bodies, scene)
     return tuple(parts)
 
 
-def _build_part(entry, index: int, first_node: int, bodies, net, scene, notes) -> RigidPart:
+def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> RigidPart:
     rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
     shape = build_shape(entry.shape, scene, notes)
     centre, mass, inertia = np.zeros(3), 0.0, np.zeros((3, 3))
@@ -219,10 +219,6 @@ def _build_part(entry, index: int, first_node: int, bodies, net, scene, notes) -
         attached, points, masses = _attached_to(entry.name, bodies)
         points = (points - np.asarray(entry.position, float)) @ rotation
         mass, centre, inertia = _with_point_masses(mass, centre, inertia, masses, points)
-        if net is not None:
-            ends, end_masses = net.end_masses(entry.name)
-            ends = (ends - np.asarray(entry.position, float)) @ rotation
-            mass, centre, inertia = _with_point_masses(mass, centre, inertia, end_masses, ends)
         shape = build_shape(entry.shape, scene, notes, shift=-centre)
     corners, _ = triangulated(shape)
     local = points - centre

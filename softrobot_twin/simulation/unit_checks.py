@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.hinged_frames import WORLD, HingedFrames
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.merit import OVERSHOOT
 from softrobot_twin.simulation.model import Model
@@ -292,15 +293,20 @@ def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 def are_held(model: Model) -> bool:
     """Whether all deformable bodies are fixed somewhere, and a chain of beams leads from each to a
-    frame that does not move by itself.
+    frame that does not move by itself, or to a rigid body that deformable ones hold; a hinge or a
+    ball joint holds a beam as well.
     """
     if not all(body.is_held for body in model.bodies):
         return False
     frames = [set(beam.carriers.frame_nodes.tolist()) for beam in model.beams]
     if not frames:
         return True
-    every = np.array(sorted(set().union(*frames)))
-    held = set(every[model.nodes.kinds[0].unknowns_of(every) < 0].tolist())
+    kind = model.nodes.kinds[0]
+    if isinstance(kind, HingedFrames):
+        frames += [{*pair} for pair in zip(kind.hinged_nodes, kind.hinges.parents, strict=True)]
+    every = np.array(sorted(set().union(*frames) - {WORLD}))
+    held = {WORLD, *every[kind.unknowns_of(every) < 0].tolist()}
+    held |= {part.first_node for part in model.rigid if len(part.attached)}
     waiting = frames
     while waiting:
         floating = [own for own in waiting if not own & held]

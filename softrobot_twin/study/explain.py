@@ -106,6 +106,9 @@ def _describe_range(material) -> list[str]:
         words.append(f"preset {material.preset}: fitted with an error of "
                      f"{100.0 * preset.rms_error:.1f} % (largest "
                      f"{100.0 * preset.largest_error:.1f} %) to {preset.source}")  # fmt: skip
+        low, high = 100.0 * preset.smallest_strain, 100.0 * preset.largest_strain
+        words.append(f"its data lie at strains of {low:.0f} % to {high:.0f} % in tension: at "
+                     "smaller ones, and in compression, the law is extrapolated")  # fmt: skip
     if material.strain_range is not None:
         low, high = (100.0 * strain for strain in material.strain_range)
         words.append(f"strain range {low:.0f} % to {high:.0f} %")

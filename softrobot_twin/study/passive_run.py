@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.beam_masses import BeamWeight
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.input_tables import CommandTable
@@ -41,6 +42,8 @@ class BodyReadouts:
         self._rest = simulation.model.nodes.rest_positions
         self._weights = sum(term.weights for term in simulation.model.forces
                             if term.name == "gravity")
+        terms = (term.on_points for term in simulation.model.forces)
+        self._beam_weight = next((term for term in terms if isinstance(term, BeamWeight)), None)
         self._bodies = simulation.model.bodies
         self._points = [body.shown_nodes(np.arange(body.mesh.node_count))
                         for body in self._bodies]
@@ -80,7 +83,11 @@ class BodyReadouts:
         readouts.append(sum(term.energy(positions) for term in simulation.model.forces))
         displacement = simulation.model.nodes.displacement(self._rest, positions)
         # A rotation about the centre of mass does not change the potential energy.
-        readouts.append(0.0 - np.sum(self._weights * displacement))
+        energy = 0.0 - np.sum(self._weights * displacement)
+        if self._beam_weight is not None:
+            energy += self._beam_weight.potential(positions)
+            energy -= self._beam_weight.potential(self._rest)
+        readouts.append(energy)
         readouts.append(sum(term.kinetic_energy(positions, velocities)
                         for term in simulation.model.forces))
         return tuple(float(value) for value in readouts)

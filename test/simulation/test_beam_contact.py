@@ -218,8 +218,9 @@ def test_no_beam_passes_through_what_is_a_millimetre_thin(across, speed, step):
     touched = False
     for _ in range(int(0.03 / speed / step) + 6):
         touched |= sim.step(Hold(step)).report.contact_count > 0
-        middle = nodes(sim)[4, 2], nodes(sim, 1)[4, 2] if across == "beam" else 0.0
-        assert middle[0] > middle[1]
+        # It tilts about the wire, so that its own middle may be lower.
+        above = np.interp(0.1013, *nodes(sim)[:, [0, 2]].T)
+        assert above > (nodes(sim, 1)[4, 2] if across == "beam" else 0.0)
     assert touched
 
 

@@ -7,6 +7,8 @@ import pytest
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.deformable_body import _spread
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.study.accuracy_study import with_hold_radius, with_mesh_file
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,3 +57,25 @@ def test_prescribed_lengths_are_met_with_a_patch():
     for _ in range(20):
         result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 0.1))
     np.testing.assert_allclose(result.displacements, 0.004, atol=1e-9)
+
+
+def test_a_patch_changes_without_jumps_with_its_radius_and_its_place(drawn_rng):
+    """Halved steps of radius or place halve the largest change of the patch's weights."""
+    layout = lay_out(load_scene(SCENE), [])
+    body = layout.bodies[0]
+    place = np.array([0.0, 0.097, 0.045])
+    way = 1e-3 * drawn_rng.normal(size=3) * [1.0, 0.0, 1.0]
+
+    def weights(share, count=body.mesh.node_count):
+        for_radius = _spread(body, place[None] + share * way, 0.004 * (1.0 + 0.3 * share))
+        whole = np.zeros(count)
+        np.add.at(whole, for_radius.nodes[0], for_radius.barycentric_weights[0])
+        assert whole.sum() == pytest.approx(1.0, abs=1e-12)
+        return whole
+
+    largest = []
+    for count in (200, 400, 800):
+        at = [weights(share) for share in np.linspace(0.0, 1.0, count + 1)]
+        largest.append(np.abs(np.diff(at, axis=0)).max())
+    print(largest)
+    assert largest[2] < 0.3 * largest[0]

@@ -7,6 +7,7 @@ from softrobot_twin.simulation import Hold, Status
 from softrobot_twin.simulation.unit_checks import (
     LINEAR_SHARE,
     equilibrium_sag,
+    are_held,
     expected_sag,
     linear_sag,
 )
@@ -120,3 +121,39 @@ def test_gas_that_is_sealed_in_a_body_stiffens_its_sag(simulate, hollow, settle)
         sunk = state.positions - simulation.model.nodes.rest_positions
         assert sags[-1] == pytest.approx(np.linalg.norm(sunk, axis=1).max(), rel=1e-4)
     assert 0.0 < sags[1] < sags[0]
+
+
+DOWN = ((0, 0, 0), (0, 0, -0.1))
+
+
+def on_joint(to="world", **joint) -> dict:
+    return {"joined": [{"at": "start", "to": to, **joint}]}
+
+
+@pytest.mark.parametrize(("scene", "held"), [
+    ({"beams": [("rod", DOWN, {"fixed": ["start"]})]}, True),
+    ({"beams": [("rod", DOWN, on_joint(by="hinge", axis=[0, 1, 0]))]}, True),
+    ({"beams": [("rod", DOWN, on_joint(by="ball"))]}, True),
+    ({"beams": [("rod", DOWN, on_joint("hub", by="hinge", axis=[0, 1, 0]))], "hub": "guided"}, True),
+    ({"beams": [("rod", DOWN, on_joint("hub", by="hinge", axis=[0, 1, 0]))], "hub": "free"}, False),
+    ({"beams": [("rod", DOWN, on_joint("hub"))], "hub": "free"}, False),
+    ({"beams": [("upper", DOWN, {"fixed": ["start"]}),
+                ("rod", (DOWN[1], (0, 0, -0.2)), on_joint("upper", by="ball"))]}, True),
+    ({"beams": [("rod", DOWN, {})]}, False),
+])  # fmt: skip
+def test_a_beam_that_hangs_on_a_joint_is_held(simulate, scene, held):
+    beams = [
+        {"name": name, "points": [list(map(float, p)) for p in points], "elements": 4,
+         "section": {"circle": {"radius": 0.002}},
+         "material": {"young_modulus": 1e7, "poisson_ratio": 0.4, "density": 1000.0}, **entries}
+        for name, points, entries in scene["beams"]
+    ]  # fmt: skip
+    hub = {"name": "hub", "motion": scene.get("hub"), "position": [0, 0, 0], "sphere": {"radius": 0.01}}
+    if scene.get("hub") == "free":
+        hub["mass"] = 0.01
+    rigid = {"rigid_bodies": [hub]} if "hub" in scene else {}
+    model = simulate(integration="dynamic", gravity=[0, 0, -9.81], beams=beams, **rigid).model
+    sag = expected_sag(model)
+    assert are_held(model) == held == (sag is not None)
+    if held:
+        assert sag < 1e-4  # it only stretches
