@@ -128,7 +128,9 @@ def test_the_rubber_of_the_pages_is_valid_and_its_table_is_that_of_the_presets(s
     text = text_of("materials")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*\d+) \|$", text, re.M))
     for name, preset in MATERIAL_PRESETS.items():
-        law, constants, error, strain, density = rows[name].split(" | ")
+        law, constants, error, data, strain, density = rows[name].split(" | ")
+        low, high = 100.0 * preset.smallest_strain, 100.0 * preset.largest_strain
+        assert data == f"{low:.0f} to {high:.0f} %"
         low, high = (100.0 * bound for bound in preset.strain_range)
         assert law == preset.law and float(density) == preset.density
         assert error == f"{100 * preset.rms_error:.1f} % ({100 * preset.largest_error:.1f} %)"
