@@ -31,7 +31,7 @@ SHARED := -p xdist -n 2 --dist worksteal $(addprefix --ignore ,$(AGAINST_THE_CLO
 .DEFAULT_GOAL := help
 # Also with make -j: both test runs start ROS nodes and use all cores.
 .NOTPARALLEL:
-.PHONY: help setup setup-oldest setup-both demo bench pictures docs types kernels test test-all test-newest test-oldest build clean
+.PHONY: help setup setup-oldest setup-both demo bench pictures docs types kernels test test-all test-rest test-oldest build clean
 
 help: ## list the targets
 	@echo 'make [ROBOT=$(ROBOT)] TARGET'
@@ -66,18 +66,17 @@ kernels: setup ## compile the kernels of all scenes, on two cores
 	$(VENV)/bin/python tools/compile_kernels.py
 
 # Of the oldest versions: all that the package names exists and takes its arguments, kernels are
-# compiled, and a robot steps. What else depends on them needs kernels compiled by the oldest numba,
-# which takes as long as all the rest: .ci/run does it where a requirement changed.
+# compiled, and a robot steps. What else depends on them needs kernels compiled by the oldest numba.
 test: setup-both types kernels ## run the tests that every change must pass: 8 minutes, 14 from a clean clone
 	$(PYTEST) $(SHARED) -m "not exhaustive" $(PYTEST_ARGUMENTS)
 	$(PYTEST) $(AGAINST_THE_CLOCK) -m "not exhaustive" $(PYTEST_ARGUMENTS)
 	$(PYTEST_OLDEST) $(FEW) -m "not exhaustive" $(PYTEST_ARGUMENTS)
 
-test-all: setup-both types kernels test-newest test-oldest ## run all tests, then those of libraries on the oldest
+test-all: test test-rest ## run all tests
 
-test-newest: setup
-	$(PYTEST) $(SHARED) $(PYTEST_ARGUMENTS)
-	$(PYTEST) $(AGAINST_THE_CLOCK) $(PYTEST_ARGUMENTS)
+test-rest: setup-both test-oldest ## run the tests that make test leaves out: long ones, more seeds, the oldest versions
+	$(PYTEST) $(SHARED) -m exhaustive $(PYTEST_ARGUMENTS)
+	$(PYTEST) $(AGAINST_THE_CLOCK) -m exhaustive $(PYTEST_ARGUMENTS)
 
 # What no version of a library changes is tested once (test/conftest.py).
 test-oldest: setup-oldest ## run the tests of what libraries do on the oldest versions
