@@ -96,10 +96,10 @@ def test_a_camera_cuts_the_error_of_the_finger_to_less_than_a_half(run, tmp_path
 
 def test_a_policy_learns_within_a_few_generations(run, tmp_path):
     pytest.importorskip("gymnasium")
-    seen = run("learning", "2")
+    seen = run("learning", "4")
     finger, untrained = seen["finger"], np.zeros(seen["shape"])
     before = 1e3 * np.mean([seen["last_distance"](untrained, one) for one in seen["unknown"]])
-    assert len(seen["history"]) == 2
+    assert len(seen["history"]) == 4
     assert seen["history"][-1] < 0.7 * before
     assert np.isfinite(finger.target).all()
     assert (tmp_path / "learning.png").is_file()
