@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
+from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.ros import twin_node
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import pose_message
@@ -88,6 +89,23 @@ class World:
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             self.executor.spin_once(0.02)
+
+    def ticks_of(self, node):
+        """Stops a node's timer; returns a function that runs a tick one period after the last one.
+
+        Rates hold for the time on the clock: ticks in a row on the machine's clock would move an
+        actuator by the time that a tick takes, and no test could tell how far.
+        """
+        node.stop()
+        period = node.tick_clock.period
+        times = [node.monotonic()]
+        node.tick_clock = TickClock(period, lambda: times[-1])
+
+        def tick():
+            times.append(times[-1] + period)
+            node.tick()
+
+        return tick
 
     def hear(self, kind, topic, quality=10):
         """A list to which every received message is appended."""

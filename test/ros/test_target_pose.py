@@ -109,7 +109,9 @@ def test_the_target_node_publishes_poses_along_a_path_with_quaternions(world, tm
     world.run(0.2)
     assert not targets
     start.publish(world.pose_target((0.0, 0.0, 0.125), UPRIGHT))
-    world.until(lambda: targets and targets[-1].pose.position.z > HEIGHT - 1e-6)
+    # The ramp has ended when two targets are the same.
+    world.until(lambda: targets and targets[-1].pose.position.z > HEIGHT - 1e-6
+                and targets[-1].pose == targets[-2].pose)
     assert read_pose(targets[0])[0] == pytest.approx((0.0, 0.0, 0.125), abs=2e-3)
     assert read_pose(targets[-1])[1] == pytest.approx(TURN, abs=1e-9)
     turned = [2.0 * math.asin(read_pose(target)[1][0]) for target in targets]

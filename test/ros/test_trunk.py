@@ -47,30 +47,30 @@ def make_trunk(world, mapping, tmp_path):
     return make
 
 
-def lead(world, twin, targets, position):
+def lead(world, twin, tick, targets, position):
     """Publishes a target of the tip, lets the twin receive it and run a tick."""
     targets.publish(world.target_message(position))
     world.until(lambda: np.allclose(
         twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3))).targets[0], position))
-    twin.tick()
+    tick()
 
 
 def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk, diagnostics):
     # Without a deadline a step depends on no clock, and the path is always the same.
     twin = make_trunk(deadline=0.0)
-    twin.stop()
+    tick = world.ticks_of(twin)
     cables = world.hear(JointState, "/twin/cables", 100)
     contacts = world.hear(PointCloud2, "/twin/contacts", STREAM)
     targets = world.speaker(PointStamped, "/twin/target/tip")
     for _ in range(5):
-        twin.tick()
+        tick()
     path = read_waypoints(PATH, "tip")
     start = twin.loop.simulation.effector_positions()[0]
     errors, gaps, statuses, counts = [], [], set(), []
     period, ramp = 1.0 / GIVEN["rate"], 60
-    for tick in range(ramp + round(path.times[-1] / period)):
-        on_path = path.position(max(0, tick - ramp) * period)
-        lead(world, twin, targets, start + min(1.0, tick / ramp) * (on_path - start))
+    for number in range(ramp + round(path.times[-1] / period)):
+        on_path = path.position(max(0, number - ramp) * period)
+        lead(world, twin, tick, targets, start + min(1.0, number / ramp) * (on_path - start))
         result = twin._window.newest.result
         errors.append(twin._window.newest.tracking_errors[0])
         gaps.append(result.contacts.gaps.min(initial=0.0))

@@ -71,14 +71,14 @@ def test_messages_of_one_tick_carry_one_stamp(world, make_twin):
 
 def test_a_target_100_mm_away_obeys_the_rate_limits_in_every_tick(world, make_twin):
     twin = make_twin(approach_speed=0.03)
-    twin.stop()
+    tick = world.ticks_of(twin)
     cables = world.hear(JointState, "/twin/cables", 100)
     targets = world.speaker(PointStamped, "/twin/target/tip")
     world.until(lambda: twin.count_subscribers("/twin/cables") > 0)
     targets.publish(world.target_message((0.06, 0.08, 0.134)))
     world.until(lambda: np.isfinite(target_of(twin)).all())
     for _ in range(40):
-        twin.tick()
+        tick()
     world.until(lambda: len(cables) == 40)
     steps = np.abs(np.diff(lengths_of(cables), axis=0))
     assert steps.max() <= CABLE_RATE / RATE + 1e-9
