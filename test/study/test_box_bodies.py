@@ -107,8 +107,13 @@ def test_a_reduced_model_is_found_by_its_mesh_and_element(path, element):
     levels = every_level(mesh_family(load_scene(path), path.parent, most_tets=100),
                          hexahedral_family(load_scene(path)))
     body = only_body(with_element(load_scene(path), element))
-    points = SampledPoints(np.arange(5), np.zeros(5), np.ones(5))
-    reduction = BodyReduction(np.zeros((body.mesh.node_count, 3, 6)), 6, points, points,
+    cells = np.linspace(0, body.mesh.cell_count - 1, 5).astype(np.int64)
+    points = SampledPoints(cells, np.zeros(5, np.int64), np.ones(5))
+    # Stretch and shear along the box, and bends: nothing is moved at its fixed end.
+    along = body.mesh.node_positions[:, 0] / body.mesh.node_positions[:, 0].max()
+    basis = np.concatenate([power[:, None, None] * np.eye(3) for power in (along, along**2)], 2)
+    basis[body.fixed] = 0.0
+    reduction = BodyReduction(basis, 6, points, points,
                               np.ones(6), np.full(2, np.nan), {})
     file = path.with_name("bar_reduced.npz")
     write_body_reduction(file, reduction, reduction_fingerprints(body))
