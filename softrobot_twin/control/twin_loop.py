@@ -570,7 +570,7 @@ class TwinLoop:
         elif time != (command.time_step, command.reach_time):
             return None
         result = self.simulation.stay(command)
-        if result is None:
+        if result is None or not _commands_same(result, before.result):
             return None
         self._rest = rest._replace(repeats=rest.repeats + 1)
         self._history.add(ros_time, before.predicted_markers)
@@ -587,6 +587,7 @@ class TwinLoop:
             self.targets.is_moving(now)
             or self.markers.age(now) <= settings.marker_timeout
             or (self.use_device and not self.device_is_lost(now))
+            or self._is_disputed(now)
             or any(part.age(now) <= settings.target_timeout for part in commands)
             or bool(self.correction.offsets.any())
             or bool(self._contested)
@@ -784,6 +785,11 @@ class TwinLoop:
             self.settings, follows, self.markers.stamp,
             self.measurement.differences(aims.reading.targets, comparable), status,
         )  # fmt: skip
+
+
+def _commands_same(result: StepResult, before: StepResult) -> bool:
+    """Whether a step commands the very arrays of the one before, which have passed the gate."""
+    return result.setpoints is before.setpoints and result.efforts is before.efforts
 
 
 def _undone(

@@ -316,6 +316,7 @@ def test_a_return_without_the_model_keeps_the_rates(drive_air, monkeypatch):
     assert_rates_kept(driver)
 
 
+@pytest.mark.parametrize("at_rest", [False, True])
 @pytest.mark.parametrize(
     ("index", "value", "word"),
     [
@@ -328,18 +329,31 @@ def test_a_return_without_the_model_keeps_the_rates(drive_air, monkeypatch):
         (SYRINGE, 2.1e-6, "syringe.rate"),
     ],
 )
-def test_an_invalid_result_of_a_step_is_not_published(drive_air, monkeypatch, index, value, word):
+def test_an_invalid_result_of_a_step_is_not_published(
+    drive_air, monkeypatch, index, value, word, at_rest
+):
     driver = drive_air(mode=Mode.DIRECT)
     driver.press("low", AIR + 1000.0)
     safe = driver.tick(10).command
-    honest = driver.loop.simulation.step
+    simulation = driver.loop.simulation
+    step, stay = simulation.step, simulation.stay
     wrong = safe.setpoints.copy()
     wrong[index] = value
+
+    def spoilt(command, budget=None):
+        return replace(step(command, budget), setpoints=wrong)
+
+    def spoilt_at_rest(command, touched=None):
+        assert (result := stay(command, touched)) is not None
+        return replace(result, setpoints=wrong)
+
+    monkeypatch.setattr(simulation, "step", spoilt)
     monkeypatch.setattr(
-        driver.loop.simulation, "step",
-        lambda command, budget=None: replace(honest(command, budget), setpoints=wrong),
-    )  # fmt: skip
+        simulation, "stay", spoilt_at_rest if at_rest else lambda command, touched=None: None
+    )
+    assert driver.outcomes[-1].result.report.is_resting
     outcome = driver.tick()
+    assert outcome.result.report.is_resting == at_rest
     assert word in outcome.violated and outcome.result.status.is_failure
     assert np.array_equal(outcome.command.setpoints, safe.setpoints)
     assert np.array_equal(outcome.command.efforts, safe.efforts)

@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.twin_loop import DISPUTED
+from softrobot_twin.control.voices import LEAST_SILENCE
 from softrobot_twin.simulation import Hold, Status
 
 RATE = 0.05
@@ -176,13 +177,18 @@ def test_a_model_with_non_finite_tensions_is_not_synchronised(drive, monkeypatch
     robot.tick(30)
     driver = robot.driver
     simulation = driver.loop.simulation
-    step = simulation.step
+    step, stay = simulation.step, simulation.stay
 
     def spoilt(command, budget=None):
         return replace(step(command, budget), efforts=np.full(4, np.nan))
 
+    def spoilt_at_rest(command, touched=None):
+        result = stay(command, touched)
+        return result and replace(result, efforts=np.full(4, np.nan))
+
     robot.tick(70, present=False)
     monkeypatch.setattr(simulation, "step", spoilt)
+    monkeypatch.setattr(simulation, "stay", spoilt_at_rest)
     robot.put(simulation.rest_setpoints - 0.02)
     before = len(driver.commands)
     robot.tick(60)
@@ -228,8 +234,14 @@ def test_a_jump_of_a_device_is_detected_without_an_upper_limit_of_length(
     robot.tick(30)
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
     robot.put(elsewhere(simulation, 0))
-    assert robot.tick().cause == DISPUTED
-    assert robot.tick(4).activity is Activity.RESYNCHRONISING
+    # Until nothing was measured at the old place for LEAST_SILENCE, no command leaves.
+    silent = round(LEAST_SILENCE / STEP)
+    for _ in range(silent - 1):
+        outcome = robot.tick()
+        assert outcome.cause == DISPUTED and outcome.command is None
+    outcome = robot.tick(2)
+    assert not robot.moves
+    assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
 
 
 def test_a_device_that_was_silent_while_moving_continues_to_its_target(drive):
