@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 
 import numba
-from numba.core import event
+from numba.core import event as events
 from numba.core.registry import CPUDispatcher
 
 from softrobot_twin.kernel_cache import KernelCache
@@ -82,7 +82,7 @@ SILENT, TOLD_EVERY = 2.0, 4.0
 _log = logging.getLogger("softrobot_twin")
 
 
-class CompilationProgress(event.Listener):
+class CompilationProgress(events.Listener):
     """Tells from time to time how many kernels were compiled, and which is next.
 
     Attributes:
@@ -97,7 +97,7 @@ class CompilationProgress(event.Listener):
         self._clock, self._began = clock, 0.0
         self._depth = 0
 
-    def on_start(self, event: event.Event) -> None:
+    def on_start(self, event: events.Event) -> None:
         """Before a kernel is compiled, or one that it calls."""
         now = self._clock()
         if self._depth == 0:
@@ -114,7 +114,7 @@ class CompilationProgress(event.Listener):
             self.compiled, self.known, seconds, module, function.__name__,
         )  # fmt: skip
 
-    def on_end(self, event: event.Event) -> None:
+    def on_end(self, event: events.Event) -> None:
         """After it, or after it failed."""
         self._depth -= 1
         self.compiled += 1
@@ -125,7 +125,7 @@ class CompilationProgress(event.Listener):
 _progress = CompilationProgress()
 
 
-class _CollectLater(event.Listener):
+class _CollectLater(events.Listener):
     """Switches Python's garbage collector off while a kernel is compiled.
 
     The compiler makes many objects, of which most are in use to its end; to look through them again
@@ -136,19 +136,19 @@ class _CollectLater(event.Listener):
     def __init__(self) -> None:
         self._depth, self._was_enabled = 0, False
 
-    def on_start(self, event: event.Event) -> None:
+    def on_start(self, event: events.Event) -> None:
         """Before a kernel is compiled."""
         if self._depth == 0:
             self._was_enabled = gc.isenabled()
             gc.disable()
         self._depth += 1
 
-    def on_end(self, event: event.Event) -> None:
+    def on_end(self, event: events.Event) -> None:
         """After it, or after it failed."""
         self._depth -= 1
         if self._depth == 0 and self._was_enabled:
             gc.enable()
 
 
-event.register("numba:compile", _CollectLater())
-event.register("numba:compile", _progress)
+events.register("numba:compile", _CollectLater())
+events.register("numba:compile", _progress)

@@ -14,9 +14,9 @@ rotary inertia and the levers of joints included: an end may be a constant pose 
 rigid body, or of a hinge. Integrals are exact for a straight element. Euler's beam of such elements
 has frequencies that are too high by an error of the fourth power of the elements' length.
 
-Inertia is Newton's law of the points, by backward Euler as in Coevoet 2017, eqs. (5-8): the force on
-z is -M (z - z₀ - h u)/h², with u the velocity of z in the step before: (z₀ - z₋₁)/h, where z₋₁
-follows from the state and its velocities. The momentum of a free beam is constant to round-off. For
+Inertia is M v̇ of Coevoet 2017, eq. (1), Newton's law of the points, by backward Euler as in its
+eqs. (5-8): the force on z is -M (z - z₀ - h u)/h², with u the velocity of z in the step before:
+(z₀ - z₋₁)/h, where z₋₁ follows from the state and its velocities. The momentum of a free beam is constant to round-off. For
 a scheme of second order see `begin_second_order`. Damping by mass is -α M (z - z₀)/h, and weight is
 the constant force g ∫ρ w_k dV. All of them are forces F on z that act on the unknowns by
 
