@@ -7,6 +7,7 @@ import itertools
 import math
 import random
 import re
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,6 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.control.twin_loop import CONTESTED
 from softrobot_twin.ros import ticking_node
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import markers_message
@@ -228,6 +230,7 @@ class Witness:
         """
         count = self.count
         self._twin.tick()
+        assert_no_tick_failed(self._twin)
         if self.count == count and self._twin.loop.use_device:
             self._last = None
         if self._last is not None:
@@ -235,7 +238,7 @@ class Witness:
 
     def begin_anew(self):
         """Disables the twin, measures, and enables it, as an operator does after a fault."""
-        self.measure(random.Random(0))
+        self.measure_until_uncontested()
         for is_on in (False, True):
             response = self._twin._enable(SetBool.Request(data=is_on), SetBool.Response())
             assert response.success, response.message
@@ -249,6 +252,25 @@ class Witness:
             if self.count > count:
                 return tick
         return most
+
+    def measure_until_uncontested(self):
+        """Measures as one correct device does, until no contradiction by another is remembered.
+
+        While one is, the twin is disabled, sends nothing and refuses to start, with this reason.
+        """
+        twin, draw, began = self._twin, random.Random(0), time.monotonic()
+        while True:
+            self.measure(draw)
+            if not (twin.loop.use_device and twin.loop.device.places.is_disputed(twin.monotonic())):
+                return
+            assert time.monotonic() - began < 60.0
+            count = self.count
+            self.tick()
+            if twin.loop.device.places.is_contested(twin.monotonic()):
+                response = twin._enable(SetBool.Request(data=True), SetBool.Response())
+                assert not response.success and response.message == CONTESTED
+                assert not twin.loop.is_enabled and self.count == count
+            time.sleep(0.02)
 
     def measure(self, draw):
         """Sends what a correct device measures."""
@@ -288,6 +310,11 @@ class Witness:
         assert any(self._is_safe(lengths, start, reach) for start in starts)
         self._last = self.lengths = lengths
         self.count += 1
+
+
+def assert_no_tick_failed(node):
+    """An exception in a tick, also one of a check in a publisher, ends only the tick."""
+    assert node.failed_ticks == 0, node.failure
 
 
 @pytest.fixture
@@ -378,7 +405,7 @@ def run_hostile(world, parameters, case, seed, count, every):
     twin = begin(world, parameters, robot, mode=mode, use_device=use_device,
                  closed_loop=robot == "diamond", deadline=0.0)
     hostile, witness, ends = hostile_to(twin, seed), Witness(twin), inputs(twin)
-    draw = hostile.random
+    draw, pauses = hostile.random, count // 1000
     for number in range(count):
         end = draw.choice(ends)
         is_measured = is_measurement(end)
@@ -392,6 +419,10 @@ def run_hostile(world, parameters, case, seed, count, every):
         if is_measured:
             witness.heard()
         if draw.random() < 0.01 and not twin.loop.is_enabled:
+            if pauses and twin.loop.why_given_up == CONTESTED:
+                # Otherwise the twin would be disabled from the first contradiction to the end.
+                pauses -= 1
+                witness.measure_until_uncontested()
             twin._enable(SetBool.Request(data=True), SetBool.Response())
         if number % every == every - 1:
             witness.tick()
@@ -436,6 +467,7 @@ def test_no_message_ends_a_device(world, parameters, robot):
         if number % every == every - 1:
             times.append(times[-1] + period)
             device.tick()
+            assert_no_tick_failed(device)
     lengths = np.array([list(message.position) for message in measured])
     assert len(lengths) == COUNT // every and np.isfinite(lengths).all()
 
@@ -451,6 +483,7 @@ def test_no_message_ends_a_target(world):
         end.callback(serialize_message(hostile.message(PointStamped)), UNNUMBERED)
     for _ in range(10):
         target.tick()
+    assert_no_tick_failed(target)
     assert len(sent) == 10
     assert all(math.isfinite(value) for message in sent
                for value in (message.point.x, message.point.y, message.point.z))
@@ -512,6 +545,7 @@ def test_hostile_messages_over_the_network_leave_the_twin_ticking(world, paramet
     spin(twin, world.executor, send)
     before = twin.tick_clock.ticks
     spin(twin, world.executor, lambda: twin.tick_clock.ticks > before + 5)
+    assert_no_tick_failed(twin)
     assert witness.count > 5
 
 
@@ -533,16 +567,34 @@ def test_requests_that_rclpy_cannot_handle_are_refused_and_the_twin_continues(wo
             Parameter(name=draw.choice(names), value=value)]))
         before = twin.tick_clock.ticks
         spin(twin, world.executor, lambda before=before: twin.tick_clock.ticks > before)
+    assert_no_tick_failed(twin)
     assert twin.refused_requests > 0
     assert twin.loop.settings == settings
 
 
-def test_an_error_in_a_tick_is_raised(world, parameters, monkeypatch):
+def test_an_error_in_a_tick_is_counted_and_the_twin_continues(world, parameters, monkeypatch):
     twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False})
 
     def fail(*times):
         raise ArithmeticError("a defect")
 
-    monkeypatch.setattr(twin.loop, "tick", fail)
-    with pytest.raises(ArithmeticError):
-        spin(twin, world.executor, lambda: False)
+    with monkeypatch.context() as patch:
+        patch.setattr(twin.loop, "tick", fail)
+        spin(twin, world.executor, lambda: twin.failed_ticks >= 3)
+        assert twin.failure == "ArithmeticError: a defect"
+        assert not twin.loop.is_enabled and twin.failure in twin.loop.why_given_up
+        with pytest.raises(AssertionError):
+            assert_no_tick_failed(twin)
+    before = twin.tick_clock.ticks
+    spin(twin, world.executor, lambda: twin.tick_clock.ticks > before + 1)
+    assert twin.failures_in_a_row == 0
+
+
+def test_an_unsafe_command_fails_the_hostile_runs(world, parameters):
+    twin = begin(world, parameters, "diamond", use_device=False)
+    witness = Witness(twin)
+    witness.tick()
+    assert witness.count == 1
+    witness._last = witness._last + 1.0  # No rate allows the next command after this one.
+    with pytest.raises(AssertionError, match="AssertionError: "):
+        witness.tick()
