@@ -695,7 +695,7 @@ class Simulation(Readouts):
         if is_again:
             report = replace(
                 result.report, stage_times=dict.fromkeys(result.report.stage_times, 0.0),
-                compute_time=0.0, iterations=0, is_resting=True,
+                compute_time=0.0, iterations=0, factor_age=0, is_late=False, is_resting=True,
             )  # fmt: skip
             self._rest = replace(result, report=report)
 

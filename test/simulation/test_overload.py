@@ -154,12 +154,25 @@ def test_a_slowly_converging_factor_is_replaced_in_the_next_step_although_late(d
     assert max(ages) > 1 and ages.count(0) > 1
 
 
-def test_at_rest_a_stale_factor_is_never_replaced(diamond, overloaded, settle):
+def test_at_an_unchanged_target_a_stale_factor_is_never_replaced(diamond, overloaded):
     simulation = overloaded(diamond())
+    command = FollowTargets(simulation.effector_positions(), PERIOD)
     for _ in range(30):
-        simulation.step(Hold(PERIOD), budget=BUDGET)
-    ages = [simulation.step(Hold(PERIOD), budget=BUDGET).report.factor_age for _ in range(50)]
+        simulation.step(command, budget=BUDGET)
+    ages = [simulation.step(command, budget=BUDGET).report.factor_age for _ in range(50)]
     assert ages == list(range(ages[0], ages[0] + 50)) and ages[0] > 0
+
+
+def test_in_overload_a_state_at_rest_costs_one_late_step_and_then_none(diamond, overloaded):
+    """The factor is made once more, at the state that is kept; then no step is made, nor late."""
+    simulation, reports = overloaded(diamond()), []
+    for _ in range(80):
+        result = simulation.stay(Hold(PERIOD)) or simulation.step(Hold(PERIOD), budget=BUDGET)
+        reports.append(result.report)
+    first = [report.is_resting for report in reports].index(True)
+    assert first <= 30 and all(report.is_resting for report in reports[first:])
+    assert not any(report.is_overloaded or report.is_late for report in reports[first:])
+    assert sum(report.is_late for report in reports[1:]) == 1
 
 
 def test_in_contact_a_step_without_time_is_reported_as_late(coarse_trunk, overloaded):
