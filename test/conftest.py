@@ -107,6 +107,7 @@ LIBRARIES = {
         "run_plot::test_the_legend_of_many_cables_names_the_largest_and_overlaps_nothing",
         "run_plot::test_tables_of_commands_and_samples_of_a_workspace_are_drawn",
         "scene_picture::test_states_side_by_side_make_a_wider_picture",
+        "scene_picture::test_the_legend_names_all_that_a_scene_has_and_nothing_else",
         "scene_picture::test_springs_are_drawn_between_their_ends",
         "scene_picture::test_the_legend_names_all_that_a_scene_has_and_nothing_else",
         "simulate::test_a_run_has_the_stated_columns_and_a_row_for_each_target", "stiffness",
@@ -123,14 +124,12 @@ LIBRARIES = {
 
 
 # `make test-all` runs all tests. `make test` leaves out, as `exhaustive`, those that are marked
-# `slow` and not named in `KEPT`, those of `LONG`, and most seeds. What it leaves out are long runs,
-# finer meshes, other robots and studies: a shorter test holds each of them to the same bar, or the
-# change that would break them breaks tests of its parts. What keeps a command safe is in `KEPT`.
+# `slow` and not named in `KEPT`, those of `LONG`, most cases of `SAMPLED`, and most seeds. What it
+# leaves out are long runs, finer meshes, other robots, studies and pictures: a shorter test holds
+# each of them to the same bar, or the change that would break them breaks tests of its parts. What
+# keeps a command safe is in `KEPT`.
 KEPT = {
-    "": (
-        "readme::test_its_python_runs_and_brings_the_tip_to_the_target",
-        "package::test_colcon_builds_a_twin_that_starts_from_its_share_folder",
-    ),
+    "": ("readme::test_its_python_runs_and_brings_the_tip_to_the_target",),
     "control": (
         "closed_loop::test_the_closed_loop_cuts_the_mean_error_to_a_fifth",
         "hostile_input::test_long_runs_of_random_inputs_lead_to_no_unsafe_command", "trunk",
@@ -151,21 +150,131 @@ KEPT = {
 }  # fmt: skip
 # Not slow by themselves, but together.
 LONG = {
+    "": (
+        "kernel_cache::test_entries_that_nobody_used_for_a_week_are_deleted",
+        "kernel_cache::test_processes_that_compile_at_once_agree_and_keep_one_entry_each",
+        "kernel_cache::"
+        "test_the_environment_names_the_folder_and_one_that_cannot_be_written_is_replaced",
+    ),
+    "control": (
+        "mesh_error_watch::"
+        "test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back",
+        "mesh_error_watch::"
+        "test_the_process_estimates_the_error_that_the_simulation_does_then_tells_what_failed",
+        "reduction_error_watch::"
+        "test_the_process_tells_the_error_that_the_full_model_has_then_what_failed",
+    ),
+    "docs": ("site::test_every_page_of_docs_is_in_the_site",),
     "examples": (
         "examples::test_a_camera_cuts_the_error_of_the_finger_to_less_than_a_half",
         "examples::test_a_policy_learns_within_a_few_generations",
+        "examples::test_calibration_finds_the_modulus_of_the_real_finger",
         "examples::test_the_gripper_lifts_the_ball_with_its_palm",
+        "examples::test_the_trunk_follows_its_path_while_the_cylinders_carry_it",
     ),
-    "geometry": ("pneumatic_meshes::test_the_script_makes_the_committed_mesh",),
+    "geometry": (
+        "pneumatic_meshes::test_the_script_makes_the_committed_mesh",
+        "shapes::test_mass_properties_are_the_limit_of_those_of_its_surface",
+    ),
+    "ros": (
+        "clocks::test_ticks_are_counted_on_simulated_time",
+        "trunk::test_the_tip_follows_the_demo_s_path_between_the_cylinders",
+        "twin_diagnostics::test_the_error_of_the_mesh_is_reported_once_it_is_estimated",
+        "twin_diagnostics::test_the_errors_of_a_reduced_body_are_reported",
+    ),
+    "scripting": (
+        "robot::test_a_copy_in_contact_goes_on_from_the_efforts_of_the_original",
+        "robot::test_a_picture_is_written_or_returned",
+    ),
     "simulation": (
+        "beams::test_the_sway_of_a_portal_has_the_frequency_of_its_dynamic_stiffness",
+        "compressed::"
+        "test_shortening_of_the_trunk_lies_between_that_of_its_full_section_and_its_core",
         "contact_rest::test_a_beam_beside_a_rod_comes_to_rest_with_ten_drawn_shortenings",
         "edge_of_reach::"
         "test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far",
         "fibres::test_a_braided_tube_contracts_as_inextensible_threads_make_it",
+        "fibres::test_hoops_stop_radial_growth_and_are_slack_where_the_tube_contracts",
         "generalized_alpha::test_a_mass_on_a_spring_converges_at_the_order_of_its_scheme",
         "generalized_alpha::test_rotations_converge_at_the_order_of_the_scheme",
         "inverse_limits::"
         "test_a_target_ten_times_out_of_reach_is_held_without_drift_beside_a_rod",
+        "mesh_error::"
+        "test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_mesh",
+        "mesh_error::test_on_bars_the_estimate_is_within_a_factor_of_the_truth",
+        "pneumatic_robots::test_a_grown_accordion_returns_after_a_push_to_the_side",
+        "reduced_body::test_a_basis_that_spans_everything_gives_the_full_model",
+        "sag::test_thin_rubber_has_the_sag_of_the_simulation",
+        "snap_through::test_an_undamped_spring_truss_snaps_through_below_its_limit_load",
+        "trunk_scene::test_a_trunk_pulled_against_a_cylinder_presses_on_it",
+        "trunk_scene::test_without_contact_the_body_crosses_both_cylinders",
+        "viscous_motion::test_the_error_of_a_damped_trunk_is_of_the_order_of_its_time_step",
+    ),
+    "solvers": ("multifrontal/cholesky::test_bodies_of_thousands_of_nodes_are_solved",),
+    "study": (
+        "accuracy::test_choose_studies_a_refined_mesh_and_keeps_its_files",
+        "accuracy::"
+        "test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_asked_to",
+        "accuracy::test_errors_fall_with_refinement_and_quadratic_meshes_are_better",
+        "bench::test_a_reduced_model_alone_is_timed",
+        "bench::test_a_reduced_model_is_compared_with_its_full_one",
+        "bench_contact::test_more_contacts_make_more_rows_on_the_same_matrix",
+        "body_training::test_a_stopped_run_goes_on_where_it_was",
+        "body_training::test_two_processes_train_the_same",
+        "cavity_files::test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies",
+        "cavity_files::test_a_run_of_commands_writes_pressures_and_a_picture",
+        "explain::test_every_scene_of_the_package_is_explained",
+        "hexahedral_accuracy",
+        "inflated_accuracy::test_errors_at_given_volumes_and_pressures_fall_with_the_mesh",
+        "interval_targets::test_the_trunk_is_in_contact_during_the_whole_timed_interval",
+        "meshing::test_the_size_is_searched_for_a_step_time",
+        "reduction_along::test_a_body_trained_along_a_path_keeps_its_gap_and_presses_as_the_full_one",
+        "run_plot::test_the_command_writes_a_picture_beside_the_run",
+        "scene_picture::test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another",
+        "scene_picture::test_states_side_by_side_make_a_wider_picture",
+        "scene_picture::test_the_legend_names_all_that_a_scene_has_and_nothing_else",
+        "tracking_report::test_no_text_of_the_picture_is_clipped_or_overlaps_another",
+        "tracking_report::test_the_picture_of_one_run_or_two_is_drawn",
+        "vertebrae_reduction::test_cables_run_through_vertebrae",
+        "vertebrae_reduction::test_the_command_makes_only_what_has_changed",
+        "vertebrae_reduction::test_the_fetch_is_divided_into_plates_and_accordions",
+        "vertebrae_reduction::test_the_measured_error_is_saved",
+        "workspace::test_a_lost_process_costs_only_its_own_sample",
+        "workspace::test_a_stopped_run_goes_on_where_it_was",
+        "workspace::test_two_processes_write_the_same_bytes",
+    ),
+}  # fmt: skip
+# Of tests with many cases, `make test` takes one in three.
+SAMPLED = {
+    "": ("kernel_cache::test_a_change_compiles_the_kernels_that_import_it_and_no_others",),
+    "examples": ("hardware::test_the_nodes_tell_what_they_take",),
+    "ros": (
+        "hostile_messages::test_no_message_ends_a_device",
+        "hostile_messages::test_no_message_ends_a_twin_or_causes_an_unsafe_command",
+        "hostile_messages::test_ticks_between_random_messages_are_as_safe",
+    ),
+    "scene": ("mutated_scenes",),
+    "simulation": (
+        "collapse::test_a_collapsed_body_recovers_or_is_reported_as_inverted",
+        "collapse::test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted",
+        "edge_of_reach::test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached",
+        "edge_of_reach::test_the_diamond_comes_to_rest_at_targets_ten_times_too_far_and_returns",
+        "inverse_obstacles::test_a_beam_between_two_rods_crosses_neither",
+        "model_file::test_a_file_that_was_cut_or_whose_bits_changed_is_refused",
+        "model_file::test_each_array_is_refused_missing_in_another_shape_or_of_another_kind",
+        "model_file::test_each_array_of_numbers_is_refused_with_a_number_that_is_none",
+        "model_file::test_what_does_not_fit_the_body_is_refused",
+        "obstacles::test_a_soft_block_lies_on_an_obstacle",
+        "rubber_stays_upright::test_a_cube_stays_upright_in_one_command",
+        "scales::test_a_similar_robot_gives_a_similar_result",
+        "triangulated_floor",
+        "trunk_scene::test_the_tip_reaches_the_published_workspace",
+        "tunnelling::test_no_body_passes_through_a_wire_of_a_millimetre",
+        "wedge",
+    ),
+    "study": (
+        "first_scene",
+        "rubber_references",
     ),
 }  # fmt: skip
 # Of a test with more seeds than these, `make test` takes the first.
@@ -190,19 +299,22 @@ def is_exhaustive(item, own: set[str], drawn: Counter) -> bool:
     Args:
         item: The test.
         own: Its names.
-        drawn: Seeds so far of each test, which is changed.
+        drawn: Cases so far of each test, and of each of its cases but for the seed; is changed.
     """
     places = dict(item.callspec.indices) if hasattr(item, "callspec") else {}
+    same = (item.path, item.originalname)
     if places.pop("seed", None) is not None:
-        same = (item.path, item.originalname, *places.items())
-        drawn[same] += 1
-        if drawn[same] > SEEDS:
+        drawn[*same, *places.items()] += 1
+        if drawn[*same, *places.items()] > SEEDS:
             return True
-    kept, long = (tests_of(table).get(item.path) for table in ("KEPT", "LONG"))
-    if long is not None and (own & long or long == set()):
+    kept, long, sampled = (
+        own & names if names else names is not None
+        for names in (tests_of(table).get(item.path) for table in ("KEPT", "LONG", "SAMPLED"))
+    )
+    drawn[same] += 1
+    if long or (sampled and drawn[same] % 3 != 1):
         return True
-    is_kept = kept is not None and (own & kept or kept == set())
-    return item.get_closest_marker("slow") is not None and not is_kept
+    return item.get_closest_marker("slow") is not None and not kept
 
 
 def only_libraries(config) -> bool:

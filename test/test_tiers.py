@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parent
-TABLES = ("KEPT", "LONG")
+TABLES = ("KEPT", "LONG", "SAMPLED")
 
 
 @cache
@@ -25,7 +25,8 @@ def test_each_name_of_a_table_is_that_of_a_test(table):
     for room, entries in tables()[table].items():
         for entry in entries:
             file, _, test = entry.partition("::")
-            path = TESTS / room / f"test_{file}.py"
+            path = TESTS / room / file
+            path = path.with_name(f"test_{path.name}.py")
             name = re.sub(r"\[.*", "", test)
             if not path.is_file() or name and f"def {name}(" not in path.read_text():
                 lost.append(entry)
