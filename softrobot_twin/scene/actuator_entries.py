@@ -107,8 +107,9 @@ class Cable(ActuatorEntry):
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Points of the body that the cable runs through, starting at the pull point."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """At each point the force acts on the material within this radius, as with a washer. With 0 it
-    acts on one point, whose displacement grows without bound as the mesh is refined."""
+    """At each point the force acts on the material around it, as with a washer of this radius; it
+    ends smoothly at 1.37 times that, so that results have derivatives by radius and points. With 0
+    it acts on one point, whose displacement grows without bound as the mesh is refined."""
     shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
     """Limits of the shortening against the length at rest; infinite for no limit. The length of a
     cable cannot become negative."""
