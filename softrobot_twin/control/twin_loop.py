@@ -82,7 +82,7 @@ CALLS = (
     "contest", "give_up", "after_failure", "continue_from",
 )  # fmt: skip
 """All calls by which anything reaches a loop from outside, but `tick`."""
-MOST_REPEATS = 19
+MOST_REPEATS = 99
 """Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
 _MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED)
 
@@ -566,14 +566,15 @@ class TwinLoop:
             return None
         before, command = rest.outcome, rest.command
         if isinstance(command, Hold):
-            command = Hold(time.step)
+            command = command if command.time_step == time.step else Hold(time.step)
         elif time != (command.time_step, command.reach_time):
             return None
         result = self.simulation.stay(command)
         if result is None or not _commands_same(result, before.result):
             return None
-        self._rest = rest._replace(repeats=rest.repeats + 1)
-        self._history.add(ros_time, before.predicted_markers)
+        self._rest = _Rest(before, rest.command, rest.repeats + 1)
+        if len(before.predicted_markers):
+            self._history.add(ros_time, before.predicted_markers)
         if before.command is not None:
             self._released = now
         reading = before.reading._replace(age=self.targets.age(now))

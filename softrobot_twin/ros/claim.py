@@ -21,7 +21,7 @@ from std_msgs.msg import String
 
 from softrobot_twin.ros.topics import CLAIM
 
-BEAT_PERIOD = 0.1
+BEAT_PERIOD = 0.2
 """Time from beat to beat [s]."""
 LIFE_TIME = 1.0
 """A twin that was not heard for this time is dead [s]."""
@@ -83,15 +83,15 @@ class TopicClaim:
                 return
 
     def _hear(self, content: bytes) -> None:
-        if len(content) > _MOST_BYTES:
-            return
+        if len(content) > _MOST_BYTES or self._identity.encode() in content:
+            return  # It is no beat, or an own one.
         try:
             beat = deserialize_message(content, String).data
             identity, name, age, is_enabled = json.loads(beat)
             age = float(age)
         except (ValueError, TypeError, RuntimeError, RecursionError):
             return  # It is not from a twin.
-        if identity == self._identity or not isinstance(identity, str):
+        if not isinstance(identity, str):
             return
         now = time.monotonic()
         self._forget_dead(now)

@@ -194,7 +194,7 @@ class DeviceNode(TickingNode):
 
     def work(self, now: float) -> None:
         """Measures, and publishes all measurements with the same stamp."""
-        stamp = stamp_of(self.get_clock().now().nanoseconds)
+        stamp = stamp_of(self.stamp)
         reading = self.device.read(now)
         header = Header(stamp=stamp, frame_id=self._frame)
         names = self.device.actuator_names

@@ -21,6 +21,8 @@ from rclpy.timer import Timer
 EVENTS_PERIOD = 1.0
 """Time between two looks at the events of publishers and subscriptions, such as another node with an
 incompatible quality of service [s]."""
+REQUESTS_PERIOD = 0.1
+"""Time between two looks at the services of parameters [s]."""
 _NANOSECONDS = 1_000_000_000
 
 
@@ -32,41 +34,59 @@ class _Entities:
     """
 
     def __init__(self, nodes, guards, context):
-        self.subscriptions: list[Subscription] = [one for node in nodes for one in node.subscriptions]
-        self.timers: list[Timer] = [one for node in nodes for one in node.timers]
-        self.services: list[Service] = [one for node in nodes for one in node.services]
+        subscriptions = [one for node in nodes for one in node.subscriptions]
+        timers = [one for node in nodes for one in node.timers]
+        every = [one for node in nodes for one in node.services]
+        services = [one for one in every if not _is_of_parameters(one)]
+        self._rare = [one.handle for one in every if _is_of_parameters(one)]
         self.events: list[EventHandler] = [one for node in nodes for one in node.waitables]
-        self._guards = guards
-        callbacks = [one.callback for one in (*self.subscriptions, *self.timers, *self.services)]
+        self._handles = [
+            [one.handle for one in kind] for kind in (subscriptions, guards, timers, services)
+        ]
+        self._by_pointer = {one.handle.pointer: one for one in (*subscriptions, *timers, *every)}
+        callbacks = [one.callback for one in (*subscriptions, *timers, *every)]
         self.is_known = (
             not any(list(node.clients) or list(node.guards) for node in nodes)
             and all(type(event) is EventHandler for event in self.events)
             and not any(inspect.iscoroutinefunction(callback) for callback in callbacks)
         )
         self._wait_set = WaitSet(
-            len(self.subscriptions), len(guards), len(self.timers), 0, len(self.services), 0,
+            len(subscriptions), len(guards), len(timers), 0, len(services), 0,
             context.handle,
         )  # fmt: skip
+        self._rare_set = WaitSet(0, 0, 0, 0, len(self._rare), 0, context.handle)
         self._event_set = WaitSet(0, 0, 0, 0, 0, len(self.events), context.handle)
 
     def wait(self, timeout: int) -> tuple[list[Subscription], list[Timer], list[Service]]:
         """Waits for this time [ns], or until something is ready; returns that."""
         wait_set = self._wait_set
+        subscriptions, guards, timers, services = self._handles
         wait_set.clear_entities()
-        for subscription in self.subscriptions:
-            wait_set.add_subscription(subscription.handle)
-        for guard in self._guards:
-            wait_set.add_guard_condition(guard.handle)
-        for timer in self.timers:
-            wait_set.add_timer(timer.handle)
-        for service in self.services:
-            wait_set.add_service(service.handle)
+        for handle in subscriptions:
+            wait_set.add_subscription(handle)
+        for handle in guards:
+            wait_set.add_guard_condition(handle)
+        for handle in timers:
+            wait_set.add_timer(handle)
+        for handle in services:
+            wait_set.add_service(handle)
         wait_set.wait(timeout)
         return (
-            _ready(self.subscriptions, wait_set.get_ready_entities("subscription")),
-            _ready(self.timers, wait_set.get_ready_entities("timer")),
-            _ready(self.services, wait_set.get_ready_entities("service")),
+            self._ready(wait_set, "subscription"), self._ready(wait_set, "timer"),
+            self._ready(wait_set, "service"),
         )
+
+    def requests(self) -> list[Service]:
+        """The services of parameters that have a request."""
+        self._rare_set.clear_entities()
+        for handle in self._rare:
+            self._rare_set.add_service(handle)
+        self._rare_set.wait(0)
+        return self._ready(self._rare_set, "service")
+
+    def _ready(self, wait_set: WaitSet, kind: str) -> list:
+        """The entities of a kind that are ready in a wait set."""
+        return [self._by_pointer[pointer] for pointer in wait_set.get_ready_entities(kind)]
 
     def take_events(self) -> None:
         """Calls the handlers of events that have happened."""
@@ -80,9 +100,9 @@ class _Entities:
                 event.callback(data)
 
 
-def _ready(entities: list, pointers: list[int]) -> list:
-    """The entities whose handles are among the ready ones."""
-    return [one for one in entities if one.handle.pointer in pointers] if pointers else []
+def _is_of_parameters(service: Service) -> bool:
+    """Whether a service is one that each node has, as those of its parameters."""
+    return service.srv_type.__module__.split(".")[0] in ("rcl_interfaces", "type_description_interfaces")
 
 
 class LeanExecutor(SingleThreadedExecutor):
@@ -95,7 +115,7 @@ class LeanExecutor(SingleThreadedExecutor):
     def __init__(self, **arguments):
         super().__init__(**arguments)
         self._entities: _Entities | None = None
-        self._events_due = 0.0
+        self._events_due = self._requests_due = 0.0
 
     def wake(self) -> None:
         """Called when an entity of a node is created or destroyed."""
@@ -131,6 +151,9 @@ class LeanExecutor(SingleThreadedExecutor):
             return
         timeout = -1 if timeout_sec is None else max(0, int(timeout_sec * _NANOSECONDS))
         subscriptions, timers, services = entities.wait(timeout)
+        if time.monotonic() >= self._requests_due:
+            self._requests_due = time.monotonic() + REQUESTS_PERIOD
+            services += entities.requests()
         if not self._context.ok():
             raise ExternalShutdownException()
         for take, ready in (

@@ -179,7 +179,7 @@ def _run(
         sys.setswitchinterval(_SWITCH_INTERVAL)
         node.take_priority()
         with node.collector:
-            spin(node, executor, lambda: stop.received or not rclpy.ok())
+            spin(node, executor, lambda: stop.received)
     finally:
         stop.only_record()
         if node is not None:

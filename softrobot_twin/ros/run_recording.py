@@ -67,18 +67,15 @@ class RunRecording:
         """
         node = self._node
         description = describe(
-            node.loop, node.get_fully_qualified_name(), self._ros_time(),
+            node.loop, node.get_fully_qualified_name(), node.ros_time(),
             {"use_sim_time": node.is_simulated_time, **parameters},
         )  # fmt: skip
         try:
             self.recorder = RunRecorder(
-                self.path, node.loop, self.clock, description, self._ros_time, to_bytes
+                self.path, node.loop, self.clock, description, node.ros_time, to_bytes
             )
         except RunFileError as error:
             raise ParameterError(PARAMETER, str(self.path), "", error.reason) from None
-
-    def _ros_time(self) -> int:
-        return self._node.get_clock().now().nanoseconds
 
     def publisher(self, publisher: Publisher) -> RecordedPublisher:
         """A publisher whose messages are recorded."""

@@ -184,7 +184,7 @@ class TargetNode(TickingNode):
         if self._listener is not None:
             self.destroy_subscription(self._listener)
             self._listener = None
-        stamp = stamp_of(self.get_clock().now().nanoseconds)
+        stamp = stamp_of(self.stamp)
         header, since = Header(stamp=stamp, frame_id=self._frame), now - self._began
         if self._table is not None:
             self._play(self._table, since, header)

@@ -123,6 +123,7 @@ class TickingNode(Node):
         last_clock_step: Change of the clock at the last time [s]; positive when forward.
         refused_requests: Messages and requests that failed inside rclpy.
         failed_ticks: Ticks that ended with an exception, since the start.
+        stamp: The time of the newest tick on the clock of the stamps [ns].
         has_worked: Whether `work` of the newest tick was done.
         failure: The newest of these exceptions, in one line.
         failures_in_a_row: How many of the newest ticks did.
@@ -138,9 +139,9 @@ class TickingNode(Node):
         self.clock_steps = self.refused_requests = 0
         self.last_clock_step = 0.0
         self.failed_ticks, self.failures_in_a_row, self.failure = 0, 0, ""
-        self.has_worked = False
+        self.stamp, self.has_worked = 0, False
         self.is_simulated_time = bool(self.get_parameter("use_sim_time").value)
-        self._time = (ElapsedTime(lambda: self.get_clock().now().nanoseconds)
+        self._time = (ElapsedTime(self.ros_time)
                       if self.is_simulated_time else time.monotonic)
         self._clock_watch = ClockWatch()
         self._graph: GraphWatch | None = None
@@ -215,9 +216,10 @@ class TickingNode(Node):
         now = self.tick_clock.begin(
             self.tick_clock.period if until_next is None else until_next / NANOSECONDS
         )
+        self.stamp = self.ros_time()
+        self._watch_clock(now)
         self.has_worked = self._try(self.work, now)
         tick = self.tick_clock.end()
-        self._watch_clock()
         if change := self.priority.offer():
             self.get_logger().warning(change)
         failed = not self._try(self.after_work, now) or not self.has_worked
@@ -256,7 +258,12 @@ class TickingNode(Node):
 
     def arrival(self, header) -> Arrival:
         """A message's header with the present time as its time of arrival."""
-        return arrival_of(header, self.get_clock().now().nanoseconds, self.monotonic())
+        return arrival_of(header, self.ros_time(), self.monotonic())
+
+    def ros_time(self) -> int:
+        """The clock of the stamps [ns]."""
+        # Without simulated time it is the system's, which rclpy takes much longer to read.
+        return self.get_clock().now().nanoseconds if self.is_simulated_time else time.time_ns()
 
     def monotonic(self) -> float:
         """The clock of the ticks [s]."""
@@ -388,12 +395,9 @@ class TickingNode(Node):
         """Whether it is known that further nodes of this name in the graph have crashed."""
         return False
 
-    def _watch_clock(self) -> None:
+    def _watch_clock(self, now: float) -> None:
         """Logs a change of the clock of the stamps; the inputs detect it independently."""
-        before = self._time()
-        stamp = self.get_clock().now().nanoseconds
-        after = self._time()
-        step = self._clock_watch.step(stamp, 0.5 * (before + after))
+        step = self._clock_watch.step(self.stamp, now)
         if step:
             self.clock_steps += 1
             self.last_clock_step = step

@@ -233,7 +233,7 @@ TWIN_TOPICS = _by_name(
           "gauge pressure [Pa] in both, or with `control: volume` its volume [m³] and gauge "
           "pressure [Pa]"),
     Topic("~/cables/claim", OUT, String, CLAIM, "",
-          "ten times a second: that this twin lives, and whether it is enabled; below the name to "
+          "five times a second: that this twin lives, and whether it is enabled; below the name to "
           "which `~/cables` is remapped. Twins on the same topic hear each other by it: the later "
           "one is silent and says whose topics these are, and one that crashed blocks nothing"),
     Topic("~/angles", OUT, JointState, NEWEST, "rad, N m",

@@ -72,15 +72,19 @@ if TYPE_CHECKING:
 class RepeatedMessages:
     """Publishes messages with a header, and again with another stamp while nothing else changes.
 
-    To make and convert a message takes longer than to publish its bytes.
+    To make and convert a message takes longer than to publish its bytes. What nobody receives is not
+    published again; who subscribes is found after `_LOOK_EVERY` ticks.
     """
 
+    _LOOK_EVERY = 10
     _STAMP, _PLACE = struct.Struct("<iI"), 4
     """A stamp, and its place after the encapsulation of a message."""
 
     def __init__(self) -> None:
         self._sent: list[tuple[Publisher, object]] = []
         self._contents: list[tuple[Publisher, bytearray]] = []
+        self._heard: list[tuple[Publisher, bytearray]] = []
+        self._times = 0
 
     def send(self, publisher: Publisher, message: object) -> None:
         """Publishes a message, whose first field is its header."""
@@ -89,7 +93,7 @@ class RepeatedMessages:
 
     def forget(self) -> None:
         """The messages that are sent from now on are those to publish again."""
-        self._sent, self._contents = [], []
+        self._sent, self._contents, self._times = [], [], 0
 
     def send_again(self, stamp: int) -> None:
         """Publishes all messages since `forget` again, with another stamp [ns]."""
@@ -97,10 +101,18 @@ class RepeatedMessages:
             self._contents = [
                 (publisher, bytearray(to_bytes(message))) for publisher, message in self._sent
             ]
+        if self._times % self._LOOK_EVERY == 0:
+            self._heard = [sent for sent in self._contents if _is_heard(sent[0])]
+        self._times += 1
         time = divmod(stamp, NANOSECONDS)
-        for publisher, content in self._contents:
+        for publisher, content in self._heard:
             self._STAMP.pack_into(content, self._PLACE, *time)
             publisher.publish(bytes(content))
+
+
+def _is_heard(publisher: Publisher) -> bool:
+    """Whether messages are received or, as those of a recorded run, kept."""
+    return type(publisher) is not Publisher or publisher.get_subscription_count() > 0
 
 
 class SolidOutputs:
@@ -551,16 +563,14 @@ class TwinNode(TickingNode):
 
     def work(self, now: float) -> None:
         """Steps the loop and publishes the results, all with the same stamp."""
-        stamp = self.get_clock().now().nanoseconds
-        outcome = self.loop.tick(now, stamp)
-        self._publish(outcome, stamp)
+        outcome = self.loop.tick(now, self.stamp)
+        self._publish(outcome, self.stamp)
         if self.loop.is_repeating and self._window.ticks:
             self._window.add_again(outcome)
         else:
             self._window.add(outcome)
             if self._feed is not None:
-                self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
-        self._stamp = stamp
+                self._feed.offer(outcome, self.stamp, self._diagnostics.discretization_error)
         if self.recording is not None:
             self.recording.pass_on()
 
@@ -615,7 +625,7 @@ class TwinNode(TickingNode):
         if self.recording is not None:
             self.recording.pass_on()
         if command is not None:
-            stamp = stamp_of(self.get_clock().now().nanoseconds)
+            stamp = stamp_of(self.ros_time())
             self._publish_command(command, Header(stamp=stamp, frame_id=self.loop_frame))
 
     @property
@@ -628,7 +638,7 @@ class TwinNode(TickingNode):
         logs problems of the last tick."""
         newest = self._window.newest
         if self.has_worked:
-            self._visualization.offer(newest, self._stamp, now)
+            self._visualization.offer(newest, self.stamp, now)
         if self.has_worked and not self.loop.is_repeating:
             self._status.offer(newest, now)
             self._warn_of(newest, now)
@@ -639,7 +649,7 @@ class TwinNode(TickingNode):
         if self._reduction is not None and not self.loop.simulation.falls_back:
             self._reduction.offer(self.loop.simulation, False, now)
         message = DiagnosticArray(status=self._diagnostics.statuses(now))
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = stamp_of(self.ros_time())
         self._diagnostics_out.publish(message)
         self._window.clear()
 

@@ -220,6 +220,7 @@ class VisualizationOutput:
         """
         if self._limit is None or not self._limit.is_due(now):
             return
+        self._limit.take(now)
         count = self._publisher.get_subscription_count()
         # Who comes late waits for obstacles no longer than for the rest.
         if count > self._count:
@@ -227,7 +228,6 @@ class VisualizationOutput:
         self._count = count
         if not count:
             return
-        self._limit.take(now)
         if self._markers is None:
             lifetime = max(LEAST_LIFETIME, 3.0 / self._rate)
             self._markers = RobotMarkers(self._simulation, self._frame, lifetime)
