@@ -63,6 +63,8 @@ def _proved_efforts(W, free_violation, prescribed, effort_min, effort_max):
     for i in range(n):
         if active[i] < 0 or z[i] <= lower[i] + ROUND_OFF * size:
             z[i] = effort_min[i]
+        elif active[i] > 0 or z[i] >= upper[i] - ROUND_OFF * size:
+            z[i] = effort_max[i]
         else:
             z[i] = min(max(scale[i] * z[i], effort_min[i]), effort_max[i])
     return proved, z
@@ -164,6 +166,7 @@ def _solve(
     )
     if exit_flag < 1:
         return None
-    # The effort of a slack cable is its bound, without the solver's round-off.
-    at_bound = z <= lower[:count] + ROUND_OFF
-    return np.where(at_bound, effort_min, np.clip(scale * size * z, effort_min, effort_max))
+    # An effort at a bound is the bound, without the solver's round-off.
+    efforts = np.clip(scale * size * z, effort_min, effort_max)
+    efforts = np.where(z >= upper[:count] - ROUND_OFF, effort_max, efforts)
+    return np.where(z <= lower[:count] + ROUND_OFF, effort_min, efforts)

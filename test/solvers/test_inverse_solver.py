@@ -130,7 +130,8 @@ def test_a_failed_guess_is_answered_by_a_general_solver(kind):
         size = expected.unknowns @ problem.P @ expected.unknowns
         assert np.sqrt(apart @ problem.P @ apart) <= 1e-5 * np.sqrt(size)
         answered.add(found.solver)
-    assert {"warm start", "DAQP"} <= answered
+    assert "warm start" in answered
+    assert answered & {general.name for general in QP_SOLVERS[kind]}
 
 
 def test_bounds_are_never_exceeded():
@@ -176,13 +177,16 @@ def test_an_infeasible_problem_is_unsolved_and_held(field):
     np.testing.assert_array_equal(found.unknowns, held)
 
 
-def test_with_contacts_the_branches_are_searched(robot_in_contact):
-    robot = robot_in_contact(0)
-    solver = solver_of(8)
-    found = solver.solve(robot.problem(), robot.held, robot.touching)
+@pytest.mark.parametrize("seed", range(5))
+def test_with_contacts_the_branches_are_searched_again_only_where_some_meet(robot_in_contact, seed):
+    robot = robot_in_contact(seed)
+    problem, solver = robot.problem(), solver_of(8)
+    found = solver.solve(problem, robot.held, robot.touching)
     assert found.solved and found.solver == "pivoting"
-    again = solver.solve(robot.problem(), robot.held, robot.touching, found.touching)
-    assert again.solver == "warm start"
+    again = solver.solve(problem, robot.held, robot.touching, found.touching)
+    z = found.unknowns
+    meet = np.any((problem.forces(z) < 1e-7) & (problem.gaps(z) < 1e-9))
+    assert again.solver == ("pivoting" if meet else "warm start")
     np.testing.assert_allclose(again.unknowns, found.unknowns, rtol=1e-6, atol=1e-6)
 
 
