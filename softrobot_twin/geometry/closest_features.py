@@ -104,30 +104,6 @@ def out_of_reach(x, a, b, c, p, reach):
             return True
     return False
 
-
-@njit(**KERNEL)
-def is_nearest_triangle(x, triangles, chosen, p, distance):
-    """Whether no other triangle is nearer to p than the chosen one.
-
-    Args:
-        x: Points [m], shape (point_count, 3).
-        triangles: Point indices, shape (triangle_count, 3).
-        chosen: Index of the chosen triangle.
-        p: Point [m].
-        distance: Distance of p from the chosen triangle [m].
-
-    Returns:
-        True or False; a neighbour that is equally near up to round-off does not count as nearer.
-    """
-    reach = distance * (1.0 - 1.0e-9)
-    for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        if t == chosen or out_of_reach(x, a, b, c, p, reach):
-            continue
-        if squared_distance_to_triangle(x, a, b, c, p) < reach * reach:
-            return False
-    return True
-
 # A barycentric weight below this counts as zero: the point lies on the opposite edge.
 NO_WEIGHT = 1.0e-9
 # Relative advantage of a neighbour above which a feature is not the nearest one. It exceeds

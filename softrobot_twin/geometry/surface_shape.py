@@ -43,8 +43,9 @@ from softrobot_twin.geometry.broad_phase import Clusters, cluster_triangles
 from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
 from softrobot_twin.geometry.closest_features import (
     height_above,
-    is_nearest_triangle,
+    out_of_reach,
     plane_weights,
+    squared_distance_to_triangle,
     triangle_normal,
 )
 from softrobot_twin.geometry.proximities import Proximities
@@ -537,6 +538,51 @@ def is_past_shape(kind, extents, foot, height):
 
 
 @njit(**INNER)
+def meet(one, other):
+    """Whether two triangles have a common vertex."""
+    for i in range(3):
+        if one[i] == other[0] or one[i] == other[1] or one[i] == other[2]:
+            return True
+    return False
+
+
+@njit(**KERNEL)
+def is_nearest_way_out(kind, extents, x, triangles, chosen, p, distance):
+    """Whether a point p of the shape behind a triangle is behind no nearer one.
+
+    At an edge or a vertex of the surface, a triangle that p is behind too is no way out where the
+    shape is not above it: its corner has passed this triangle from the side.
+
+    Args:
+        kind: Kind of the shape.
+        extents: Its extents [m].
+        x: Vertices [m].
+        triangles: Their numbers in each triangle.
+        chosen: Number of the triangle.
+        p: Corner or rim point of the shape [m].
+        distance: Its distance from the triangle [m].
+
+    Returns:
+        True or False; a neighbour that is equally near up to round-off does not count as nearer.
+    """
+    reach = distance * (1.0 - 1.0e-9)
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if t == chosen or out_of_reach(x, a, b, c, p, reach):
+            continue
+        if squared_distance_to_triangle(x, a, b, c, p) >= reach * reach:
+            continue
+        if not meet(triangles[t], triangles[chosen]):
+            return False
+        normal = triangle_normal(x, a, b, c)
+        height = height_above(x, a, normal, p)
+        past = is_past_shape(kind, extents, add_scaled(p, normal, -height), height)
+        if height >= 0.0 or not past:
+            return False
+    return True
+
+
+@njit(**INNER)
 def lies_inside(weights):
     """Whether a projection lies inside a triangle, off its edges."""
     return weights[0] > ON_EDGE and weights[1] > ON_EDGE and weights[2] > ON_EDGE
@@ -578,7 +624,7 @@ def misses(x, a, b, c, normal, p, height, margin):
 def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, found, count):
     """Add a corner or rim point p of the shape that points towards triangle t.
 
-    A point behind the triangle has penetrated the body if no other triangle is nearer and its
+    A point behind the triangle has penetrated the body if there is no nearer way out and its
     projection has not left the shape on the other side.
     """
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -591,7 +637,7 @@ def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, fou
     if height < 0.0:
         if is_past_shape(kind, extents, add_scaled(p, normal, -height), height):
             return count
-        if not is_nearest_triangle(x, triangles, t, p, -height):
+        if not is_nearest_way_out(kind, extents, x, triangles, t, p, -height):
             return count
     return add_candidate(found, count, key, (a, b, c), weights, height, negated(normal))
 

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.closest_features import (
-    is_nearest_triangle,
     plane_weights,
     squared_distance_to_triangle,
     triangle_normal,
@@ -40,14 +39,3 @@ def test_plane_weights_give_the_foot_of_the_perpendicular(pairs):
         away = point - np.array(weights) @ x
         assert sum(weights) == pytest.approx(1.0)
         np.testing.assert_allclose((x - x[0]) @ away, 0.0, atol=1e-10)
-
-
-def test_the_nearest_triangle_is_found_among_all(pairs):
-    point, corners = pairs[0][0], pairs[1]
-    x, triangles = corners.reshape(-1, 3), np.arange(900).reshape(-1, 3)
-    distances = np.sqrt([squared_distance_to_triangle(c, 0, 1, 2, tuple(point)) for c in corners])
-    nearest = [
-        is_nearest_triangle(x, triangles, t, tuple(point), distances[t])
-        for t in range(len(corners))
-    ]
-    assert np.flatnonzero(nearest).tolist() == [distances.argmin()]
