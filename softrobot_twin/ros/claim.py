@@ -108,13 +108,18 @@ class TopicClaim:
         Called before the first tick, while no executor runs.
         """
         end = time.monotonic() + LIFE_TIME
-        others = self._node.count_publishers(self._subscription.topic_name) > 1
+        others = self._node.count_publishers(self.claimed_on) > 1
         while others and not self._rivals and time.monotonic() < end:
             taken = self._subscription.handle.take_message(String, True)
             if taken is None:
                 time.sleep(0.02)
             else:
                 self._hear(taken[0])
+
+    @property
+    def claimed_on(self) -> str:
+        """Full name of the topic of the beats."""
+        return self._subscription.topic_name
 
     @property
     def is_alone(self) -> bool:

@@ -66,28 +66,28 @@ class GraphWatch:
 
     def clashes(self) -> list[Clash]:
         """The present clashes."""
-        found, are_ghosts = [], self._node.are_ghosts()
+        found, ghosts = [], self._node.ghosts()
         own = (self._node.get_name(), self._node.get_namespace())
         names = self._node.get_node_names_and_namespaces()
-        if (count := names.count(own)) > 1 and not are_ghosts:
+        if (count := names.count(own)) > 1 and own not in ghosts:
             name = self._node.get_fully_qualified_name()
             found.append(Clash("name", f"{count} nodes are called {name}: end all but one, or "
                                "rename one with -r __node:=NAME", True))
         for topic, is_severe in self._topics:
             if (count := self._node.count_publishers(topic)) > 1:
-                if are_ghosts and self._is_own(topic):
+                if ghosts and publishing_nodes(self._node, topic) <= ghosts:
                     continue
                 found.append(Clash(topic, self._sentence(topic, count), is_severe))
         return found
 
-    def _is_own(self, topic: str) -> bool:
-        """Whether all publishers on a topic have the name of this node."""
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        own = (self._node.get_name(), self._node.get_namespace())
-        return all((one.node_name, one.node_namespace) == own for one in publishers)
-
     def _sentence(self, topic: str, count: int) -> str:
         return f"{count} publishers on {topic} ({publisher_names(self._node, topic)}): end all but one"
+
+
+def publishing_nodes(node: Node, topic: str) -> set[tuple[str, str]]:
+    """Names and namespaces of the nodes that publish on a topic, as `node` sees them."""
+    publishers = node.get_publishers_info_by_topic(topic)
+    return {(one.node_name, one.node_namespace) for one in publishers}
 
 
 def publisher_names(node: Node, topic: str) -> str:
@@ -391,9 +391,10 @@ class TickingNode(Node):
         if {clash.key for clash in self.clashes} != before:
             self.request_diagnostics()
 
-    def are_ghosts(self) -> bool:
-        """Whether it is known that further nodes of this name in the graph have crashed."""
-        return False
+    def ghosts(self) -> set[tuple[str, str]]:
+        """Names and namespaces of nodes that are known to have crashed, where they are not this node.
+        """
+        return set()
 
     def _watch_clock(self, now: float) -> None:
         """Logs a change of the clock of the stamps; the inputs detect it independently."""

@@ -55,7 +55,7 @@ from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
-from softrobot_twin.ros.ticking_node import TickingNode
+from softrobot_twin.ros.ticking_node import TickingNode, publishing_nodes
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
 from softrobot_twin.ros.topics import Topic, open_publisher
 from softrobot_twin.ros.transforms import TransformOutput
@@ -534,9 +534,9 @@ class TwinNode(TickingNode):
         self._yield_to_rivals()
         super().watch_graph()
 
-    def are_ghosts(self) -> bool:
-        """Whether nodes of this name in the graph are of a twin that has crashed."""
-        return self._claim.is_alone
+    def ghosts(self) -> set[tuple[str, str]]:
+        """The twins that claim these topics in the graph, where none of them lives but this one."""
+        return publishing_nodes(self, self._claim.claimed_on) if self._claim.is_alone else set()
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response):
         clashes, rival = [], ""

@@ -2,6 +2,7 @@
 
 import itertools
 import time
+from functools import partial
 
 import pytest
 from geometry_msgs.msg import PointStamped
@@ -11,6 +12,8 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.ros.claim import LIFE_TIME, Rival, TopicClaim
 from softrobot_twin.ros.messages import cables_message
+from softrobot_twin.ros.twin_node import TwinNode
+
 
 def hear_each_other(world, twins):
     """Until each twin has heard the others."""
@@ -54,6 +57,29 @@ def test_a_twin_starts_beside_the_ghost_of_one_that_crashed(world, make_twin):
     make_twin()._claim.close()
     world.run(LIFE_TIME + 0.2)
     assert make_twin().loop.is_enabled
+
+
+def test_the_ghost_of_a_twin_of_another_name_blocks_no_enabling(world, make_twin, small_scene_file):
+    arguments = ["--ros-args", "-r", "__node:=other"]
+    for topic in ("cables", "measured_cables", "target/tip"):
+        arguments += ["-r", f"~/{topic}:=/twin/{topic}"]
+    other = world.add(partial(TwinNode, cli_args=arguments), scene_file=str(small_scene_file))
+    world.run(0.3)
+    twin = make_twin()
+    hear_each_other(world, (other, twin))
+    request = SetBool.Request(data=True)
+    refused = twin._enable(request, SetBool.Response())
+    assert not refused.success and "commanded by /other" in refused.message
+    other.stop()
+    other._claim.close()  # As a crash does: its publishers stay in the graph.
+    time.sleep(LIFE_TIME + 0.2)
+    assert twin._enable(request, SetBool.Response()).success
+    # A publisher that is no twin still does.
+    twin.loop.disable()
+    world.probe.create_publisher(JointState, "/twin/cables", 1)
+    world.until(lambda: twin.count_publishers("/twin/cables") == 3)
+    refused = twin._enable(request, SetBool.Response())
+    assert not refused.success and "/probe" in refused.message
 
 
 @pytest.mark.parametrize("enabled", [*itertools.product((False, True), repeat=2)])
