@@ -133,7 +133,7 @@ def _with_mirror_image(
     return unique, indices.reshape(-1)[every]
 
 
-def _faults(made: PneumaticMesh) -> list[str]:
+def finger_faults(made: PneumaticMesh) -> list[str]:
     """Reasons why a mesh cannot be used, as sentences."""
     mirrors = {"the mirror y": mirror(1), "the mirror z": mirror(2)}
     outside = faults_of(made.mesh, FingerShape().cable_points(), LOWEST_RADIUS_RATIO)
@@ -143,7 +143,7 @@ def _faults(made: PneumaticMesh) -> list[str]:
 def main(arguments: list[str] | None = None) -> int:
     """Makes the requested meshes; returns 1 when one of them cannot be used."""
     options = mesh_parser("Mesh the finger.", REFINEMENTS).parse_args(arguments)
-    return 0 if make_all(options, "finger", REFINEMENTS, make_finger, _faults) else 1
+    return 0 if make_all(options, "finger", REFINEMENTS, make_finger, finger_faults) else 1
 
 
 if __name__ == "__main__":

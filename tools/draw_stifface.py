@@ -266,15 +266,16 @@ def main(arguments: list[str] | None = None) -> int:
     if options.only != "reach":
         made = sweep(device_scene=SCENES / "stifface_device.yaml")
         draw_sweep(made, options.output / "stifface_sweep.png")
-        _print_sweep(made)
+        print_sweep(made)
     if options.only != "sweep":
         places = reach()
         draw_reach(places, options.output / "stifface_reach.png")
-        _print_reach(places)
+        print_reach(places)
     return 0
 
 
-def _print_sweep(made: Sweep) -> None:
+def print_sweep(made: Sweep) -> None:
+    """Print the errors of a stiffness profile."""
     shown = table("A stiffness profile, 180 to 500 N/m", "what", "error, median", "greatest")
     settled = made.times >= 0.2
     # After the step down the cables need time, by their rates.
@@ -292,7 +293,8 @@ def _print_sweep(made: Sweep) -> None:
     console().print(shown)
 
 
-def _print_reach(made: Reach) -> None:
+def print_reach(made: Reach) -> None:
+    """Print the stiffnesses that can be reached at each place."""
     shown = table("Reachable stiffness", "place [mm]", "least [N/m]", "greatest [N/m]", "ratio")
     for place, least, most in zip(*made, strict=True):
         x, y = 1e3 * place

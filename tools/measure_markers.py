@@ -34,8 +34,8 @@ def measure(robot: str) -> None:
     node = TwinNode(parameter_overrides=[Parameter(key, value=given[key]) for key in given])
     node.stop()
     node.tick()
-    newest, now = node._window.newest, node.monotonic() + 1.0
-    markers, status = node._visualization, node._status
+    newest, now = node.window.newest, node.monotonic() + 1.0
+    markers, status = node.visualization, node.status
     status.offer(newest, now)
     print(f"{robot}, {node.loop.simulation.node_count} nodes")
     print("  markers, nobody listens ", cost(lambda count: markers.offer(newest, 0, now + count)))

@@ -64,14 +64,14 @@ def scene_reference() -> str:
     """Tables of all keys of a scene, one for each kind of section."""
     places = {Scene: "", Pattern: "repeat"}
     for name, field in Scene.model_fields.items():
-        for model in _entries_in(field.annotation):
+        for model in entries_in(field.annotation):
             _find_places(model, name, places)
-    parts = [_table(Scene, "", places), "## `repeat`", _section(Pattern, "repeat", places)]
+    parts = [table_of(Scene, "", places), "## `repeat`", _section(Pattern, "repeat", places)]
     for model, place in places.items():
         if model in (Scene, Pattern):
             continue
         names = [name for name, field in Scene.model_fields.items()
-                 if model in _entries_in(field.annotation)]  # fmt: skip
+                 if model in entries_in(field.annotation)]  # fmt: skip
         parts.append(_heading(places, model))
         parts.append(_section(model, place, places, names))
     return "\n\n".join(parts)
@@ -96,7 +96,7 @@ def _find_places(model: type[BaseModel], place: str, places: dict) -> None:
         return
     places[model] = place
     for name, field in model.model_fields.items():
-        for inner in _entries_in(field.annotation):
+        for inner in entries_in(field.annotation):
             _find_places(inner, f"{place}.{name}", places)
 
 
@@ -105,10 +105,11 @@ def _is_listed(model: type[BaseModel], parent: type[BaseModel]) -> bool:
     return any(item_of_list(field.annotation) is model for field in parent.model_fields.values())
 
 
-def _entries_in(annotation: Any) -> list[type[BaseModel]]:
+def entries_in(annotation: Any) -> list[type[BaseModel]]:
+    """Models of entries that a type names."""
     if is_entry(annotation):
         return [annotation]
-    return [model for part in get_args(annotation) for model in _entries_in(part)]
+    return [model for part in get_args(annotation) for model in entries_in(part)]
 
 
 def _section(
@@ -123,17 +124,18 @@ def _section(
         text += f" Explained with examples: [{guide.partition('.')[0].replace('_', ' ')}]({guide})."
     elif any(name in Scene.model_fields for name in names):
         raise UndescribedError(f"{place} has no page that explains it: add one to GUIDES")
-    return f"{text}\n\n{_table(model, place, places)}"
+    return f"{text}\n\n{table_of(model, place, places)}"
 
 
-def _table(model: type[BaseModel], place: str, places: dict) -> str:
+def table_of(model: type[BaseModel], place: str, places: dict) -> str:
+    """The keys of an entry, a row each."""
     meanings = meanings_of(model)
     rows = ["| key | value | unit | default | meaning |", "|---|---|---|---|---|"]
     for name, field in model.model_fields.items():
         if field.exclude:
             continue
         key = f"{place}.{name}" if place else name
-        inner = _entries_in(field.annotation)
+        inner = entries_in(field.annotation)
         meaning = meanings.get(name)
         if meaning is None and inner:
             meaning = inspect.getdoc(inner[0]).split("\n\n")[0]

@@ -52,6 +52,7 @@ class IdleWatch:
     Attributes:
         answers: Number of answered requests.
         cause: Why there are no more answers; empty when there are, or will be.
+        process: The other process.
     """
 
     def __init__(self, program: str, first: object):
@@ -67,12 +68,12 @@ class IdleWatch:
         self._unsent, self._asked = framed(first), b""
         self._waiting, self._next = True, 0.0
         paths = os.pathsep.join(path for path in sys.path if path)
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             [sys.executable, "-c", program],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip
-        for pipe in (self._process.stdin, self._process.stdout):
+        for pipe in (self.process.stdin, self.process.stdout):
             os.set_blocking(pipe.fileno(), False)
         self._send()
 
@@ -101,7 +102,7 @@ class IdleWatch:
         """
         self._receive(now)
         if self.cause:
-            self._process.poll()  # It ends, and must not stay as a zombie.
+            self.process.poll()  # It ends, and must not stay as a zombie.
         elif not self._waiting and now >= self._next:
             request = framed(self.request_of(simulation, forces_given))
             if request != self._asked:
@@ -110,20 +111,20 @@ class IdleWatch:
 
     def close(self) -> None:
         """Ends the process."""
-        self._process.stdin.close()
-        self._process.terminate()
+        self.process.stdin.close()
+        self.process.terminate()
         try:
-            self._process.wait(_END_TIMEOUT)
+            self.process.wait(_END_TIMEOUT)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process.stdout.close()
+            self.process.kill()
+            self.process.wait()
+        self.process.stdout.close()
 
     def _send(self) -> None:
         """Writes as much as the pipe accepts."""
         while self._unsent:
             try:
-                count = os.write(self._process.stdin.fileno(), self._unsent)
+                count = os.write(self.process.stdin.fileno(), self._unsent)
             except BlockingIOError:
                 return
             except OSError:
@@ -134,7 +135,7 @@ class IdleWatch:
     def _receive(self, now: float) -> None:
         while not self.cause:
             try:
-                content = os.read(self._process.stdout.fileno(), 65536)
+                content = os.read(self.process.stdout.fileno(), 65536)
             except BlockingIOError:
                 break
             if not content:

@@ -186,6 +186,7 @@ class SimulatedDevice:
         pressure_variance: Variance of their measured pressures [Pa²]; 0 without noise.
         refused: Commands that were not finite or had a wrong size; they have no effect.
         result: The last step of the body, or None before the first one.
+        simulation: The body.
     """
 
     def __init__(
@@ -200,7 +201,7 @@ class SimulatedDevice:
         self.effector_names = simulation.effector_names
         self.guided_names, self.rigid_names = simulation.guided_names, simulation.rigid_names
         self.pulleys = simulation.pulleys
-        self._simulation = simulation
+        self.simulation = simulation
         self._flaws = flaws
         self._valves = Valves(simulation, flaws, ambient_pressure)
         self.cavity_names = tuple(self.actuator_names[index] for index in self._valves.cavities)
@@ -232,17 +233,17 @@ class SimulatedDevice:
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
         """Poses of the rigid bodies; see `CarriedDevice`."""
-        return self._simulation.rigid_poses()
+        return self.simulation.rigid_poses()
 
     def touches(self) -> TouchState:
         """Forces and displacements of the touches; see `TouchedDevice`. Sensors are exact."""
-        return self._simulation.state.touches
+        return self.simulation.state.touches
 
     def _step(self, command: CommandSetpoints | Hold, now: float) -> StepResult:
         """Steps the body, pressed by the fingertip as it is at a time [s]."""
         if self._fingertip is None:
-            return self._simulation.step(command)
-        result = self._simulation.step(command, None, self._fingertip.touched(now))
+            return self.simulation.step(command)
+        result = self.simulation.step(command, None, self._fingertip.touched(now))
         self._fingertip.observe(result)
         return result
 
@@ -254,7 +255,7 @@ class SimulatedDevice:
             self._commanded = self._queue.popleft()[1]
         while self._poses and self._poses[0][0] <= now:
             _, name, pose = self._poses.popleft()
-            self._simulation.model.guides.aim(name, pose.position, pose.quaternion)
+            self.simulation.model.guides.aim(name, pose.position, pose.quaternion)
         if time_step > 0.0:
             reach = self._valves.reach(self._servo, time_step)
             aims = self._valves.aims(self._commanded, self._servo, time_step)
@@ -263,19 +264,19 @@ class SimulatedDevice:
             # The encoder measures the actual position: limits of the body may stop a servo.
             self._servo = np.array(self.result.setpoints)
             self._valves.observe(self.result)
-        elif not self._simulation.model.is_dynamic:
+        elif not self.simulation.model.is_dynamic:
             # When no time has passed, a body without inertia still moves to its equilibrium; a body
             # with inertia does not move.
             self.result = self._step(Hold(), now)
-        markers = self._simulation.marker_positions()
+        markers = self.simulation.marker_positions()
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)
         setpoints, efforts = self._valves.measure(
-            self._servo.copy(), np.array(self._simulation.state.efforts), self._noise
+            self._servo.copy(), np.array(self.simulation.state.efforts), self._noise
         )
         return DeviceReading(
             setpoints,
             efforts,
-            self._simulation.marker_ids,
+            self.simulation.marker_ids,
             markers + noise,
-            self._simulation.effector_positions(),
+            self.simulation.effector_positions(),
         )

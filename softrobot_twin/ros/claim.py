@@ -55,6 +55,9 @@ class TopicClaim:
     Args:
         node: The twin; its topics need not be open yet.
         topic: Full name of the topic of its commands.
+
+    Attributes:
+        rivals: Other twins on it that were heard, by their identities.
     """
 
     def __init__(self, node: Node, topic: str):
@@ -63,7 +66,7 @@ class TopicClaim:
         self._name = (f"{node.get_fully_qualified_name()} (process {os.getpid()} on "
                       f"{socket.gethostname()})")  # fmt: skip
         self._identity, self._began = uuid.uuid4().hex, time.monotonic()
-        self._rivals: dict[str, Rival] = {}
+        self.rivals: dict[str, Rival] = {}
         # Neither is a topic of the run: they are not recorded.
         self._publisher = Node.create_publisher(node, String, f"{topic}/claim", CLAIM)
         self._subscription = Node.create_subscription(
@@ -95,11 +98,11 @@ class TopicClaim:
             return
         now = time.monotonic()
         self._forget_dead(now)
-        self._rivals[identity] = Rival(now, now - age, str(name), identity, bool(is_enabled))
+        self.rivals[identity] = Rival(now, now - age, str(name), identity, bool(is_enabled))
 
     def _forget_dead(self, now: float) -> None:
-        self._rivals = {
-            key: rival for key, rival in self._rivals.items() if now - rival.heard < LIFE_TIME
+        self.rivals = {
+            key: rival for key, rival in self.rivals.items() if now - rival.heard < LIFE_TIME
         }  # fmt: skip
 
     def listen(self) -> None:
@@ -109,7 +112,7 @@ class TopicClaim:
         """
         end = time.monotonic() + LIFE_TIME
         others = self._node.count_publishers(self.claimed_on) > 1
-        while others and not self._rivals and time.monotonic() < end:
+        while others and not self.rivals and time.monotonic() < end:
             taken = self._subscription.handle.take_message(String, True)
             if taken is None:
                 time.sleep(0.02)
@@ -125,7 +128,7 @@ class TopicClaim:
     def is_alone(self) -> bool:
         """Whether no other twin on this topic lives."""
         self._forget_dead(time.monotonic())
-        return not self._rivals
+        return not self.rivals
 
     def why_not(self) -> str:
         """Why this twin may not publish: another one has precedence; empty where none has.
@@ -135,13 +138,14 @@ class TopicClaim:
         """
         self._forget_dead(time.monotonic())
         own = Rival(0.0, self._began, self._name, self._identity, bool(self.is_enabled()))
-        for rival in self._rivals.values():
-            if self._has_precedence(rival, own):
+        for rival in self.rivals.values():
+            if self.has_precedence(rival, own):
                 return f"{self.topic} is commanded by {rival.name}: end one of both"
         return ""
 
     @staticmethod
-    def _has_precedence(rival: Rival, own: Rival) -> bool:
+    def has_precedence(rival: Rival, own: Rival) -> bool:
+        """Whether the one of two comes first; of any two just one does."""
         if rival.is_enabled is not own.is_enabled:
             return rival.is_enabled
         if abs(rival.began - own.began) > _SAME_AGE:

@@ -120,7 +120,7 @@ class DeviceNode(TickingNode):
         return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]), presses)
 
     def _open(self, twin: str) -> None:
-        self._cables = open_publisher(self, TOPICS["<twin>/measured_cables"], "", twin)
+        self.cables = open_publisher(self, TOPICS["<twin>/measured_cables"], "", twin)
         self._markers = open_publisher(self, TOPICS["<twin>/markers"], "", twin)
         wound = self.device.pulleys if isinstance(self.device, WoundDevice) else None
         self._pulleys = wound if wound is not None and wound.count else None
@@ -149,7 +149,7 @@ class DeviceNode(TickingNode):
             take = partial(self._take_pose, name)
             commands.append(self.listen(topic, take, self.poses.refusals, name, twin))
         angles = () if self._pulleys is None else (self._angles,)
-        self.watch_topics((self._cables, *angles, self._markers, *self._pressures.values(),
+        self.watch_topics((self.cables, *angles, self._markers, *self._pressures.values(),
                            *(one for _, one in self._touches), *commands))
 
     def _open_touches(self, twin: str) -> None:
@@ -198,7 +198,7 @@ class DeviceNode(TickingNode):
         reading = self.device.read(now)
         header = Header(stamp=stamp, frame_id=self._frame)
         names = self.device.actuator_names
-        self._cables.publish(cables_message(names, reading.setpoints, reading.efforts, header))
+        self.cables.publish(cables_message(names, reading.setpoints, reading.efforts, header))
         if self._pulleys is not None:
             self._angles.publish(
                 angles_message(self._pulleys, reading.setpoints, reading.efforts, header)

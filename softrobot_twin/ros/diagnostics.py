@@ -121,7 +121,7 @@ class TwinDiagnostics:
         self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
         self._last_counts: dict[str, int] = {}
         self._late = 0
-        self._mesh_error, self._reduction = mesh_error, reduction
+        self._mesh_error, self.reduction = mesh_error, reduction
 
     @property
     def discretization_error(self) -> float:
@@ -231,8 +231,8 @@ class TwinDiagnostics:
             "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
         reduced = simulation.reduction_state(with_errors=False)
-        if self._reduction is not None and not simulation.falls_back:
-            for name, state in self._reduction.states.items():
+        if self.reduction is not None and not simulation.falls_back:
+            for name, state in self.reduction.states.items():
                 reduced[name] = state._replace(range=reduced[name].range)
         for name, state in reduced.items():
             values |= {f"{name}_sampled_range": state.range,
@@ -282,7 +282,7 @@ class TwinDiagnostics:
 
     def _of_full_model(self) -> dict[str, object]:
         """Distance of the effectors from those of the full model, or why it is not known."""
-        watch = self._reduction
+        watch = self.reduction
         if watch is None:
             return {}
         state = "compared" if watch.answers else "waiting for idle time"
@@ -294,13 +294,13 @@ class TwinDiagnostics:
 
     def _wrong_bodies(self) -> str:
         """Reduced bodies that the full model finds far from where it has them, in words."""
-        if self._reduction is None or self._loop.simulation.falls_back:
+        if self.reduction is None or self._loop.simulation.falls_back:
             return ""
         least = LARGE_BY_SIZE * self._loop.simulation.model.nodes.size
         return "; ".join(
             f"{name}: {error.distance * _MILLI:.2g} mm ({100.0 * error.share:.0f} % of the "
             "displacement) from the full model"
-            for name, error in self._reduction.newest.items()
+            for name, error in self.reduction.newest.items()
             if error.distance > least and error.share > LARGE_SHARE
         )
 

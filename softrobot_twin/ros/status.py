@@ -25,7 +25,7 @@ class StatusOutput:
 
     def __init__(self, node: Node, loop: TwinLoop):
         self._loop, self._sent, self._due = loop, None, float("-inf")
-        self._publisher = open_publisher(node, TWIN_TOPICS["~/status"])
+        self.publisher = open_publisher(node, TWIN_TOPICS["~/status"])
         self._name = node.get_fully_qualified_name().lstrip("/")
 
     def offer(self, outcome: TickOutcome, now: float) -> None:
@@ -42,7 +42,7 @@ class StatusOutput:
         if found == self._sent or (now < self._due and self._due - now <= LEAST_PERIOD):
             return
         self._sent, self._due = found, now + LEAST_PERIOD
-        self._publisher.publish(self._message(outcome))
+        self.publisher.publish(self._message(outcome))
 
     def tell_failure(self, failure: str) -> None:
         """Publishes that a tick ended with an exception, in one line."""
@@ -56,7 +56,7 @@ class StatusOutput:
             "activity": activity, "cause": loop.why_given_up or failure, "status": "exception",
             "active_limits": "", "kept_back": "", **self._fixed_values(),
         }  # fmt: skip
-        self._publisher.publish(self._of(
+        self.publisher.publish(self._of(
             DiagnosticStatus.ERROR, f"{activity}: a tick failed ({values['cause']})", values
         ))  # fmt: skip
 

@@ -48,6 +48,11 @@ class TargetNode(TickingNode):
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
 
+    Attributes:
+        path: The path; only without a table of commands.
+        began: When it was begun, on the clock of the ticks [s]; infinite before.
+        targets: Publisher of the targets; None with a table of commands.
+
     Raises:
         SoftRobotTwinError: A parameter or a path file cannot be used.
     """
@@ -62,21 +67,21 @@ class TargetNode(TickingNode):
         self._frame = str(values["frame_id"])
         self._effector = str(values["target_effector"])
         self._twin = str(values["twin"]).rstrip("/")
-        self._targets = self._commands = self._ramped = self._table = self._stiffnesses = None
+        self.targets = self._commands = self._ramped = self._table = self._stiffnesses = None
         self._turns = False
-        self._began = math.inf
+        self.began = math.inf
         self._poses: dict[str, Publisher] = {}
         if values["target_commands"]:
             what = self._open_table(values)
         else:
             what = self._open_path(values)
         self.start(1.0 / values["target_rate"])
-        published = (self._targets, self._commands, self._stiffnesses, *self._poses.values())
+        published = (self.targets, self._commands, self._stiffnesses, *self._poses.values())
         self.watch_topics((), tuple(one for one in published if one is not None))
         group = "effector_poses" if self._turns else "effectors"
         topic = TOPICS[f"<twin>/{group}/<effector>"]
         self._topic = self.resolve_topic_name(topic.full_name(self._effector, self._twin))
-        take = self._take_start_pose if self._turns else self._take_start
+        take = self._take_start_pose if self._turns else self.take_start
         self._listener = self.listen(topic, take, RefusalCounts(), self._effector, self._twin)
         self.get_logger().info(f"ready: {what}")
 
@@ -92,15 +97,15 @@ class TargetNode(TickingNode):
             str(find_scene_file(name, "target_path")) if name.endswith(".csv") else name
             for name in names
         ]
-        self._path = make_sequence(
+        self.path = make_sequence(
             found, effector, around, values["target_sequence_time"], self._ramp_time
         )
-        for note in notes_of(self._path):
+        for note in notes_of(self.path):
             self.get_logger().warning(note)
         self._turn = _UNTURNED
-        self._turns = has_orientations(self._path)
+        self._turns = has_orientations(self.path)
         topic = "<twin>/target_pose/<effector>" if self._turns else "<twin>/target/<effector>"
-        self._targets = open_publisher(self, TOPICS[topic], effector, self._twin)
+        self.targets = open_publisher(self, TOPICS[topic], effector, self._twin)
         self._actuator = str(values["target_actuator"])
         if self._actuator:
             self._setpoints = ToAndFro(
@@ -149,18 +154,18 @@ class TargetNode(TickingNode):
 
     @property
     def _has_begun(self) -> bool:
-        return self._began < math.inf
+        return self.began < math.inf
 
-    def _take_start(self, message: PointStamped) -> None:
+    def take_start(self, message: PointStamped) -> None:
         """Takes the start point from the effector's first position; ignores later messages."""
         start = np.array([message.point.x, message.point.y, message.point.z])
         if self._has_begun or not np.isfinite(start).all():
             return
         if self._table is not None:
-            self._began = self.monotonic()
+            self.began = self.monotonic()
             return
-        self._ramped = RampedIn(start, self._path, self._ramp_time)
-        self._began = self.monotonic()
+        self._ramped = RampedIn(start, self.path, self._ramp_time)
+        self.began = self.monotonic()
 
     def _take_start_pose(self, message: PoseStamped) -> None:
         """Takes the start from the effector's first pose; ignores later messages."""
@@ -170,9 +175,9 @@ class TargetNode(TickingNode):
             return
         # Scaled first: the square of a very large component would overflow.
         turn = quaternion / np.abs(quaternion).max()
-        self._ramped = RampedIn(position, self._path, self._ramp_time, turn)
+        self._ramped = RampedIn(position, self.path, self._ramp_time, turn)
         self._turn = turn / np.linalg.norm(turn)
-        self._began = self.monotonic()
+        self.began = self.monotonic()
 
     def work(self, now: float) -> None:
         """Publishes the present target, or the present commands."""
@@ -185,7 +190,7 @@ class TargetNode(TickingNode):
             self.destroy_subscription(self._listener)
             self._listener = None
         stamp = stamp_of(self.stamp)
-        header, since = Header(stamp=stamp, frame_id=self._frame), now - self._began
+        header, since = Header(stamp=stamp, frame_id=self._frame), now - self.began
         if self._table is not None:
             self._play(self._table, since, header)
             return
@@ -196,12 +201,12 @@ class TargetNode(TickingNode):
         self._publish_stiffness(since, header)
         position = self._ramped.position(since)
         if not self._turns:
-            self._targets.publish(point_message(position, header))
+            self.targets.publish(point_message(position, header))
             return
         turn = self._ramped.orientation(since)
         # A path of the sequence without orientations keeps the last one.
         self._turn = self._turn if turn is None else turn
-        self._targets.publish(pose_message(position, self._turn, header))
+        self.targets.publish(pose_message(position, self._turn, header))
 
     def _play(self, table: CommandTable, since: float, header: Header) -> None:
         """Publishes the commands of a table at a time since it began [s]."""

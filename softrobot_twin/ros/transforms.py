@@ -95,7 +95,7 @@ class TransformOutput:
         self, node: Node, simulation: Simulation, frame_id: str, wanted: str, prefix: str,
         base_frame: str, base_pose: Sequence[float],
     ):  # fmt: skip
-        self._simulation, self._publisher = simulation, None
+        self._simulation, self.publisher = simulation, None
         if wanted == "off":
             return
         try:
@@ -114,11 +114,11 @@ class TransformOutput:
         if not self._frames and not base_frame:
             return
         self._kind, topic = TFMessage, TWIN_TOPICS["/tf"]
-        self._publisher = node.create_publisher(TFMessage, topic.name, topic.quality)
+        self.publisher = node.create_publisher(TFMessage, topic.name, topic.quality)
 
     def publish(self, outcome: TickOutcome, header: Header) -> bool:
         """Publishes a tick to those who listen; false where nobody does."""
-        if self._publisher is None or not self._publisher.get_subscription_count():
+        if self.publisher is None or not self.publisher.get_subscription_count():
             return False
         positions, turns = self._simulation.rigid_poses()
         ends = outcome.result.effector_positions
@@ -133,7 +133,7 @@ class TransformOutput:
             transforms += make_transforms(
                 above, [header.frame_id], self._base[None, :3], self._base[None, 3:]
             )
-        self._publisher.publish(self._kind(transforms=transforms))
+        self.publisher.publish(self._kind(transforms=transforms))
         return True
 
 

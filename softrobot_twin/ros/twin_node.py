@@ -223,15 +223,24 @@ class TwinNode(TickingNode):
     Attributes:
         loop: The loop.
         recording: Records the run; None without `record`.
+        claim: Its claim of the topic of its commands.
+        last_command: Keeps the last command over a restart; None with a device.
+        feed: Feeds the view; None without one.
+        window: The ticks since the last diagnostics.
+        diagnostics: Writes them.
+        status: Publishes the status.
+        visualization: Publishes markers of rviz.
+        cables: Publisher of the commands.
+        pressures: Publishers of pressures, by the names of the cavities.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene, its mesh or the view cannot be used.
     """
 
     recording: RunRecording | None = None
-    _claim: TopicClaim | None = None
-    _last_command: LastCommand | None = None
-    _feed: ViewFeed | None = None
+    claim: TopicClaim | None = None
+    last_command: LastCommand | None = None
+    feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
     _reduction: ReductionErrorWatch | None = None
@@ -246,7 +255,7 @@ class TwinNode(TickingNode):
         self.warn_about_unknown_parameters()
         self._values = values
         settings = loop_settings(values)
-        self._claim = TopicClaim(self, self.resolve_topic_name(TOPICS["~/cables"].full_name()))
+        self.claim = TopicClaim(self, self.resolve_topic_name(TOPICS["~/cables"].full_name()))
         path = find_scene_file(str(values["scene_file"]), "scene_file")
         if values["record"]:
             # Only a recorded run loads the room that writes it.
@@ -272,29 +281,29 @@ class TwinNode(TickingNode):
         simulation.warm_up()
         if self.recording is not None:
             self.recording.begin(values)
-        self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
+        self.feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
-        self._window = DiagnosticsWindow()
+        self.window = DiagnosticsWindow()
         self._diagnostics_due = 0.0
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
-        self._diagnostics = TwinDiagnostics(
-            self.loop, self.tick_clock, self._window, self._feed, self._mesh_error, self,
+        self.diagnostics = TwinDiagnostics(
+            self.loop, self.tick_clock, self.window, self.feed, self._mesh_error, self,
             self._reduction,
         )
         self._open_outputs()
         self._open_inputs()
         angles = () if self._angles is None else (self._angles,)
-        self.watch_topics((self._cables, *angles, *self._pressures.values(), *self._solids.commands,
+        self.watch_topics((self.cables, *angles, *self.pressures.values(), *self._solids.commands,
                            *self._measurements), self._commands)
-        self._claim.listen()
+        self.claim.listen()
         self._yield_to_rivals()
         if not self.loop.use_device:
-            domain, topic = self.context.get_domain_id(), self._cables.topic_name
-            self._last_command = LastCommand(simulation, f"{domain} {topic}")
+            domain, topic = self.context.get_domain_id(), self.cables.topic_name
+            self.last_command = LastCommand(simulation, f"{domain} {topic}")
             self._continue_from_last_command()
-        self._claim.is_enabled = lambda: self.loop.is_enabled
+        self.claim.is_enabled = lambda: self.loop.is_enabled
         self._log_ready(path)
 
     def create_publisher(self, *arguments, **options) -> Publisher:
@@ -317,8 +326,8 @@ class TwinNode(TickingNode):
     def _open_outputs(self) -> None:
         simulation = self.loop.simulation
         self._repeated = RepeatedMessages()
-        self._cables = open_publisher(self, TOPICS["~/cables"])
-        self._pressures = {
+        self.cables = open_publisher(self, TOPICS["~/cables"])
+        self.pressures = {
             name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
         }
@@ -349,14 +358,14 @@ class TwinNode(TickingNode):
         self._solids = SolidOutputs(self, simulation)
         self._compliances = ComplianceOutputs(self, self.loop)
         values = self._values
-        self._visualization = VisualizationOutput(
+        self.visualization = VisualizationOutput(
             self, simulation, self.loop_frame, float(values["visualization_rate"])
         )
         self._transforms = TransformOutput(
             self, simulation, self.loop_frame, str(values["tf"]), str(values["tf_prefix"]),
             str(values["tf_base_frame"]), values["tf_base_pose"],
         )  # fmt: skip
-        self._status = StatusOutput(self, self.loop)
+        self.status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
 
     def _open_inputs(self) -> None:
@@ -412,8 +421,8 @@ class TwinNode(TickingNode):
             )
         measurements.append(self._listen("~/markers", self._take_markers, loop.markers.refusals))
         measurements.append(self._listen("~/measured_cables", self._take_measured, of_device))
-        self.create_service(SetBool, "~/enable", self._enable)
-        self.create_service(Trigger, "~/reset", self._reset)
+        self.create_service(SetBool, "~/enable", self.enable)
+        self.create_service(Trigger, "~/reset", self.reset)
 
     @property
     def _actuator_commands(self) -> ActuatorInput:
@@ -516,18 +525,18 @@ class TwinNode(TickingNode):
 
     def _yield_to_rivals(self) -> None:
         """Disables the loop while another twin has precedence on these topics."""
-        if self.loop.is_enabled and (why := self._claim.why_not()):
+        if self.loop.is_enabled and (why := self.claim.why_not()):
             self.loop.give_up(why)
 
     def _continue_from_last_command(self) -> None:
         """Without a device, moves the model to where the hardware was sent last, by any twin."""
-        if self._last_command is None or (stored := self._last_command.read()) is None:
+        if self.last_command is None or (stored := self.last_command.read()) is None:
             return
         self.loop.continue_from(
             stored.setpoints, stored.efforts,
             {name: [part.tolist() for part in pose] for name, pose in stored.poses.items()},
         )  # fmt: skip
-        self.get_logger().info(f"continues from the last command, {self._last_command.path}")
+        self.get_logger().info(f"continues from the last command, {self.last_command.path}")
 
     def watch_graph(self) -> None:
         """Checks the graph, and who else commands the hardware."""
@@ -536,12 +545,13 @@ class TwinNode(TickingNode):
 
     def ghosts(self) -> set[tuple[str, str]]:
         """The twins that claim these topics in the graph, where none of them lives but this one."""
-        return publishing_nodes(self, self._claim.claimed_on) if self._claim.is_alone else set()
+        return publishing_nodes(self, self.claim.claimed_on) if self.claim.is_alone else set()
 
-    def _enable(self, request: SetBool.Request, response: SetBool.Response):
+    def enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Answers ``~/enable``; refused beside another twin that commands."""
         clashes, rival = [], ""
         if request.data and not self.loop.is_enabled:
-            clashes, rival = self.look_for_clashes(), self._claim.why_not()
+            clashes, rival = self.look_for_clashes(), self.claim.why_not()
         if clashes or rival:
             sentences = [clash.sentence for clash in clashes]
             response.success = False
@@ -556,7 +566,8 @@ class TwinNode(TickingNode):
         self.get_logger().info(f"enable {request.data}: {response.message}")
         return response
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response):
+    def reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Answers ``~/reset``."""
         response.success, response.message = True, self.loop.reset()
         self.get_logger().info(f"reset: {response.message}")
         return response
@@ -565,12 +576,12 @@ class TwinNode(TickingNode):
         """Steps the loop and publishes the results, all with the same stamp."""
         outcome = self.loop.tick(now, self.stamp)
         self._publish(outcome, self.stamp)
-        if self.loop.is_repeating and self._window.ticks:
-            self._window.add_again(outcome)
+        if self.loop.is_repeating and self.window.ticks:
+            self.window.add_again(outcome)
         else:
-            self._window.add(outcome)
-            if self._feed is not None:
-                self._feed.offer(outcome, self.stamp, self._diagnostics.discretization_error)
+            self.window.add(outcome)
+            if self.feed is not None:
+                self.feed.offer(outcome, self.stamp, self.diagnostics.discretization_error)
         if self.recording is not None:
             self.recording.pass_on()
 
@@ -583,11 +594,11 @@ class TwinNode(TickingNode):
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
             self._publish_command(outcome.command, header)
-            if self._last_command is not None:
-                self._last_command.keep(*outcome.command, outcome.guided_poses)
+            if self.last_command is not None:
+                self.last_command.keep(*outcome.command, outcome.guided_poses)
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
         for name, pressure in sealed.items():
-            send(self._pressures[name], pressure_message(pressure, header))
+            send(self.pressures[name], pressure_message(pressure, header))
         positions = outcome.result.effector_positions
         for publisher, position in zip(self._effectors, positions, strict=True):
             send(publisher, point_message(position, header))
@@ -612,16 +623,16 @@ class TwinNode(TickingNode):
 
     def _publish_command(self, command: ActuatorCommand, header: Header) -> None:
         send, names = self._repeated.send, self.loop.simulation.actuator_names
-        send(self._cables, cables_message(names, *command, header))
+        send(self.cables, cables_message(names, *command, header))
         if self._angles is not None:
             send(self._angles, angles_message(self.loop.pulleys, *command, header))
         for name, pressure in self.loop.cavities.absolute(command.efforts).items():
-            send(self._pressures[name], pressure_message(pressure, header))
+            send(self.pressures[name], pressure_message(pressure, header))
 
     def after_failure(self, now: float) -> None:
         """Tells the failure, and publishes the last safe command."""
         command = self.loop.after_failure(self.failure, self.failures_in_a_row)
-        self._status.tell_failure(self.failure)
+        self.status.tell_failure(self.failure)
         if self.recording is not None:
             self.recording.pass_on()
         if command is not None:
@@ -636,11 +647,11 @@ class TwinNode(TickingNode):
     def after_work(self, now: float) -> None:
         """Publishes markers and the status when they are due and diagnostics once a second, and
         logs problems of the last tick."""
-        newest = self._window.newest
+        newest = self.window.newest
         if self.has_worked:
-            self._visualization.offer(newest, self.stamp, now)
+            self.visualization.offer(newest, self.stamp, now)
         if self.has_worked and not self.loop.is_repeating:
-            self._status.offer(newest, now)
+            self.status.offer(newest, now)
             self._warn_of(newest, now)
         if now < self._diagnostics_due:
             return
@@ -648,10 +659,10 @@ class TwinNode(TickingNode):
         self._watch_mesh_error(now)
         if self._reduction is not None and not self.loop.simulation.falls_back:
             self._reduction.offer(self.loop.simulation, False, now)
-        message = DiagnosticArray(status=self._diagnostics.statuses(now))
+        message = DiagnosticArray(status=self.diagnostics.statuses(now))
         message.header.stamp = stamp_of(self.ros_time())
         self._diagnostics_out.publish(message)
-        self._window.clear()
+        self.window.clear()
 
     def request_diagnostics(self) -> None:
         """Makes the next tick publish diagnostics."""
@@ -676,9 +687,9 @@ class TwinNode(TickingNode):
 
     def _warn_of(self, outcome: TickOutcome, now: float) -> None:
         logger, activity = self.get_logger(), outcome.activity.value
-        if self._last_command is not None and self._last_command.failure:
+        if self.last_command is not None and self.last_command.failure:
             logger.warning(f"the last command is not kept for the next start: "
-                           f"{self._last_command.failure}", throttle_duration_sec=60.0)
+                           f"{self.last_command.failure}", throttle_duration_sec=60.0)
         if self.loop.is_enabled and self.loop.device_is_lost(now):
             logger.warning(f"device lost: {activity}", throttle_duration_sec=_WARN_EVERY)
         if self.loop.is_enabled and self.loop.markers_are_lost(outcome.measured_markers):
@@ -719,8 +730,8 @@ class TwinNode(TickingNode):
 
     def _log_ready(self, scene: object) -> None:
         simulation, loop = self.loop.simulation, self.loop
-        if self._feed is not None and self._feed.mirror.address:
-            self.get_logger().info(f"view: rerun {self._feed.mirror.address}")
+        if self.feed is not None and self.feed.mirror.address:
+            self.get_logger().info(f"view: rerun {self.feed.mirror.address}")
         state = "" if loop.is_enabled else "; disabled until ~/enable is called"
         self.get_logger().info(
             f"ready: {scene}, {simulation.node_count} nodes, {loop.mode.value}, "
@@ -731,16 +742,16 @@ class TwinNode(TickingNode):
         """Closes the view, the recording and the process that estimates the mesh's error, then
         destroys the node.
         """
-        if self._claim is not None:
-            self._claim.close()
-        if self._last_command is not None:
-            self._last_command.close()
+        if self.claim is not None:
+            self.claim.close()
+        if self.last_command is not None:
+            self.last_command.close()
         if self._mesh_error is not None:
             self._mesh_error.close()
         if self._reduction is not None:
             self._reduction.close()
-        if self._feed is not None:
-            self._feed.close()
+        if self.feed is not None:
+            self.feed.close()
         if self.recording is not None:
             self.recording.close()
         super().destroy_node()

@@ -127,7 +127,7 @@ class ApparentStiffness:
 
     def _along(self, state: State, direction: int) -> tuple:
         """One entry of each field of `ComplianceGradient`."""
-        load = self._load(direction)
+        load = self.load(direction)
         x, Lambda = self._response(state, direction, load)
         compliance = float(np.vdot(load, x))
         by_position, by_effort = self._derivatives(state, x, Lambda)
@@ -146,8 +146,8 @@ class ApparentStiffness:
             free -= float(by_effort @ shift)
         return compliance, by_position, by_effort, free, by_multiplier
 
-    def _load(self, direction: int) -> np.ndarray:
-        """e [-], shape (free_node_count, 3)."""
+    def load(self, direction: int) -> np.ndarray:
+        """e of a direction of the effectors' points [-], shape (free_node_count, 3)."""
         rows, nodes, blocks = self._loads
         load, own = np.zeros((len(self._free_nodes), 3)), rows == direction
         np.add.at(load, nodes[own], blocks[own])
@@ -158,7 +158,7 @@ class ApparentStiffness:
     ) -> tuple[np.ndarray, np.ndarray]:
         """x [m/N], shape (free_node_count, 3), and Λ, shape (actuator_row_count,)."""
         linear = state.linear
-        W, held = linear.W_aa, self._holds(state.efforts)
+        W, held = linear.W_aa, self.holds(state.efforts)
         row = self._row_of.get(direction)
         if row is None:
             moved = self._row_motion(state.solver.solve(load))
@@ -195,8 +195,8 @@ class ApparentStiffness:
             efforts + change <= limits.effort_max[a]
         )
 
-    def _holds(self, efforts: np.ndarray) -> np.ndarray:
-        """Whether each actuator with a row holds its displacement."""
+    def holds(self, efforts: np.ndarray) -> np.ndarray:
+        """Whether each actuator with a row holds its displacement at such efforts, shape (count,)."""
         actuators = self._model.actuators
         return actuators.limits.can_hold(efforts) & ~actuators.is_effort_driven[: len(efforts)]
 

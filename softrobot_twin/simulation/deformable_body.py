@@ -483,7 +483,7 @@ def carry(
             f"surface; the furthest is {place}, {1e3 * distance:.3f} mm outside"
         )
     if spread_radius > 0.0:
-        return _spread(body, points, found, spread_radius)
+        return spread_mapping(body, points, found, spread_radius)
     return body.mapping(found.cells, found.barycentric_weights)
 
 
@@ -533,7 +533,7 @@ def surface_on_mesh(
     return body.on_mesh(found.cells, extrapolated_weights(body.mesh.corner_mesh, found, points))
 
 
-def _spread(
+def spread_mapping(
     body: Body, points: np.ndarray, found: PointLocation, radius: float
 ) -> BarycentricMapping:
     """The mean of the body about each point, by the weight (1 - s²)² with s = distance / support.

@@ -73,6 +73,7 @@ class Fallback:
 
     Attributes:
         is_active: Whether the better model is in use.
+        other: The simulation of the model that is not in use.
         limits: Names that tell so among the active limits of a step, such as ``body.enrich``.
     """
 
@@ -88,16 +89,16 @@ class Fallback:
         self._wanted = {body.name: body.entry.reduced.error for body in bodies}
         self.limits = tuple(f"{body.name}.{body.entry.reduced.fallback}" for body in bodies)
         self.is_active, self._until_check = False, CHECK_EVERY
-        self._other = type(simulation)(
+        self.other = type(simulation)(
             better_scene(scene, bodies), simulation.now, with_warnings=False
         )
-        self._reduced, self._better = simulation.model, self._other.model
+        self._reduced, self._better = simulation.model, self.other.model
         self._pairs = list(zip(self._reduced.bodies, self._better.bodies, strict=True))
         self._inverses: dict[str, np.ndarray] = {}
 
     def warm_up(self) -> None:
         """Run every path of the other model once; see `Simulation.warm_up`."""
-        self._other.warm_up()
+        self.other.warm_up()
 
     def choose(self, simulation: Simulation) -> None:
         """Before a step: look at the other model when due, and change to it where it is called for.
@@ -110,9 +111,9 @@ class Fallback:
             return
         self._until_check = CHECK_EVERY
         state = simulation.state
-        other = self._reduced_state(state) if self.is_active else self._better_state(state)
-        self._other.restore(other)
-        result = step_held(self._other, state)
+        other = self.reduced_state(state) if self.is_active else self.better_state(state)
+        self.other.restore(other)
+        result = step_held(self.other, state)
         apart = np.linalg.norm(
             result.effector_positions - simulation.effector_positions(), axis=1
         )
@@ -123,13 +124,13 @@ class Fallback:
         else:
             is_called_for = not result.status.is_failure and max(shares) > 1.0
         if is_called_for:
-            self._other.restore(other)
+            self.other.restore(other)
             self._exchange(simulation)
 
     def fit(self, simulation: Simulation, state: State) -> None:
         """Change to the model that a state is of, before it is restored."""
         count = len(state.positions)
-        if count != len(simulation.state.positions) and count == len(self._other.state.positions):
+        if count != len(simulation.state.positions) and count == len(self.other.state.positions):
             self._exchange(simulation)
 
     def reset(self, simulation: Simulation) -> None:
@@ -140,18 +141,18 @@ class Fallback:
 
     def _exchange(self, simulation: Simulation) -> None:
         """Exchange what the two simulations are made of; this object stays with its own."""
-        other, own = vars(self._other), vars(simulation)
-        other["_fallback"], own["_fallback"] = self, None
-        simulation.__dict__, self._other.__dict__ = other, own
+        other, own = vars(self.other), vars(simulation)
+        other["fallback"], own["fallback"] = self, None
+        simulation.__dict__, self.other.__dict__ = other, own
         self.is_active = not self.is_active
 
-    def _better_state(self, state: State) -> State:
+    def better_state(self, state: State) -> State:
         """A state of the reduced model for the better one."""
         return self._with(state, self._better, [
             (own, self._refined(state.positions, own, more)) for own, more in self._pairs
         ])  # fmt: skip
 
-    def _reduced_state(self, state: State) -> State:
+    def reduced_state(self, state: State) -> State:
         """A state of the better model for the reduced one."""
         return self._with(state, self._reduced, [
             (more, self._reduced_nodes(state.positions, own, more)) for own, more in self._pairs

@@ -319,7 +319,7 @@ class InverseActuation:
         self._steps, self._row_weights = TargetSteps(model), model.effectors.row_weights
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
-        self._force_limit = np.inf if limit is None else limit
+        self.force_limit = np.inf if limit is None else limit
         actuators = model.actuators
         count = actuators.row_count
         self._one_sided = actuators.one_sided
@@ -581,7 +581,7 @@ class InverseActuation:
         if commanded.any():
             within = Bounds(*(bound[~commanded] for bound in within))
         if linear.contact_row_count or len(linear.move_positions) or commanded.any():
-            limits = np.full(linear.contact_row_count, self._force_limit)
+            limits = np.full(linear.contact_row_count, self.force_limit)
             contact_bounds = ContactBounds(
                 -bounds.displacement_max[count:] - linear.move_positions,
                 -bounds.displacement_min[count:] - linear.move_positions,
@@ -742,12 +742,12 @@ class InverseActuation:
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""
-        if not len(forces) or not (forces >= (1.0 - LIMIT_MARGIN) * self._force_limit).any():
+        if not len(forces) or not (forces >= (1.0 - LIMIT_MARGIN) * self.force_limit).any():
             return ()
         found = []
         pair_of = self._contacts.pair[: len(forces)]
         for pair in np.unique(pair_of):
-            hardest = forces[pair_of == pair].max() / self._force_limit
+            hardest = forces[pair_of == pair].max() / self.force_limit
             if hardest >= 1.0 - LIMIT_MARGIN:
                 exceeded = "_exceeded" if hardest > 1.0 + LIMIT_MARGIN else ""
                 names = ".".join(self._contacts.pairs[pair].names)

@@ -154,7 +154,7 @@ class Merit:
             positions: Node positions [m], shape (node_count, 3); where that share leads.
             share: The share.
         """
-        return self._try(positions, share, self._at_start()).is_lower
+        return self.try_share(positions, share, self.at_start()).is_lower
 
     def search(self, positions: np.ndarray, share: float) -> float:
         """Make as much of the move as lowers the merit.
@@ -166,10 +166,10 @@ class Merit:
         Returns:
             The share that was made.
         """
-        begin = self._at_start()
+        begin = self.at_start()
         for trial in range(1, MOST_TRIALS + 1):
             self.trials = trial
-            tried = self._try(positions, share, begin)
+            tried = self.try_share(positions, share, begin)
             if tried.is_lower:
                 break
             if trial < MOST_TRIALS:
@@ -178,17 +178,17 @@ class Merit:
                 share = min(LONGEST * share, max(SHORTEST * share, shorter))
         return share
 
-    def _at_start(self) -> Begin:
+    def at_start(self) -> Begin:
         """The merit where the move begins."""
-        energy_slope = self._energy_slope(self._move.start)
-        penalty = self._penalty(self._move.start)
+        energy_slope = self.energy_slope(self._move.start)
+        penalty = self.penalty(self._move.start)
         return Begin(energy_slope, penalty, energy_slope + self._promised_penalty() - penalty)
 
-    def _energy_slope(self, positions: np.ndarray) -> float:
+    def energy_slope(self, positions: np.ndarray) -> float:
         """Slope of the energy along the whole move [J], at node positions [m]."""
         return -float(np.vdot(self._gather(positions), self._move.displacement))
 
-    def _try(self, positions: np.ndarray, share: float, begin: Begin) -> Trial:
+    def try_share(self, positions: np.ndarray, share: float, begin: Begin) -> Trial:
         """Make a share of the move, and compare the merit.
 
         Args:
@@ -197,15 +197,15 @@ class Merit:
             begin: Where the move begins.
         """
         self._move.make(positions, 0.5 * share)
-        half = self._energy_slope(positions)
+        half = self.energy_slope(positions)
         self._move.make(positions, share)
-        work = share * (begin.energy_slope + 4.0 * half + self._energy_slope(positions)) / 6.0
-        change = work + self._penalty(positions) - begin.penalty
+        work = share * (begin.energy_slope + 4.0 * half + self.energy_slope(positions)) / 6.0
+        change = work + self.penalty(positions) - begin.penalty
         round_off = np.finfo(float).eps * (abs(begin.penalty) + share * abs(begin.energy_slope))
         is_lower = begin.slope >= 0.0 or change <= DECREASE * share * begin.slope + round_off
         return Trial(change, is_lower)
 
-    def _penalty(self, positions: np.ndarray) -> float:
+    def penalty(self, positions: np.ndarray) -> float:
         """Penalties of actuators and overlaps at the state whose forces were taken last [J]."""
         rows = self._model.rows
         total = self._of_actuators(rows.values[rows.groups.actuators])

@@ -75,6 +75,10 @@ class Newton:
         constant_load: Sum of the forces on the nodes at rest, the body's weight [N].
         factor_age: Linearizations since the factor was made; None when there is none of use.
         is_worn: True when a stale factor corrected too little the last time.
+        forces: Sum of the forces on free nodes that was taken last [N], shape (free_node_count, 3).
+        multipliers: λ of all rows that acted in them, shape (row_count,).
+        move: The last correction of the positions.
+        merit: What its length is judged by; None in scenes without.
     """
 
     def __init__(self, model: Model):
@@ -84,20 +88,20 @@ class Newton:
             model: The built scene.
         """
         self._model, self._rows = model, model.rows
-        self._forces = np.zeros((model.nodes.free_node_count, 3))
-        self._multipliers = np.zeros(self._rows.row_count)
+        self.forces = np.zeros((model.nodes.free_node_count, 3))
+        self.multipliers = np.zeros(self._rows.row_count)
         self._linear: Linearized | None = None
         self._stays_upright = any(term.stays_upright for term in model.forces)
-        self._condensed_forces = self._forces
+        self._condensed_forces = self.forces
         self._effector_columns = self._columns_of_effectors()
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
             and model.cable_friction is None
         )
-        self._move = Move(model)
+        self.move = Move(model)
         has_merit = self._has_merit()
-        self._merit = Merit(model, self._move, self._forces_at) if has_merit else None
+        self.merit = Merit(model, self.move, self.gather_forces) if has_merit else None
         self._whole_limit = np.inf if has_merit else LONGEST_MOVE * model.nodes.size
         self._step_limit = self._whole_limit
         self._time_step = self._last_move = self._slope = 0.0
@@ -114,8 +118,8 @@ class Newton:
         self.projected_tangent = self.is_augmented = False
         self.inverted_count = 0
         self.forget()
-        self._gather_forces(model.nodes.rest_positions)
-        self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
+        self.gather_forces(model.nodes.rest_positions)
+        self.constant_load = float(np.linalg.norm(self.forces, axis=1).sum())
 
     def _augmented_tangent(
         self,
@@ -219,8 +223,8 @@ class Newton:
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
         self._is_indefinite = isinstance(self._augmented, AugmentedHinges)
-        if self._merit is not None:
-            self._merit.forget()
+        if self.merit is not None:
+            self.merit.forget()
         self._rows.forget()
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
@@ -266,14 +270,14 @@ class Newton:
         self._inverted_before = self.inverted_count
         if self._rows.varies:
             self._rows.detect(positions)
-            if self._merit is not None:
-                self._merit.see_overlaps()
+            if self.merit is not None:
+                self.merit.see_overlaps()
             self._rows.choose_stiffness(held is not None and held.is_prescribed)
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
             self._rows.tell_efforts(efforts)
-            self._gather_forces(positions)
+            self.gather_forces(positions)
             clock.mark("assemble")
             self._linear = self._condense(positions, self._rows.multipliers(efforts))
         else:
@@ -324,13 +328,13 @@ class Newton:
         rest, rows = self._model.nodes.rest_positions, self._rows
         if not self._factor(rest, np.zeros(rows.row_count), clock):
             return False
-        linear = Linearized(self._model.factorization, rows, self._forces)
+        linear = Linearized(self._model.factorization, rows, self.forces)
         self._augmented.measure(linear.W_aa)
         return True
 
     def _factor(self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock) -> bool:
         """Assemble and factorize the tangent of the kind that is set."""
-        self._assemble(positions, multipliers, self.projected_tangent)
+        self.assemble(positions, multipliers, self.projected_tangent)
         clock.mark("assemble")
         if self.is_augmented:
             succeeded = self._augmented.factor(positions)
@@ -352,7 +356,7 @@ class Newton:
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
         moves = self._prescribed_moves(positions)
         if not self.is_augmented:
-            forces = self._forces
+            forces = self.forces
             if rows.told is not None:
                 forces = forces.copy()
                 rows.add_forces(np.zeros(rows.row_count), forces)
@@ -362,7 +366,7 @@ class Newton:
                 multipliers=multipliers,
             )  # fmt: skip
         augmentation = self._augmented.augmentation(self._held, rows.groups.actuators.stop)
-        forces, shift = self._forces.copy(), np.zeros(rows.row_count)
+        forces, shift = self.forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators
         shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
         if augmentation.share is not None:
@@ -421,9 +425,9 @@ class Newton:
     def _set_multipliers(self, actuation: Actuation) -> None:
         """λ of every row; an effector bears no load."""
         groups = self._rows.groups
-        self._multipliers = np.zeros(self._rows.row_count)
-        self._multipliers[groups.actuators] = actuation.efforts[groups.actuators]
-        self._multipliers[groups.contacts] = actuation.contact.multipliers
+        self.multipliers = np.zeros(self._rows.row_count)
+        self.multipliers[groups.actuators] = actuation.efforts[groups.actuators]
+        self.multipliers[groups.contacts] = actuation.contact.multipliers
 
     def correct(
         self, positions: np.ndarray, actuation: Actuation, is_judged: bool = False
@@ -442,9 +446,9 @@ class Newton:
         """
         nodes = self._model.nodes
         self._set_multipliers(actuation)
-        self._rows.remember(self._multipliers)
-        move = self._linear.expand(self._multipliers)
-        self._move.begin(positions, move, actuation.moves)
+        self._rows.remember(self.multipliers)
+        move = self._linear.expand(self.multipliers)
+        self.move.begin(positions, move, actuation.moves)
         longest = nodes.longest(move)
         if math.isfinite(longest):
             share = self._step_limit / longest if longest > self._step_limit else 1.0
@@ -452,7 +456,7 @@ class Newton:
             self._last_move = share * longest
             actuation = self.true_efforts(actuation)
             self._note(actuation, is_judged and longest > self._round_off)
-            self._move.make(positions, share)
+            self.move.make(positions, share)
         else:
             share = 0.0
         return share, actuation
@@ -460,16 +464,16 @@ class Newton:
     def _note(self, actuation: Actuation, is_judged: bool) -> None:
         """Note a move before it is made, for `asks_for_more_moves` or for the merit."""
         has_friction = self._has_cable_friction
-        if self._model.is_dynamic or has_friction or (self._merit is not None and is_judged):
+        if self._model.is_dynamic or has_friction or (self.merit is not None and is_judged):
             self._load(actuation)
-            self._slope = float(np.vdot(self._forces, self._move.displacement))
+            self._slope = float(np.vdot(self.forces, self.move.displacement))
         self._judged = actuation if has_friction and is_judged else None
-        if self._merit is None:
+        if self.merit is None:
             return
         if is_judged:
-            self._merit.begin(actuation, self._slope)
+            self.merit.begin(actuation, self._slope)
         else:
-            self._merit.skip()
+            self.merit.skip()
 
     def take_back(self, positions: np.ndarray) -> None:
         """Undo the last move, and take the forces of where it began again, for the next one.
@@ -477,8 +481,8 @@ class Newton:
         Args:
             positions: Takes the node positions before it [m], shape (node_count, 3).
         """
-        self._move.take_back(positions)
-        self._gather_forces(positions)
+        self.move.take_back(positions)
+        self.gather_forces(positions)
 
     @property
     def inverts(self) -> bool:
@@ -499,9 +503,9 @@ class Newton:
             return False
         if self._judged is not None and self._left_slope() < -OVERSHOOT_OF_SLIP * abs(self._slope):
             return False
-        if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
+        if self.merit is None or not self.merit.is_judging or self.merit.trusts(self.forces):
             return True
-        return self._merit.accepts(positions, share)
+        return self.merit.accepts(positions, share)
 
     def asks_for_more_moves(self, share: float) -> bool:
         """Whether a step in motion made a move that went too far, and too few after it.
@@ -513,7 +517,7 @@ class Newton:
         """
         went_too_far = share < 1.0
         if self._last_move > self._round_off:
-            left = float(np.vdot(self._forces, self._move.displacement))
+            left = float(np.vdot(self.forces, self.move.displacement))
             went_too_far = went_too_far or left < -OVERSHOOT * self._slope
         if went_too_far:
             self._moves_to_make = MOVES_AFTER_OVERSHOOT
@@ -532,19 +536,19 @@ class Newton:
         Returns:
             The share that is made. Where it is another, the residual is to be taken again.
         """
-        is_judging = self._merit is not None and self._merit.is_judging
+        is_judging = self.merit is not None and self.merit.is_judging
         settled = share
         if self._judged is not None and not self.inverts:
             settled = self._slipping_share(positions, share)
         elif self.inverts:
-            settled *= self.upright_share(self._move.start, positions)
-        elif not is_judging or self._merit.trusts(self._forces):
+            settled *= self.upright_share(self.move.start, positions)
+        elif not is_judging or self.merit.trusts(self.forces):
             return share
         if is_judging:
-            settled = self._merit.search(positions, settled)
+            settled = self.merit.search(positions, settled)
         else:
-            self._move.make(positions, settled)
-            self._gather_forces(positions)
+            self.move.make(positions, settled)
+            self.gather_forces(positions)
         if self._stays_upright:
             settled = self._unfolded_share(positions, settled)
         self._last_move *= settled / share
@@ -565,15 +569,15 @@ class Newton:
             if not self.inverts:
                 return share
             share *= 0.5
-            self._move.make(positions, share)
-            self._gather_forces(positions)
-        self._move.make(positions, 0.0)
-        self._gather_forces(positions)
+            self.move.make(positions, share)
+            self.gather_forces(positions)
+        self.move.make(positions, 0.0)
+        self.gather_forces(positions)
         return 0.0
 
     def _left_slope(self) -> float:
         """Work of the forces b + Hᵀλ that were taken last along the whole last move [J]."""
-        return float(np.vdot(self._forces, self._move.displacement))
+        return float(np.vdot(self.forces, self.move.displacement))
 
     def _slipping_share(self, positions: np.ndarray, share: float) -> float:
         """How much of a move the forces still push along, with friction along cables.
@@ -594,7 +598,7 @@ class Newton:
             share = 0.5 * (low + high)
             if trial % 2 == 0:
                 share = low + (high - low) * at_low / (at_low - at_high)
-            self._move.make(positions, share)
+            self.move.make(positions, share)
             self.residual(positions, self._judged)
             left = self._left_slope()
             if abs(left) <= SLOPE_AT_REST * begin:
@@ -632,10 +636,6 @@ class Newton:
         """
         return min(term.largest_share(start, positions) for term in self._model.forces)
 
-    def _forces_at(self, positions: np.ndarray) -> np.ndarray:
-        self._gather_forces(positions)
-        return self._forces
-
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements.
 
@@ -644,14 +644,14 @@ class Newton:
             actuation: λ.
         """
         self._rows.tell_efforts(actuation.efforts)
-        self._gather_forces(positions)
+        self.gather_forces(positions)
         self._load(actuation)
-        return self._model.nodes.largest_force(self._forces)
+        return self._model.nodes.largest_force(self.forces)
 
     def _load(self, actuation: Actuation) -> None:
         """Add Hᵀλ to the forces gathered last."""
         self._set_multipliers(actuation)
-        self._rows.add_forces(self._multipliers, self._forces)
+        self._rows.add_forces(self.multipliers, self.forces)
 
     def makes_progress(self) -> bool:
         """Whether the stale factor in use corrects: at held λ the next correction is much smaller.
@@ -661,35 +661,49 @@ class Newton:
         Returns:
             False when the correction must not be kept.
         """
-        left = self._model.factorization.solve(self._forces)
+        left = self._model.factorization.solve(self.forces)
         longest_left = self._model.nodes.longest(left)
         if longest_left <= self._round_off:
             return True
         self.is_worn = not longest_left <= WORN_CONTRACTION * self._last_move
         return longest_left <= GREATEST_CONTRACTION * self._last_move
 
-    def _gather_forces(self, positions: np.ndarray) -> None:
-        """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is."""
+    def gather_forces(self, positions: np.ndarray) -> np.ndarray:
+        """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            The forces.
+        """
         self._sum_forces(positions)
         self._rows.evaluate(positions)
+        return self.forces
 
     def _sum_forces(self, positions: np.ndarray) -> None:
         """Sum b = p - F(q) of all terms."""
-        self._forces[:] = 0.0
+        self.forces[:] = 0.0
         self.inverted_count = sum(
-            term.add_forces(positions, self._forces) for term in self._model.forces
+            term.add_forces(positions, self.forces) for term in self._model.forces
         )
         self.is_nearly_flat = any(term.nearly_flat_count for term in self._model.forces)
 
-    def _assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool) -> None:
-        """Sum b = p - F(q), A and the rows H, δ of all terms."""
+    def assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool) -> None:
+        """Sum b = p - F(q), A and the rows H, δ of all terms.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            multipliers: λ of all rows, shape (row_count,).
+            projected: Whether A is made positive definite, element by element.
+        """
         model = self._model
         storage = model.factorization.storage
-        self._forces[:] = 0.0
+        self.forces[:] = 0.0
         self._rows.tell_efforts(multipliers)
         model.factorization.clear()
         for term in model.forces:
-            term.add(positions, self._forces, storage, projected)
+            term.add(positions, self.forces, storage, projected)
         if self._dense is not None:
             self._dense.set_rows(*_joined_rows(model.forces))
         self._rows.add_stiffness(positions, multipliers, storage, projected)

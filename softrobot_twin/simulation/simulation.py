@@ -91,6 +91,10 @@ class Simulation(Readouts):
         model: The built scene.
         state: Where it stands now.
         now: Gives the time that stages and budgets are measured by [s].
+        newton: Linearizes the model and corrects positions.
+        inverse: Finds actuation towards targets; None in scenes without effectors.
+        fallback: The other model of a reduced body; None without.
+        may_rest: Whether a state in balance is kept while the command stays.
     """
 
     def __init__(
@@ -123,27 +127,27 @@ class Simulation(Readouts):
         self._touches = None if touch_loads is None else Touches(self.model, touch_loads)
         self._remembering = self.model.remembering
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
-        self._newton = Newton(self.model)
+        self.newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
         if self.model.is_dynamic:
-            self._beginners = (*self._beginners, self._newton)
-        self._inverse = build_inverse(self.model, self._direct, qp_solvers)
-        self._results = StepResults(self.model, self._newton, self._inverse)
+            self._beginners = (*self._beginners, self.newton)
+        self.inverse = build_inverse(self.model, self._direct, qp_solvers)
+        self._results = StepResults(self.model, self.newton, self.inverse)
         self._optimises = "optimise" in self.model.stages
         self._stiffness = None
         if self.model.weighs_stiffness:
             self._stiffness = StiffnessTargets(self.model)
         self._reading = Interpretation(self.model)
         self._find_surface()
-        self._fallback: Fallback | None = None
+        self.fallback: Fallback | None = None
         # Dynamic scenes, contacts, friction along cables and guided bodies remember more than a
         # state that is kept tells of.
-        self._may_rest = not (
+        self.may_rest = not (
             self.model.is_dynamic or self.model.rows.varies or self.model.guides is not None
             or self._cable_friction is not None
         )
         self.reset()
-        self._fallback = build_fallback(self)
+        self.fallback = build_fallback(self)
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Simulation:
@@ -157,8 +161,8 @@ class Simulation(Readouts):
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
-        if self._fallback is not None:
-            self._fallback.reset(self)
+        if self.fallback is not None:
+            self.fallback.reset(self)
         count = len(self.actuator_names)
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
@@ -188,8 +192,8 @@ class Simulation(Readouts):
         Raises:
             CommandError: The state is of another scene or mesh.
         """
-        if self._fallback is not None:
-            self._fallback.fit(self, state)
+        if self.fallback is not None:
+            self.fallback.fit(self, state)
         if (
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
@@ -210,32 +214,32 @@ class Simulation(Readouts):
         self._kept_by: Command | None = None
         self._rest: StepResult | None = None
         self._is_balanced = True
-        self._newton.forget()
+        self.newton.forget()
         self._direct.remember(self.state.efforts)
-        if self._inverse is not None:
-            self._inverse.reset()
+        if self.inverse is not None:
+            self.inverse.reset()
 
     @property
     def static_factorization(self) -> Factorization | None:
         """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
-        return self._newton.static_factorization
+        return self.newton.static_factorization
 
     @property
     def falls_back(self) -> bool:
         """Whether another model than that of the scene is in use; see `fallback.py`."""
-        return self._fallback is not None and self._fallback.is_active
+        return self.fallback is not None and self.fallback.is_active
 
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
         # No move of a warm-up folds elements, and most scenes never see one that does.
         # It ends beside the state, of which elements know their deformation already.
-        self._newton.folds(before.positions, before.positions + np.spacing(1.0))
+        self.newton.folds(before.positions, before.positions + np.spacing(1.0))
         run_every_path(self)
         self._direct.warm_up()
         self.restore(before)
-        if self._fallback is not None:
-            self._fallback.warm_up()
+        if self.fallback is not None:
+            self.fallback.warm_up()
         self._time_budget = TimeBudget()
 
     def step(
@@ -263,8 +267,8 @@ class Simulation(Readouts):
             CommandError: The command or the touch does not fit this scene, or is not finite.
         """
         clock = StageClock(self.now)
-        if self._fallback is not None:
-            self._fallback.choose(self)
+        if self.fallback is not None:
+            self.fallback.choose(self)
             clock.mark("fallback")
         command, holds_others = self._touch(command, touched)
         asked = self._reading.read(command, self.state)
@@ -275,11 +279,11 @@ class Simulation(Readouts):
             isinstance(command, FollowTargets),
         )
         if is_changed or holds_others:
-            self._newton.factor_age = None
+            self.newton.factor_age = None
         if self._cable_friction is not None:
             self._cable_friction.begin(positions, self.state.efforts, self.state.slips)
-        newton, time_budget = self._newton, self._time_budget
-        if self._inverse is not None:
+        newton, time_budget = self.newton, self._time_budget
+        if self.inverse is not None:
             self._begin_inverse()
         pressed = time_budget.must_hurry(budget)
         led = self._lead(positions, efforts, command.time_step, clock)
@@ -345,11 +349,11 @@ class Simulation(Readouts):
     def _begin_inverse(self) -> None:
         """Tell the inverse what the step begins with."""
         if self._touches is None:
-            self._inverse.begin_step(self._is_balanced)
+            self.inverse.begin_step(self._is_balanced)
             return
         own = self._touches.load + self.actuators.load(self.state.efforts)
-        self._inverse.begin_step(
-            self._is_balanced, self._touches.loads, self._newton.constant_load + own
+        self.inverse.begin_step(
+            self._is_balanced, self._touches.loads, self.newton.constant_load + own
         )
 
     def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:
@@ -386,7 +390,7 @@ class Simulation(Readouts):
         Returns:
             The correction; None where the tangent cannot be factorized.
         """
-        linear = self._newton.linearize(
+        linear = self.newton.linearize(
             positions, efforts, clock, with_stale_factor, self._held_actuators(command, asked)
         )
         if linear is None:
@@ -397,7 +401,7 @@ class Simulation(Readouts):
         state = rows = None
         is_held = self._touches is not None and self._touches.hold_points
         if asked.stiffness is not None and not is_held:
-            state = self._newton.linearized_state(positions, efforts)
+            state = self.newton.linearized_state(positions, efforts)
             rows = self._stiffness.rows(state, asked.stiffness)
             clock.mark("stiffness")
         actuation, held = self._actuate(linear, command, asked, held, rows)
@@ -435,7 +439,7 @@ class Simulation(Readouts):
         Returns:
             Whether it arrived; it goes on in the next step.
         """
-        guides, newton = self.model.guides, self._newton
+        guides, newton = self.model.guides, self.newton
         if guides is None or not guides.moved or newton.inverted_count:
             return True
         if not newton.folds(self.state.positions, positions):
@@ -490,7 +494,7 @@ class Simulation(Readouts):
         if done.share == 1.0 and done.residual <= solver.residual_tolerance:
             return True
         most = solver.newton_iterations
-        if self.model.is_dynamic and self._newton.asks_for_more_moves(done.share):
+        if self.model.is_dynamic and self.newton.asks_for_more_moves(done.share):
             most = max(most, self._most_shares)
         return not self._time_budget.has_time(iterations, elapsed, budget, most)
 
@@ -500,7 +504,7 @@ class Simulation(Readouts):
         return balance(
             done.residual, done.share == 1.0 and done.actuation.is_exact,
             budget is not None or solver.newton_iterations == 1, solver,
-            self._newton.constant_load + self._load(done.actuation),
+            self.newton.constant_load + self._load(done.actuation),
         )  # fmt: skip
 
     def _load(self, actuation: Actuation) -> float:
@@ -547,7 +551,7 @@ class Simulation(Readouts):
         if isinstance(command, CommandEfforts):
             return direct.at_efforts(linear, wanted, held, bounds), held
         if isinstance(command, FollowTargets):
-            return self._inverse.solve(linear, wanted, held, bounds, stiffness)
+            return self.inverse.solve(linear, wanted, held, bounds, stiffness)
         return held, held
 
     def _move(
@@ -559,7 +563,7 @@ class Simulation(Readouts):
         Returns:
             The share of the move that was made, the residual [N], and what the actuators do.
         """
-        newton, residual = self._newton, math.nan
+        newton, residual = self.newton, math.nan
         share, actuation = newton.correct(positions, actuation, is_judged)
         if newton.is_augmented:
             self._direct.remember(actuation.efforts)
@@ -581,7 +585,7 @@ class Simulation(Readouts):
             clock: Books the stages.
             is_judged: Whether the move must lower the merit, too.
         """
-        newton = self._newton
+        newton = self.newton
         share, residual, actuation = self._move(positions, actuation, clock, is_judged)
         if share:
             settled = newton.settle(positions, share)
@@ -596,7 +600,7 @@ class Simulation(Readouts):
         """Correct the positions by as much of an actuation as keeps the body near balance."""
         if self.model.is_dynamic:
             return self._move_and_settle(positions, actuation, clock, False)
-        newton, inverts = self._newton, False
+        newton, inverts = self.newton, False
         for part in SHARES:
             tried = actuation if part == 1.0 else actuation.blended(held, part)
             share, residual, done = self._move(positions, tried, clock, True)
@@ -612,13 +616,13 @@ class Simulation(Readouts):
                 share, newton.inverted_count, inverts = 0.0, 0, True
         if part < 1.0:
             self._direct.remember(done.efforts)
-            self._inverse.trust.tighten()
+            self.inverse.trust.tighten()
             done = done._replace(is_refused=inverts)
         return share, residual, done
 
     def _stale_factor_serves(self, done: Correction, inverted: int) -> bool:
         """Whether a correction by the factor of an earlier step may be kept."""
-        newton = self._newton
+        newton = self.newton
         is_near = self._balance(done, 0.0) is not Balance.MISSED
         return is_near and newton.inverted_count <= inverted and newton.makes_progress()
 
@@ -646,7 +650,7 @@ class Simulation(Readouts):
         self._note_rest(command, result, is_kept)
         if not self.falls_back:
             return result
-        limits = (*result.report.active_limits, *self._fallback.limits)
+        limits = (*result.report.active_limits, *self.fallback.limits)
         return replace(result, report=replace(result.report, active_limits=limits))
 
     def _is_kept(self, command: Command, outcome: Outcome, state: State) -> bool:
@@ -658,11 +662,11 @@ class Simulation(Readouts):
             state: The state after them.
         """
         before, size = self.state, self.model.nodes.size
-        if not self._may_rest or self._fallback is not None or isinstance(command, FollowTargets):
+        if not self.may_rest or self.fallback is not None or isinstance(command, FollowTargets):
             return False
         if outcome.balance is not Balance.REACHED or not math.isfinite(size):
             return False
-        if self._newton.inverted_count:
+        if self.newton.inverted_count:
             return False
         if state.touches is not None and state.touches.is_touched.any():
             return False
@@ -682,7 +686,7 @@ class Simulation(Readouts):
             result: Its result.
             is_kept: Whether the step kept the state.
         """
-        newton = self._newton
+        newton = self.newton
         is_again = is_kept and self._kept_by is not None and self._asks_for_kept(command)
         if not is_kept:
             self._kept_by = self._rest = None

@@ -629,12 +629,12 @@ def reduce(path: Path, options: TrainingOptions) -> int:
     seconds = time.perf_counter() - begin
     size = 1e-6 * output.stat().st_size
     console().print(f"saved in {output}, {size:.1f} MB, {seconds:.0f} s in all")
-    is_met = _tell_whether_met(options, rounds, is_met, judgement)
+    is_met = tell_whether_met(options, rounds, is_met, judgement)
     lost = bool(training.causes) or (judgement is not None and judgement.lost > 0)
     return 0 if is_met and not lost else 1
 
 
-def _tell_whether_met(
+def tell_whether_met(
     options: TrainingOptions, rounds: list[Round], is_met: bool, judgement: Judgement | None
 ) -> bool:
     """Say where a wanted error is not met; gives whether it is."""

@@ -506,7 +506,7 @@ class StateFinder:
             self._load(loads + share * (forces - loads), weight + share * (gravity - weight))
             wanted = begin.setpoints + share * (setpoints - begin.setpoints)
             if np.isfinite(targets).any():
-                wanted = self._follow(start + share * (targets - start), share == 1.0)
+                wanted = self.follow(start + share * (targets - start), share == 1.0)
             if wanted is None or not self._balance(wanted, share == 1.0):
                 return False
         return True
@@ -524,8 +524,12 @@ class StateFinder:
         self._iterations += result.report.iterations
         return result
 
-    def _follow(self, wanted: np.ndarray, is_last: bool) -> np.ndarray | None:
-        """Setpoints that bring the effectors near targets, or some of the way; NaN for free ones.
+    def follow(self, wanted: np.ndarray, is_last: bool) -> np.ndarray | None:
+        """Setpoints that bring the effectors near targets, or some of the way.
+
+        Args:
+            wanted: Targets [m], shape (effector_count, 3); NaN for free ones.
+            is_last: Whether they are those of the chain's end.
         """
         simulation = self.simulation
         most, share = (LAST_FOLLOWS, CLOSE) if is_last else (MOST_FOLLOWS, NEAR)

@@ -1022,15 +1022,15 @@ def _placed_labels(figure, names: list[Label], window: np.ndarray, camera: Camer
     placed = []
     for is_left, own in ((True, order[: len(order) // 2]), (False, order[len(order) // 2:])):
         own = sorted(own, key=lambda index: places[index][1])
-        heights = _spread([scale * (places[index][1] - middle) for index in own], _LABEL_STEP)
+        heights = spread([scale * (places[index][1] - middle) for index in own], _LABEL_STEP)
         placed += [_PlacedLabel(names[index].text, _width(figure, names[index].text), height,
                                 is_left, places[index])
                    for index, height in zip(own, heights, strict=True)]
     return placed
 
 
-def _spread(heights: list[float], step: float) -> list[float]:
-    """Heights nearest to some increasing ones that are at least a step apart."""
+def spread(heights: list[float], step: float) -> list[float]:
+    """Heights nearest to some increasing ones that are at least a step apart, all in one unit."""
     # Runs of labels that touch, each with the mean of what its first label would need, and length.
     runs: list[tuple[float, int]] = []
     for index, height in enumerate(heights):

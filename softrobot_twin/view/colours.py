@@ -31,12 +31,14 @@ _OPPONENTS = np.array([[0.2104542553, 0.7936177850, -0.0040720468],
                        [0.0259040371, 0.7827717662, -0.8086757660]])
 
 
-def _to_oklab(srgb: np.ndarray) -> np.ndarray:
+def to_oklab(srgb: np.ndarray) -> np.ndarray:
+    """Colours of sRGB from 0 to 1 in OKLab, shape (count, 3)."""
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return np.cbrt(linear @ _CONES.T) @ _OPPONENTS.T
 
 
-def _from_oklab(lab: np.ndarray) -> np.ndarray:
+def from_oklab(lab: np.ndarray) -> np.ndarray:
+    """Colours of OKLab in sRGB from 0 to 1, shape (count, 3)."""
     cones = np.linalg.solve(_OPPONENTS, lab.T) ** 3
     linear = np.clip(np.linalg.solve(_CONES, cones).T, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
@@ -44,11 +46,11 @@ def _from_oklab(lab: np.ndarray) -> np.ndarray:
 
 def _scale(stops: dict[float, list[int]]) -> np.ndarray:
     """Colours between those at places from 0 to 1, shape (_SCALE_SIZE, 4)."""
-    stop_colours = _to_oklab(np.array(list(stops.values())) / 255.0)
+    stop_colours = to_oklab(np.array(list(stops.values())) / 255.0)
     place = np.linspace(0.0, 1.0, _SCALE_SIZE)
     lab = np.column_stack([np.interp(place, list(stops), axis) for axis in stop_colours.T])
     opaque = np.full((_SCALE_SIZE, 1), 255.0)
-    return np.rint(np.hstack([255.0 * _from_oklab(lab), opaque])).astype(np.uint8)
+    return np.rint(np.hstack([255.0 * from_oklab(lab), opaque])).astype(np.uint8)
 
 
 _TENSION_SCALE = _scale({0.0: _NOTHING, 0.5: _MIDDLE, 1.0: _MOST})

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control import mesh_error_watch
-from softrobot_twin.control.idle_process import framed
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
@@ -51,13 +50,6 @@ def watch_of():
         watch.close()
 
 
-def send(watch, message):
-    """Sends at once; an offer that is due could replace what is still unsent."""
-    watch._unsent += framed(message)
-    watch._send()
-    assert not watch._unsent
-
-
 def offer_until(watch, simulation, condition, forces_given=False):
     """Offers as the node does, until something is so."""
     end = time.monotonic() + PATIENCE
@@ -77,7 +69,7 @@ def test_the_process_estimates_the_error_that_the_simulation_does_then_tells_wha
     assert watch.cause == ""
     assert 0.0 < watch.at_rest.own.lengths < watch.at_rest.own.forces
     assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
-    send(watch, "no state")
+    watch.request_of = lambda *_: "no state"
     offer_until(watch, simulation, lambda: watch.cause)
     assert watch.cause.startswith("it failed: AttributeError: ")
     assert watch.at_rest is not None and np.isnan(watch.newest)
@@ -94,8 +86,8 @@ def test_a_scene_without_an_estimate_gives_the_reason(diamond, watch_of):
 def test_a_dead_process_is_reported_and_receives_no_more_requests(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)
-    watch._process.kill()
-    watch._process.wait()
+    watch.process.kill()
+    watch.process.wait()
     offer_until(watch, simulation, lambda: watch.cause)
     assert watch.cause == "its process has ended"
     watch.offer(simulation, False, time.monotonic())
@@ -106,10 +98,10 @@ def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(diamond, wa
     simulation = diamond()
     watch = watch_of(simulation, yields=True)
     offer_until(
-        watch, simulation, lambda: os.sched_getscheduler(watch._process.pid) == os.SCHED_IDLE
+        watch, simulation, lambda: os.sched_getscheduler(watch.process.pid) == os.SCHED_IDLE
     )
     watch.close()
-    assert watch._process.returncode is not None
+    assert watch.process.returncode is not None
 
 
 @pytest.mark.parametrize("refused", [False, True])
@@ -150,7 +142,7 @@ def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
     watch = watch_of(simulation)
     offer_until(watch, simulation, lambda: watch.estimates == 1)
     at_rest = watch.at_rest
-    offer_until(watch, simulation, lambda: resident(watch._process) < 40)
+    offer_until(watch, simulation, lambda: resident(watch.process) < 40)
     assert watch.estimates == 1 and not watch.cause
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.009, 0.003, 0.0, 0.0], 1.0))
     offer_until(watch, simulation, lambda: watch.estimates == 2)
@@ -161,8 +153,11 @@ def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
 def test_a_large_request_does_not_block_the_sender(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)
-    os.kill(watch._process.pid, signal.SIGSTOP)
-    watch._unsent += bytes(4_000_000)  # more than any pipe takes
+    offer_until(watch, simulation, lambda: watch.estimates == 1)
+    asked, large = [], bytes(4_000_000)  # more than any pipe takes
+    watch.request_of = lambda *_: asked.append(1) or large
+    os.kill(watch.process.pid, signal.SIGSTOP)
+    offer_until(watch, simulation, lambda: asked)
     watch.offer(simulation, False, time.monotonic())
-    assert len(watch._unsent) > 1_000_000
-    os.kill(watch._process.pid, signal.SIGKILL)
+    os.kill(watch.process.pid, signal.SIGKILL)
+    offer_until(watch, simulation, lambda: watch.cause)

@@ -6,7 +6,6 @@ import time
 import pytest
 
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
-from softrobot_twin.control.idle_process import framed
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.full_model_error import FullModelError
@@ -32,13 +31,6 @@ def watch(bent):
     started.close()
 
 
-def send(watch, message):
-    """Sends at once; an offer that is due could replace what is still unsent."""
-    watch._unsent += framed(message)
-    watch._send()
-    assert not watch._unsent
-
-
 def offer_until(watch, simulation, condition):
     """Offers as the node does, until something is so."""
     end = time.monotonic() + PATIENCE
@@ -58,7 +50,7 @@ def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(be
     for name, state in bent.reduction_state().items():
         assert watch.states[name] == pytest.approx(state, rel=1e-6, nan_ok=True)
     assert watch.linearizations == judge.linearizations >= 2
-    send(watch, "no state")
+    watch.request_of = lambda *_: "no state"
     offer_until(watch, bent, lambda: watch.cause)
     assert watch.cause.startswith("it failed: AttributeError: ")
     assert watch.newest == watch.states == {}
@@ -66,6 +58,6 @@ def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(be
 
 def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(bent):
     watch = ReductionErrorWatch(bent)
-    offer_until(watch, bent, lambda: os.sched_getscheduler(watch._process.pid) == os.SCHED_IDLE)
+    offer_until(watch, bent, lambda: os.sched_getscheduler(watch.process.pid) == os.SCHED_IDLE)
     watch.close()
-    assert watch._process.returncode is not None
+    assert watch.process.returncode is not None

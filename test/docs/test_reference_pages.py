@@ -66,13 +66,13 @@ class WithoutUnit(Entry):
 @pytest.mark.parametrize("entry, missing", [(Undescribed, "meaning"), (WithoutUnit, "unit")])
 def test_a_key_without_a_meaning_or_a_unit_is_refused(entry, missing):
     with pytest.raises(write_reference.UndescribedError, match=f"some.reach has no {missing}"):
-        write_reference._table(entry, "some", {})
+        write_reference.table_of(entry, "some", {})
 
 
 def test_every_section_of_a_scene_has_a_heading_to_which_its_links_lead():
     text = write_reference.scene_reference()
     headings = {line.lstrip("# ") for line in text.splitlines() if line.startswith("#")}
     sections = [name for name, field in Scene.model_fields.items()
-                if write_reference._entries_in(field.annotation)]  # fmt: skip
+                if write_reference.entries_in(field.annotation)]  # fmt: skip
     assert {f"`{name}`" for name in sections} - {"`body`", "`bodies`"} <= headings
     assert "`body`, `bodies`" in headings

@@ -50,6 +50,6 @@ def test_cables_and_markers_of_the_scene_lie_in_the_body(scene):
 
 
 def test_cables_outside_the_finger_are_named():
-    from meshes.make_finger import _faults
+    from meshes.make_finger import finger_faults
     made = make_finger(Refinement(8, 2, 1, 1), FingerShape(root=(4.0, 4.0), end=(3.0, 3.0)))
-    assert any("a point of a cable lies 3" in fault for fault in _faults(made))
+    assert any("a point of a cable lies 3" in fault for fault in finger_faults(made))

@@ -147,10 +147,10 @@ def test_a_reduced_body_far_from_the_full_model_or_outside_its_range_is_a_warnin
     watched.loop.targets.accept_point(0, (0.004, 0.0, 0.128), watched.arrival)
     watched.tick(60)
     diagnostics = watched.diagnostics
-    diagnostics._reduction = Judged({"body": FullError(1.0e-5, 0.002)})
+    diagnostics.reduction = Judged({"body": FullError(1.0e-5, 0.002)})
     assert watched.account("solver")[0] == OK
     watched.tick()
-    diagnostics._reduction = Judged({"body": FullError(2.0e-3, 0.31)})
+    diagnostics.reduction = Judged({"body": FullError(2.0e-3, 0.31)})
     assert watched.account("solver") == (
         WARN, "body: 2 mm (31 % of the displacement) from the full model"
     )

@@ -39,7 +39,7 @@ def break_diagnostics(twin, monkeypatch):
     """Lets the diagnostics raise an exception in each tick."""
     monkeypatch.setattr("softrobot_twin.ros.twin_node._DIAGNOSTICS_PERIOD", -math.inf)
     twin.request_diagnostics()
-    monkeypatch.setattr(twin._diagnostics, "statuses", lambda now: {}["of the diagnostics"])
+    monkeypatch.setattr(twin.diagnostics, "statuses", lambda now: {}["of the diagnostics"])
 
 
 @pytest.mark.parametrize("spoil", (break_effectors, break_step, break_diagnostics))
@@ -87,7 +87,7 @@ def far_future(node, monkeypatch):
 def test_a_stamp_beyond_2038_ends_no_node(world, twin, small_scene_file, monkeypatch):
     device = world.add(DeviceNode, device_scene_file=str(small_scene_file))
     target = world.add(TargetNode, scene_file=str(small_scene_file), target_center=[0.0, 0.0, 0.134])
-    while target._began == math.inf:
+    while target.began == math.inf:
         twin.tick()
         world.run(0.05)
     for node in (twin, device, target):

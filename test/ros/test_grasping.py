@@ -159,7 +159,7 @@ def test_a_recording_shows_fingers_rigid_bodies_floor_and_contacts(
     twin.stop()
     for _ in range(5):
         twin.tick()
-        world.until(lambda: twin._feed.mirror.frames_logged == twin.tick_clock.ticks)
+        world.until(lambda: twin.feed.mirror.frames_logged == twin.tick_clock.ticks)
     position = twin.loop.simulation.rigid_poses()[0][1]
     twin.destroy_node()
     from rerun.chunk import RrdReader

@@ -85,7 +85,7 @@ def test_a_twin_leads_the_tip_by_servos(world, robot, hardware):
         speaker.publish(world.target_message(wanted))
         world.run(0.05)
         tip = robot.twin.loop.simulation.effector_positions()[0]
-        commanded = robot.twin._window.newest.command
+        commanded = robot.twin.window.newest.command
         measured = robot.twin.loop.device.setpoints
         return (np.linalg.norm(tip - wanted) < 5e-4 and commanded is not None
                 and np.abs(measured - commanded.setpoints).max() < 2e-4)  # fmt: skip

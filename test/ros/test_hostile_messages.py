@@ -210,7 +210,7 @@ class Witness:
         self._within = 1e-9 * np.where(is_metre, 1.0, scale)
         self._twin, self._last, self._measured = twin, None, []
         self.count = 0
-        twin._cables.publish = self.judge
+        twin.cables.publish = self.judge
 
     def measurement(self, random, end):
         """The message of a correct device on a topic."""
@@ -267,7 +267,7 @@ class Witness:
             count = self.count
             self.tick()
             if twin.loop.device.places.is_contested(twin.monotonic()):
-                response = twin._enable(SetBool.Request(data=True), SetBool.Response())
+                response = twin.enable(SetBool.Request(data=True), SetBool.Response())
                 # The contest may have ended while the request was answered.
                 if twin.loop.device.places.is_contested(twin.monotonic()):
                     assert not response.success and response.message == CONTESTED
@@ -425,11 +425,11 @@ def run_hostile(world, parameters, case, seed, count, every):
                 # Otherwise the twin would be disabled from the first contradiction to the end.
                 pauses -= 1
                 witness.measure_until_uncontested()
-            twin._enable(SetBool.Request(data=True), SetBool.Response())
+            twin.enable(SetBool.Request(data=True), SetBool.Response())
         if number % every == every - 1:
             witness.tick()
             if draw.random() < 0.02:
-                twin._reset(Trigger.Request(), Trigger.Response())
+                twin.reset(Trigger.Request(), Trigger.Response())
     return witness
 
 
@@ -452,12 +452,12 @@ def test_ticks_between_random_messages_are_as_safe(world, parameters, case):
 def test_no_message_ends_a_device(world, parameters, robot):
     seed = draw_seed()
     device = begin(world, parameters, robot, DeviceNode)
-    simulation = device.device._simulation
+    simulation = device.device.simulation
     markers = simulation.marker_ids, simulation.marker_positions()
     hostile = Hostile(seed, device, simulation.actuator_names, list(simulation.rest_setpoints),
                       markers, (0.0, 0.0, 0.1))
     measured, ends, period = [], inputs(device), device.tick_clock.period
-    device._cables.publish = measured.append
+    device.cables.publish = measured.append
     # Few ticks: a palm that is pressed into all around it takes seconds a step.
     every = 250
     # Its own time: after a long wait on a busy machine it would be carried far into other bodies.
@@ -480,7 +480,7 @@ def test_no_message_ends_a_target(world):
     hostile = Hostile(2, target, (), [], (np.empty(0, np.uint32), np.empty((0, 3))), (0, 0, 0.1))
     (end,) = inputs(target)
     sent = []
-    target._targets.publish = sent.append
+    target.targets.publish = sent.append
     for _ in range(1000):
         end.callback(serialize_message(hostile.message(PointStamped)), UNNUMBERED)
     for _ in range(10):

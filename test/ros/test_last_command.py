@@ -33,7 +33,7 @@ def drive(world, twin):
 def test_a_twin_that_is_started_again_continues_where_the_hardware_is(world, make_twin, ends):
     first = make_twin(rate=50.0)
     last = drive(world, first)
-    first._claim.close()
+    first.claim.close()
     if ends == "cleanly":
         first.destroy_node()
     time.sleep(LIFE_TIME)
@@ -50,9 +50,9 @@ def test_a_twin_enabled_after_another_continues_where_that_one_ended(world, make
     assert not second.loop.is_enabled
     last = drive(world, first)
     heard = world.hear(JointState, "/twin/cables", 100)
-    first._claim.close()
+    first.claim.close()
     time.sleep(LIFE_TIME + 0.2)
-    assert second._enable(SetBool.Request(data=True), SetBool.Response()).success
+    assert second.enable(SetBool.Request(data=True), SetBool.Response()).success
     world.until(lambda: len(heard) > 5)
     commands = np.vstack([last, *(message.position for message in heard)])
     assert np.abs(np.diff(commands, axis=0)).max() <= RATE / 50.0 + 1e-9
@@ -79,7 +79,7 @@ def test_a_damaged_file_is_not_used(small_scene_file, content):
 
 def test_with_a_device_nothing_is_kept(world, small_scene_file):
     twin = world.add(TwinNode, scene_file=str(small_scene_file), use_device=True)
-    assert twin._last_command is None
+    assert twin.last_command is None
 
 
 def test_a_folder_that_cannot_be_written_stops_nothing(simulation_of, tmp_path, monkeypatch):

@@ -218,8 +218,8 @@ class Witness:
         self._reach = self._limits.rate * twin.loop.settings.period
         self._slack = 1e-9 * np.maximum(1.0, self._limits.drive_scale)
         self._last, self.count, self.pressures = self._rest, 0, {}
-        twin._cables.publish = self.judge
-        for name, publisher in twin._pressures.items():
+        twin.cables.publish = self.judge
+        for name, publisher in twin.pressures.items():
             publisher.publish = lambda message, name=name: self.judge_pressure(name, message)
 
     def judge(self, message):
@@ -263,9 +263,9 @@ def test_no_pressure_causes_an_unsafe_command(world, make_air, mode):
             message = pressure_of(world, pressure, ago, frame)
             ends[draw.integers(len(ends))].callback(serialize_message(message), UNNUMBERED)
         if draw.random() < 0.03:
-            twin._reset(Trigger.Request(), Trigger.Response())
+            twin.reset(Trigger.Request(), Trigger.Response())
         if draw.random() < 0.05:
-            twin._enable(SetBool.Request(data=bool(draw.random() < 0.6)), SetBool.Response())
+            twin.enable(SetBool.Request(data=bool(draw.random() < 0.6)), SetBool.Response())
         elif draw.random() < 0.2:
             twin.loop.enable(twin.monotonic())
         twin.tick()
@@ -295,7 +295,7 @@ def test_a_recording_shows_walls_pressures_and_volumes_of_cavities(world, make_a
     twin.stop()
     for _ in range(3):
         twin.tick()
-        world.until(lambda: twin._feed.mirror.frames_logged == twin.tick_clock.ticks)
+        world.until(lambda: twin.feed.mirror.frames_logged == twin.tick_clock.ticks)
     simulation = twin.loop.simulation
     walls = simulation.cavity_positions()[LOW]
     volumes = simulation.cavities.volumes(simulation.state)

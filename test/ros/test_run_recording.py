@@ -63,7 +63,7 @@ def run_ticks(world, twin, count):
 
 
 def is_following(twin):
-    newest = twin._window.newest
+    newest = twin.window.newest
     return newest is not None and newest.activity is Activity.FOLLOWING
 
 
@@ -269,7 +269,7 @@ loaded = [name for name in sys.modules
 taken = [name for name, value in vars(twin.loop).items()
          if type(value).__module__.startswith("softrobot_twin.record")]
 print("RESULT", loaded, taken, [thread.name for thread in threading.enumerate()], twin.recording,
-      type(twin._cables).__name__)
+      type(twin.cables).__name__)
 twin.destroy_node()
 """
 

@@ -72,8 +72,8 @@ def test_an_unchanged_status_is_not_sent_and_a_restless_one_not_at_every_tick(ma
     twin = make_twin()
     twin.stop()
     twin.tick()
-    status, outcome = twin._status, twin._window.newest
-    status._publisher = recorded = Recorded()
+    status, outcome = twin.status, twin.window.newest
+    status.publisher = recorded = Recorded()
     start = twin.monotonic() + 1.0
     for tick in range(100):
         status.offer(outcome, start + 0.01 * tick)
@@ -92,8 +92,8 @@ def test_a_command_that_is_kept_back_is_an_error(make_twin):
     twin = make_twin()
     twin.stop()
     twin.tick()
-    twin._status._publisher = recorded = Recorded()
-    outcome = twin._window.newest._replace(violated=("north.tension_max",))
-    twin._status.offer(outcome, twin.monotonic() + 1.0)
+    twin.status.publisher = recorded = Recorded()
+    outcome = twin.window.newest._replace(violated=("north.tension_max",))
+    twin.status.offer(outcome, twin.monotonic() + 1.0)
     assert recorded.messages[0].level == DiagnosticStatus.ERROR
     assert values_of(recorded.messages[0])["kept_back"] == "north.tension_max"

@@ -73,10 +73,10 @@ def test_paths_alternate(make_target):
                          target_period=0.5, target_ramp_time=0.1)
     target.stop()
     sent = []
-    target._targets.publish = sent.append
-    target._take_start(PointStamped(point=Point(x=0.0, y=0.0, z=0.125)))
+    target.targets.publish = sent.append
+    target.take_start(PointStamped(point=Point(x=0.0, y=0.0, z=0.125)))
     for tick in range(110):
-        target.work(target._began + 0.01 * tick)
+        target.work(target.began + 0.01 * tick)
     radii = np.linalg.norm(places(sent)[:, :2], axis=1)
     assert radii[20:50] == pytest.approx(0.02, abs=1e-6)
     assert radii[70:].min() < 0.01

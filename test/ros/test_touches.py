@@ -82,6 +82,6 @@ def test_a_force_beyond_its_limit_is_refused_counted_and_told(world, twin):
     world.until(lambda: twin.loop.touches.refusals.of(Refusal.OUT_OF_RANGE) == 1)
     wait_for(world, answers, 5)
     assert answers[-1].effort[1] == 0.02
-    statuses = {status.name: status for status in twin._diagnostics.statuses(twin.monotonic())}
+    statuses = {status.name: status for status in twin.diagnostics.statuses(twin.monotonic())}
     values = {pair.key: pair.value for pair in statuses["twin: touch"].values}
     assert values["out_of_range"] == "1" and float(values["finger_force_n"]) == 0.02

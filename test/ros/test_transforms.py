@@ -111,10 +111,10 @@ def test_transforms_are_made_only_for_those_who_listen(with_tf2):
     output = TransformOutput(node, simulation, "base_link", "auto", "", "", POSE)
     assert node.opened == [(TFMessage, "/tf", TRANSFORMS)]
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
-    assert simulation.reads == 0 and not output._publisher.messages
-    output._publisher.listeners = 1
+    assert simulation.reads == 0 and not output.publisher.messages
+    output.publisher.listeners = 1
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
-    transforms = output._publisher.messages[0].transforms
+    transforms = output.publisher.messages[0].transforms
     assert [one.child_frame_id for one in transforms] == ["palm", "tip"]
     assert transforms[0].transform.rotation.z == 0.6
     assert transforms[1].transform.translation.z == 0.2
@@ -123,9 +123,9 @@ def test_transforms_are_made_only_for_those_who_listen(with_tf2):
 def test_the_base_is_in_the_frame_that_is_given(with_tf2):
     pose = (1.0, 0.0, 0.5, 0.0, 0.0, 1.0, 0.0)
     output = TransformOutput(Node(), Simulation(), "base_link", "on", "left/", "world", pose)
-    output._publisher.listeners = 1
+    output.publisher.listeners = 1
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
-    last = output._publisher.messages[0].transforms[-1]
+    last = output.publisher.messages[0].transforms[-1]
     assert (last.header.frame_id, last.child_frame_id) == ("world", "base_link")
     assert last.header.stamp == HEADER.stamp
     assert last.transform.translation.x == 1.0 and last.transform.rotation.z == 1.0

@@ -71,8 +71,8 @@ def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk
     for number in range(ramp + round(path.times[-1] / period)):
         on_path = path.position(max(0, number - ramp) * period)
         lead(world, twin, tick, targets, start + min(1.0, number / ramp) * (on_path - start))
-        result = twin._window.newest.result
-        errors.append(twin._window.newest.tracking_errors[0])
+        result = twin.window.newest.result
+        errors.append(twin.window.newest.tracking_errors[0])
         gaps.append(result.contacts.gaps.min(initial=0.0))
         counts.append(len(result.contacts.gaps))
         statuses.add(result.status)
@@ -145,6 +145,6 @@ def test_targets_where_there_is_friction_are_refused_at_start_up(make_trunk):
 
 def test_the_target_file_is_found_beside_the_scenes(world):
     target = world.add(TargetNode, target_path=GIVEN["target_path"], target_ramp_time=0.0)
-    assert target._path.points.shape[1] == 3
+    assert target.path.points.shape[1] == 3
     with pytest.raises(ParameterError, match="no_such_path"):
         world.add(TargetNode, target_path="targets/no_such_path.csv")

@@ -308,9 +308,9 @@ def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_report
         outcome.result.report, residual=0.0125, active_limits=("east.shortening_max",)
     )
     result = replace(outcome.result, status=status, report=report)
-    twin._window.clear()
-    twin._window.add(outcome._replace(result=result))
-    parts = {part.name.split(": ")[-1]: part for part in twin._diagnostics.statuses(0.0)}
+    twin.window.clear()
+    twin.window.add(outcome._replace(result=result))
+    parts = {part.name.split(": ")[-1]: part for part in twin.diagnostics.statuses(0.0)}
     solver, limits = parts["solver"], parts["limits"]
     assert solver.level == LEVELS[status]
     assert solver.message.startswith(status.value)
@@ -329,10 +329,10 @@ def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, lat
     twin = make_twin()
     outcome = twin.loop.tick(0.0, 0)
     report = replace(outcome.result.report, is_late=late, factor_age=0 if late else 3)
-    twin._window.clear()
-    twin._window.add(outcome._replace(result=replace(outcome.result, report=report)))
+    twin.window.clear()
+    twin.window.add(outcome._replace(result=replace(outcome.result, report=report)))
     solver = next(
-        part for part in twin._diagnostics.statuses(0.0) if part.name.endswith("solver")
+        part for part in twin.diagnostics.statuses(0.0) if part.name.endswith("solver")
     )
     values = {value.key: value.value for value in solver.values}
     assert solver.level == DiagnosticStatus.WARN and "overload" in solver.message

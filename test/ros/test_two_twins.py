@@ -17,7 +17,7 @@ from softrobot_twin.ros.twin_node import TwinNode
 
 def hear_each_other(world, twins):
     """Until each twin has heard the others."""
-    world.until(lambda: all(len(twin._claim._rivals) == len(twins) - 1 for twin in twins))
+    world.until(lambda: all(len(twin.claim.rivals) == len(twins) - 1 for twin in twins))
 
 
 def test_the_later_twin_stays_silent_and_says_whose_topics_these_are(world, make_twin):
@@ -37,7 +37,7 @@ def test_a_twin_with_device_is_not_enabled_beside_one_that_commands(world, make_
     second = make_twin(use_device=True)
     hear_each_other(world, (first, second))
     request, response = SetBool.Request(data=True), SetBool.Response()
-    assert not second._enable(request, response).success
+    assert not second.enable(request, response).success
     assert "is commanded by /twin (process" in response.message
     assert first.loop.is_enabled
 
@@ -47,14 +47,14 @@ def test_the_later_one_may_be_enabled_once_the_first_has_ended(world, make_twin)
     world.run(0.3)
     second = make_twin()
     assert not second.loop.is_enabled
-    first._claim.close()  # As a crash does: its publishers stay in the graph.
+    first.claim.close()  # As a crash does: its publishers stay in the graph.
     time.sleep(LIFE_TIME + 0.2)
-    assert second._claim.is_alone
-    assert second._enable(SetBool.Request(data=True), SetBool.Response()).success
+    assert second.claim.is_alone
+    assert second.enable(SetBool.Request(data=True), SetBool.Response()).success
 
 
 def test_a_twin_starts_beside_the_ghost_of_one_that_crashed(world, make_twin):
-    make_twin()._claim.close()
+    make_twin().claim.close()
     world.run(LIFE_TIME + 0.2)
     assert make_twin().loop.is_enabled
 
@@ -68,17 +68,17 @@ def test_the_ghost_of_a_twin_of_another_name_blocks_no_enabling(world, make_twin
     twin = make_twin()
     hear_each_other(world, (other, twin))
     request = SetBool.Request(data=True)
-    refused = twin._enable(request, SetBool.Response())
+    refused = twin.enable(request, SetBool.Response())
     assert not refused.success and "commanded by /other" in refused.message
     other.stop()
     other._claim.close()  # As a crash does: its publishers stay in the graph.
     time.sleep(LIFE_TIME + 0.2)
-    assert twin._enable(request, SetBool.Response()).success
+    assert twin.enable(request, SetBool.Response()).success
     # A publisher that is no twin still does.
     twin.loop.disable()
     world.probe.create_publisher(JointState, "/twin/cables", 1)
     world.until(lambda: twin.count_publishers("/twin/cables") == 3)
-    refused = twin._enable(request, SetBool.Response())
+    refused = twin.enable(request, SetBool.Response())
     assert not refused.success and "/probe" in refused.message
 
 
@@ -87,7 +87,7 @@ def test_of_two_twins_one_has_precedence_as_both_find(enabled):
     for ages in ((0.0, 0.0), (0.3, 0.0), (5.0, 0.0), (0.0, 5.0)):
         one, other = (Rival(0.0, -age, "/twin", name, on)
                       for age, name, on in zip(ages, "ab", enabled))
-        has = TopicClaim._has_precedence
+        has = TopicClaim.has_precedence
         assert has(one, other) is not has(other, one)
         if enabled[0] is not enabled[1]:
             assert has(one, other) is enabled[0]
@@ -99,7 +99,7 @@ def test_what_is_no_claim_is_ignored(world, make_twin):
     for text in ("", "{}", "[1, 2]", '["a", "b", "old", true]', "[[], [], 1, 1]", "\0" * 1000):
         speaker.publish(String(data=text))
     world.run(0.5)
-    assert twin._claim.is_alone and twin.loop.is_enabled
+    assert twin.claim.is_alone and twin.loop.is_enabled
 
 
 def test_two_publishers_of_targets_are_named_and_not_followed(world, make_twin):
@@ -110,13 +110,13 @@ def test_two_publishers_of_targets_are_named_and_not_followed(world, make_twin):
         for speaker, x in zip(speakers, (0.01, -0.01)):
             speaker.publish(world.target_message((x, 0.0, 0.134)))
             world.run(0.02)
-    newest = twin._window.newest
+    newest = twin.window.newest
     assert newest.cause.startswith("two publishers on /twin/target/tip (/probe, /probe)")
     world.run(1.2)
     for _ in range(10):
         speakers[0].publish(world.target_message((0.01, 0.0, 0.134)))
         world.run(0.02)
-    assert twin._window.newest.cause == ""
+    assert twin.window.newest.cause == ""
 
 
 def test_two_devices_disable_a_running_twin_and_are_named(world, make_twin):

@@ -114,16 +114,16 @@ def test_markers_come_at_the_rate_of_the_parameter(world, make_twin, made):
     heard = world.hear(MarkerArray, TOPIC, 1000)
     world.until(lambda: twin.count_subscribers(TOPIC))
     world.until(lambda: not twin.tick() and heard)
-    outcome, before = twin._window.newest, len(made)
+    outcome, before = twin.window.newest, len(made)
     # Times since the machine was started, which round differently; with a little jitter.
     for start in (twin.monotonic() + 1.0, 2.0**20 / 3.0, 2.0**24 / 7.0):
         for tick in range(50):
-            twin._visualization.offer(outcome, tick, start + 0.02 * tick - 1e-4 * (tick % 3))
+            twin.visualization.offer(outcome, tick, start + 0.02 * tick - 1e-4 * (tick % 3))
         assert len(made) - before == 10
         before = len(made)
     # With simulated time the clock may be set back.
-    twin._visualization.offer(outcome, 0, start - 100.0)
-    twin._visualization.offer(outcome, 0, start - 99.99)
+    twin.visualization.offer(outcome, 0, start - 100.0)
+    twin.visualization.offer(outcome, 0, start - 99.99)
     assert len(made) - before == 1
 
 
@@ -238,7 +238,7 @@ def test_a_body_with_nothing_to_show_is_left_out(make_twin):
     markers = RobotMarkers(twin.loop.simulation, "base_link", 3.0)
     markers._obstacles = [np.empty((0, 3)), np.ones((3, 3))]
     found = deserialize_message(
-        markers.message(twin._window.newest, (1, 2), True), MarkerArray
+        markers.message(twin.window.newest, (1, 2), True), MarkerArray
     ).markers
     assert [(marker.ns, marker.id) for marker in found if marker.ns == "obstacles"] == [
         ("obstacles", 1)

@@ -67,7 +67,7 @@ def settle(simulation, lengths):
 
 def linearized(simulation, lengths=None):
     """The state; where lengths are given, its tangent may be augmented by the rows of the cables."""
-    newton, state, held = simulation._newton, simulation.state, None
+    newton, state, held = simulation.newton, simulation.state, None
     if lengths is not None:
         limits = simulation.limits
         held = HeldActuators(
@@ -85,7 +85,7 @@ def test_it_is_what_a_force_meets_while_the_cables_hold_their_lengths(pulled):
     # By matrices of all unknowns: A x - Hᵀ Λ = e, H x = 0.
     linear = state.linear
     count, rows = linear.groups.actuators.stop, simulation.model.rows
-    loads = np.stack([stiffness._load(axis) for axis in ALL_AXES])
+    loads = np.stack([stiffness.load(axis) for axis in ALL_AXES])
     x = np.stack([state.solver.solve(load) for load in loads])
     W_ee = np.einsum("inx,jnx->ij", loads, x)
     W_ae = np.zeros((count, 3))
@@ -133,7 +133,7 @@ def test_its_derivatives_are_right_where_the_tangent_alone_is_indefinite():
     lengths = simulation.rest_setpoints - 1e-3 * np.array([16.3, 18.3, 12.1, 14.6])
     settle(simulation, lengths)
     state = linearized(simulation, lengths)
-    assert simulation._newton.is_augmented
+    assert simulation.newton.is_augmented
     gradient = stiffness.gradient(state, ALL_AXES)
     here = gradient.free + gradient.by_multiplier @ simulation.state.efforts
     np.testing.assert_allclose(here, gradient.compliance, rtol=1e-8)
@@ -174,7 +174,7 @@ def test_a_slack_cable_holds_nothing():
     slack = simulation.state.efforts == 0.0
     assert slack.tolist() == [False, True, False, True]
     state = linearized(simulation)
-    assert stiffness._holds(state.efforts).tolist() == (~slack).tolist()
+    assert stiffness.holds(state.efforts).tolist() == (~slack).tolist()
     found = stiffness.gradient(state, ALL_AXES).compliance
     held = stiffness.gradient(state._replace(efforts=np.ones(4)), ALL_AXES).compliance
     assert (found > (1.0 + 1e-6) * held).any()
@@ -190,7 +190,7 @@ def test_a_cable_that_a_small_push_makes_slack_holds_nothing():
     found = stiffness.gradient(state, ALL_AXES).compliance
     for tension, is_held in ((1e-7, False), (1.0, True)):
         pulled = state._replace(efforts=np.where(slack, tension, efforts))
-        assert stiffness._holds(pulled.efforts).all()
+        assert stiffness.holds(pulled.efforts).all()
         compliance = stiffness.gradient(pulled, ALL_AXES).compliance
         assert np.allclose(compliance, found, rtol=1e-6) != is_held
 
@@ -213,7 +213,7 @@ def test_its_derivative_by_the_pressure_of_a_cavity_is_that_of_equilibria(inflat
     expected = (found[pressure + 10.0].compliance - found[pressure - 10.0].compliance) / 20.0
     here = found[pressure]
     assert np.abs(here.by_multiplier[:, 0] - expected).max() < 1e-5 * np.abs(expected).max()
-    assert not stiffness._holds(simulation.state.efforts[:1]).any()
+    assert not stiffness.holds(simulation.state.efforts[:1]).any()
 
 
 REFUSED = {

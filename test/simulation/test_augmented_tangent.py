@@ -21,12 +21,12 @@ def tangents(diamond):
             simulation = diamond()
             wound = np.array([0.004, 0.001, 0.0, 0.003])
             simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 0.1))
-            self.newton, self.model = simulation._newton, simulation.model
+            self.newton, self.model = simulation.newton, simulation.model
             self.positions, self.efforts = simulation.state.positions, simulation.state.efforts
             rows, factorization = self.model.rows, self.model.factorization
-            self.newton._assemble(self.positions, rows.multipliers(self.efforts), False)
+            self.newton.assemble(self.positions, rows.multipliers(self.efforts), False)
             assert factorization.factor()
-            self.b = self.newton._forces.copy()
+            self.b = self.newton.forces.copy()
             self.H = NodeRows(
                 rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count
             )
@@ -41,7 +41,7 @@ def tangents(diamond):
             held = HeldActuators(np.zeros(count), np.zeros(count), np.full(count, 9.0))
             assert augmented.choose(efforts, held)
             rows = self.model.rows
-            self.newton._assemble(self.positions, rows.multipliers(self.efforts), False)
+            self.newton.assemble(self.positions, rows.multipliers(self.efforts), False)
             assert augmented.factor(self.positions)
             return augmented, augmented.condense(self.H, self.b)
 
@@ -65,7 +65,7 @@ def test_the_displacement_is_that_of_the_exact_tangent_under_the_same_efforts(ta
     multipliers[:4] = [3.0, 1.0, 0.0, 2.0]
     exact, factorization = tangents.exact, tangents.model.factorization
     rows = tangents.model.rows
-    tangents.newton._assemble(tangents.positions, rows.multipliers(tangents.efforts), False)
+    tangents.newton.assemble(tangents.positions, rows.multipliers(tangents.efforts), False)
     assert factorization.factor()
     factorization.condense(tangents.H, tangents.b)
     expected = factorization.expand(multipliers).copy()
@@ -101,20 +101,20 @@ def test_the_solution_for_any_forces_is_that_of_the_condensed_system(beam, kind)
     simulation = beam()
     wound = np.array([0.004, 0.001, 0.0, 0.003])
     simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 0.1))
-    model, newton, state = simulation.model, simulation._newton, simulation.state
+    model, newton, state = simulation.model, simulation.newton, simulation.state
     rows, factorization = model.rows, model.factorization
     if kind == "cables":
         augmented = AugmentedTangent(rows.terms[0], factorization)
     else:
         augmented = AugmentedLU(factorization, np.zeros(4, bool))
-    newton._assemble(state.positions, rows.multipliers(state.efforts), False)
+    newton.assemble(state.positions, rows.multipliers(state.efforts), False)
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
-    b = newton._forces.copy()
+    b = newton.forces.copy()
     augmented.measure(factorization.condense(H, b).W[:4, :4])
     held = HeldActuators(np.zeros(4), np.zeros(4), np.full(4, 9.0))
     assert augmented.choose(np.array([1.0, 1.0, 0.0, 1.0]), held)
-    newton._assemble(state.positions, rows.multipliers(state.efforts), False)
+    newton.assemble(state.positions, rows.multipliers(state.efforts), False)
     assert augmented.factor(state.positions)
     augmented.condense(H, b)
     expected = augmented.expand(np.zeros(rows.row_count)).copy()
@@ -137,7 +137,7 @@ def test_a_fine_mesh_converges_quadratically_where_its_tangent_is_indefinite(dia
         mapping.setdefault("solver", {})["newton_iterations"] = 1
 
     simulation = diamond(finer)
-    newton, shortening = simulation._newton, 1e-3 * np.array(wound)
+    newton, shortening = simulation.newton, 1e-3 * np.array(wound)
     for share in np.arange(1, 13) / 12:
         simulation.step(CommandSetpoints(simulation.rest_setpoints - share * shortening, 0.5))
     residuals = []
@@ -174,14 +174,14 @@ def leaning(beam, rod):
 
 def test_contacts_that_press_are_augmented_too(leaning):
     simulation, _ = leaning("linear", [0.012, 0.0, 0.003, 0.0])
-    newton, model = simulation._newton, simulation.model
+    newton, model = simulation.newton, simulation.model
     positions, efforts = simulation.state.positions, simulation.state.efforts
     rows, factorization, contacts = model.rows, model.factorization, model.contacts
     rows.detect(positions)
-    newton._assemble(positions, rows.multipliers(efforts), False)
+    newton.assemble(positions, rows.multipliers(efforts), False)
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
-    exact = factorization.condense(H, newton._forces.copy())
+    exact = factorization.condense(H, newton.forces.copy())
     augmented = AugmentedTangent(rows.terms[0], factorization, contacts)
     augmented.measure(exact.W[:4, :4])
     held = HeldActuators(np.zeros(4), np.zeros(4), np.full(4, 40.0))
@@ -189,9 +189,9 @@ def test_contacts_that_press_are_augmented_too(leaning):
     pressing = contacts.last_multipliers > 0.0
     np.testing.assert_array_equal(augmented.contact_stiffness > 0.0, pressing)
     assert pressing.any()
-    newton._assemble(positions, rows.multipliers(efforts), False)
+    newton.assemble(positions, rows.multipliers(efforts), False)
     assert augmented.factor(positions)
-    found = augmented.condense(H, newton._forces.copy())
+    found = augmented.condense(H, newton.forces.copy())
     rho = np.zeros(rows.row_count)
     rho[:4], rho[rows.groups.contacts] = augmented.stiffness, augmented.contact_stiffness
     expected = np.linalg.solve(np.eye(len(rho)) + exact.W * rho, exact.W)
@@ -210,4 +210,4 @@ def test_a_beam_that_its_contacts_stabilise_rests_without_projection(leaning, wo
     """By the projected tangent residuals of 1e-5 to 1e-4 N are left after 150 linearizations."""
     simulation, result = leaning("quadratic", wound)
     assert result.report.residual < 1e-6
-    assert simulation._newton.is_augmented and not simulation._newton.projected_tangent
+    assert simulation.newton.is_augmented and not simulation.newton.projected_tangent

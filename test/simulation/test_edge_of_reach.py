@@ -227,7 +227,7 @@ def test_a_beam_that_slipped_around_the_rod_comes_home_the_way_it_went(robot):
     approaches = set()
     for _ in range(BACK):
         result = simulation.step(FollowTargets(home, 0.02))
-        approaches.add(simulation._inverse.trust.approach)
+        approaches.add(simulation.inverse.trust.approach)
     assert Approach.RETRACE in approaches and Approach.LEAD_BACK in approaches
     assert result.status is Status.OK and result.effector_errors[0] <= 1e-4
 
@@ -344,7 +344,7 @@ def test_noise_of_far_targets_saturates_nothing(robot, name, seed, number):
         result = simulation.step(FollowTargets(target + noise, 0.02))
         assert not result.status.is_failure and result.status is not Status.INVERTED
         places.append(result.effector_positions)
-        weights.append(simulation._inverse.trust.weight)
+        weights.append(simulation.inverse.trust.weight)
     assert min(weights[-TAIL:]) < GREATEST and np.median(weights) < 1.0
     off = np.linalg.norm(np.array(places[-TAIL:]) - calm, axis=(1, 2)).max()
     print(f"{1e3 * off:.3f} mm from where it rests without noise")

@@ -68,10 +68,10 @@ def test_both_models_read_one_clock_before_and_after_a_change(falling):
     simulation, _ = falling
     simulation.reset()
     clock = simulation.now
-    assert simulation._fallback._other.now is clock
+    assert simulation.fallback.other.now is clock
     wind(simulation, np.array([2.0, 0.4, 1.6, 0.0]) * TRAINED, 80)
     assert simulation.falls_back
-    assert simulation.now is clock and simulation._fallback._other.now is clock
+    assert simulation.now is clock and simulation.fallback.other.now is clock
 
 
 def test_commands_do_not_jump_where_the_model_changes(falling):
@@ -115,7 +115,7 @@ def test_a_state_of_either_model_can_be_restored(falling):
 def test_nothing_is_built_or_looked_at_without_a_fallback(half_trained):
     simulation = Simulation(load_scene(half_trained), with_warnings=False)
     result = wind(simulation, np.full(4, 0.002), CHECK_EVERY + 1)[-1]
-    assert simulation._fallback is None
+    assert simulation.fallback is None
     assert "fallback" not in result.report.stage_times
     assert "fallback" not in simulation.model.stages
 
@@ -124,7 +124,7 @@ def test_the_other_model_is_looked_at_every_few_steps(falling, monkeypatch):
     simulation, _ = falling
     simulation.reset()
     assert simulation.model.stages[0] == "fallback"
-    other, looks = simulation._fallback._other, []
+    other, looks = simulation.fallback.other, []
     step = other.step
     monkeypatch.setattr(other, "step", lambda *args, **named: looks.append(1) or step(
         *args, **named))  # fmt: skip

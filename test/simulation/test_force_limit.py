@@ -98,12 +98,12 @@ def test_an_infeasible_limit_is_named_and_exceeded_by_the_least(beam, rod):
 def test_forces_are_continuous_as_a_limit_becomes_infeasible(beam, rod):
     """Row 15: targets move slowly out of reach and back: no force drops to zero."""
     simulation = wedged(beam, rod, 0.02)
-    inverse = simulation._inverse
+    inverse = simulation.inverse
     home = simulation.effector_positions()
     result = lean(simulation, home + [0.0, 0.004, -0.001])
     total, named = [pushes(result).sum()], []
     for limit in np.concatenate([np.linspace(4.0, 20.0, 60), np.linspace(20.0, 4.0, 60)]):
-        inverse._force_limit = limit
+        inverse.force_limit = limit
         result = lean(simulation, home + [0.0, 0.004, -0.001], 1)
         total.append(pushes(result).sum())
         named.append(bool(over_limit(result)))

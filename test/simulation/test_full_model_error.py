@@ -119,12 +119,12 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
     found = simulation.reduction_state()
     assert list(found) == ["body"] and 0.0 < found["body"].error < 1.0e-3
     # The fallback's two models hold the same places.
-    fallback = simulation._fallback
-    better = fallback._better_state(simulation.state)
-    fallback._other.restore(better)
-    np.testing.assert_allclose(fallback._other.effector_positions(), places, atol=1e-12)
-    np.testing.assert_allclose(fallback._other.surface_positions(), surface, atol=1e-12)
-    back = fallback._reduced_state(better)
+    fallback = simulation.fallback
+    better = fallback.better_state(simulation.state)
+    fallback.other.restore(better)
+    np.testing.assert_allclose(fallback.other.effector_positions(), places, atol=1e-12)
+    np.testing.assert_allclose(fallback.other.surface_positions(), surface, atol=1e-12)
+    back = fallback.reduced_state(better)
     np.testing.assert_allclose(back.positions, simulation.state.positions, atol=1e-12)
 
 

@@ -8,7 +8,7 @@ import pytest
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.deformable_body import _spread
+from softrobot_twin.simulation.deformable_body import spread_mapping
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.study.accuracy_study import with_hold_radius, with_mesh_file
 
@@ -73,7 +73,7 @@ def test_the_weights_of_a_patch_have_continuous_derivatives_by_radius_and_place(
     def weights(share):
         place = (start + share * way)[None]
         found = locate_points(mesh.corner_mesh, place)
-        patch = _spread(body, place, found, 0.0036 * (1.0 + 0.3 * share))
+        patch = spread_mapping(body, place, found, 0.0036 * (1.0 + 0.3 * share))
         whole = np.zeros(mesh.node_count)
         np.add.at(whole, patch.nodes[0], patch.barycentric_weights[0])
         return whole

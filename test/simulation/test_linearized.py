@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation, linearized
+from softrobot_twin.simulation.contact_solvers import ContactSolvers
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.time_budget import StageClock
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
@@ -73,14 +74,13 @@ def test_an_open_contact_that_closes_in_the_step_is_found(rubbing, counted, monk
 
 def test_the_answer_without_open_contacts_solves_the_problem_of_all(rubbing, counted, monkeypatch):
     simulation, whole = Simulation(rubbing), Simulation(rubbing)
-    solvers, problems = whole._direct._solvers, []
-    solve = solvers.solve
+    solve, problems = ContactSolvers.solve, []
 
-    def seen(problem, *given):
+    def seen(self, problem, *given):
         problems.append(problem)
-        return solve(problem, *given)
+        return solve(self, problem, *given)
 
-    solvers.solve = seen
+    monkeypatch.setattr(ContactSolvers, "solve", seen)
     judge = ContactGaussSeidel(TOLERANCE, 0)
     for step in range(STEPS):
         whole.restore(simulation.state)
@@ -88,7 +88,7 @@ def test_the_answer_without_open_contacts_solves_the_problem_of_all(rubbing, cou
         with monkeypatch.context() as everything:
             everything.setattr(linearized, "worth_leaving_out", lambda *_: False)
             rub(whole, step, step + 1)
-        multipliers = simulation._newton._multipliers
+        multipliers = simulation.newton.multipliers
         judged = judge.solve(problems[-1].with_matrix(), multipliers)
         assert judged.gap_residual <= TOLERANCE
         assert judged.force_residual <= 1.1e-6 * multipliers.max()
@@ -199,12 +199,12 @@ def linearized_now(simulation):
     """The linearization at a simulation's state."""
     state = simulation.state
     clock = StageClock()
-    return simulation._newton.linearize(state.positions.copy(), state.efforts, clock)
+    return simulation.newton.linearize(state.positions.copy(), state.efforts, clock)
 
 
 def of_stacked_rows(simulation):
     """W = H A⁻¹ Hᵀ and δ_free of all stacked rows, by one solve for each row."""
-    model, forces = simulation.model, simulation._newton._forces
+    model, forces = simulation.model, simulation.newton.forces
     rows, solve = model.rows, model.factorization.solve
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
     columns = H.transposed(len(forces))

@@ -39,7 +39,7 @@ def test_good_moves_are_made_without_a_search(beam, searches):
 
 def test_without_a_search_results_are_the_same_bits_as_without_a_merit(beam, rod, searches):
     simulation, plain = beam(rod), beam(rod)
-    plain._newton._merit = None
+    plain.newton.merit = None
     ends = [wind(made, 0.3 * WOUND)[-1].state.positions for made in (simulation, plain)]
     assert not searches
     np.testing.assert_array_equal(*ends)
@@ -57,10 +57,10 @@ def test_a_move_that_is_too_long_is_shortened_until_it_lowers_the_merit(beam, ro
     at_rest = simulation.state
     simulation.restore(State(bent, at_rest.setpoints, at_rest.efforts))
     simulation.step(Hold(0.02))
-    newton, merit = simulation._newton, simulation._newton._merit
+    newton, merit = simulation.newton, simulation.newton.merit
     assert merit.is_judging
     positions = simulation.state.positions.copy()
-    move = merit._move
+    move = newton.move
     start = move.start
     move.displacement *= too_long
     share = merit.search(positions, 1.0)
@@ -69,32 +69,30 @@ def test_a_move_that_is_too_long_is_shortened_until_it_lowers_the_merit(beam, ro
     def energy_change(to):
         """Work of the forces along the move, by many intervals."""
         at, total, count = start.copy(), 0.0, 200
-        previous = merit._energy_slope(at)
+        previous = merit.energy_slope(at)
         for part in np.arange(1, count + 1) / count:
             move.make(at, part * to)
-            power = merit._energy_slope(at)
+            power = merit.energy_slope(at)
             total += 0.5 * (previous + power) * to / count
             previous = power
         return total
 
     change = energy_change(share)
     for sign, at in ((1.0, positions), (-1.0, start)):
-        newton._forces_at(at)
-        change += sign * merit._penalty(at)
+        newton.gather_forces(at)
+        change += sign * merit.penalty(at)
     assert change < 0.0
 
 
 def test_a_second_try_is_judged_by_the_forces_where_it_begins(beam, monkeypatch):
     simulation = beam()
-    newton, slopes = simulation._newton, []
+    newton, slopes = simulation.newton, []
     begin = Merit.begin
 
     def noted(merit, actuation, slope):
         begin(merit, actuation, slope)
-        move = newton._move
-        newton._gather_forces(move.start)
-        newton._load(actuation)
-        slopes.append((slope, float(np.vdot(newton._forces, move.displacement))))
+        newton.residual(newton.move.start, actuation)
+        slopes.append((slope, float(np.vdot(newton.forces, newton.move.displacement))))
 
     monkeypatch.setattr(Merit, "begin", noted)
     monkeypatch.setattr(newton, "accepts", lambda *_: len(slopes) == 2)

@@ -84,7 +84,7 @@ def test_noisy_and_jumping_targets_invert_no_element(request, overloaded, robot,
         assert not result.status.is_failure and result.status is not Status.INVERTED
         assert report.is_overloaded and report.is_late == (report.factor_age == 0)
         if report.factor_age:
-            near = NEAR_BALANCE * (simulation._newton.constant_load + result.efforts.sum())
+            near = NEAR_BALANCE * (simulation.newton.constant_load + result.efforts.sum())
             # Slack cables load nothing: then it is in balance as exactly as the scene asks for.
             assert report.residual <= max(near, simulation.model.scene.solver.residual_tolerance)
 
@@ -146,7 +146,7 @@ def test_a_slowly_converging_factor_is_replaced_in_the_next_step_although_late(d
     tip, ages = simulation.effector_positions(), []
     for tick in range(300):
         target = tip + [[1e-4 * tick, 0.0, 0.0]]
-        worn = simulation._newton.is_worn
+        worn = simulation.newton.is_worn
         report = simulation.step(FollowTargets(target, PERIOD), budget=BUDGET).report
         if worn:
             assert report.factor_age == 0 and report.is_late and report.iterations == 1

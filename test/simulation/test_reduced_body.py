@@ -260,7 +260,7 @@ def test_the_compliance_and_its_derivative_are_those_of_the_full_model(pair):
         command = CommandSetpoints(simulation.rest_setpoints - [0.004, 0.001, 0.002, 0.0], 1.0)
         for _ in range(3):
             efforts = simulation.step(command).efforts
-        newton, positions = simulation._newton, simulation.state.positions.copy()
+        newton, positions = simulation.newton, simulation.state.positions.copy()
         newton.linearize(positions, efforts, StageClock())
         stiffness = ApparentStiffness(simulation.model)
         found.append(

@@ -213,7 +213,7 @@ def test_seen_from_the_base_no_step_raises_the_energy_however_the_slide_moves(
 ):
     print(f"seed {seed}")
     random, simulation = np.random.default_rng(seed), sliding(without_cables)
-    slides, merit = simulation.model.slides, simulation._newton._merit
+    slides, merit = simulation.model.slides, simulation.newton.merit
     simulation.restore(replace(simulation.state, positions=curled(simulation, 0.05)))
 
     def energy(positions):
@@ -274,8 +274,8 @@ def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(
     for position in np.linspace(0.0, 0.02, 21):
         result = slid_to(simulation, position, 1)
     assert result.report.contact_count > 0
-    newton, merit = simulation._newton, simulation._newton._merit
-    move, model = newton._move, simulation.model
+    newton, merit = simulation.newton, simulation.newton.merit
+    move, model = newton.move, simulation.model
     before = move.start.copy()
     move.take_back(before)
     slid = model.slides.positions(move.start) - model.slides.positions(before)
@@ -287,13 +287,13 @@ def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(
         state = replace(simulation.state, positions=at)
         return energies(SimpleNamespace(model=model, state=state))[0]
 
-    begin, step = merit._at_start(), 1e-4
+    begin, step = merit.at_start(), 1e-4
     slope = (energy(step) - energy(-step)) / (2.0 * step)
     assert begin.energy_slope == pytest.approx(slope, rel=1e-5)
     at = move.start.copy()
-    change = merit._try(at, 1.0, begin).change
-    newton._forces_at(at)
-    penalties = merit._penalty(at) - begin.penalty
+    change = merit.try_share(at, 1.0, begin).change
+    newton.gather_forces(at)
+    penalties = merit.penalty(at) - begin.penalty
     assert change - penalties == pytest.approx(energy(1.0) - energy(0.0), rel=1e-3)
 
 

@@ -95,7 +95,7 @@ def test_a_kept_state_is_in_balance_to_round_off(diamond):
     simulation = diamond()
     command = CommandSetpoints(simulation.rest_setpoints - [0.008, 0.001, 0.0, 0.004], STEP)
     kept = rests(simulation, command).state
-    simulation._may_rest = False
+    simulation.may_rest = False
     for _ in range(100):
         simulation.step(command)
     apart = np.abs(simulation.state.positions - kept.positions).max()

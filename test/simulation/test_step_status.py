@@ -11,6 +11,7 @@ from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
     Status,
+    inverse_actuation,
 )
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.result import RATE
@@ -34,7 +35,7 @@ def with_weight(weight):
 
 
 def load_of(simulation, result) -> float:
-    return simulation._newton.constant_load + result.efforts.sum()
+    return simulation.newton.constant_load + result.efforts.sum()
 
 
 @pytest.mark.parametrize("limits", [(), ("east.rate",), ("east.tension_max",), (REACH,)])
@@ -101,7 +102,7 @@ def test_a_rate_limit_is_reported_beside_an_unconverged_step(beam, rod):
 @pytest.mark.parametrize("time_step", [0.0, 0.01, 0.25])
 def test_time_and_step_count_advance_also_when_a_step_fails(diamond, monkeypatch, time_step):
     simulation = diamond()
-    newton = simulation._newton
+    newton = simulation.newton
     correct, ends = newton.correct, []
     for fails in (False, True, False, True, True):
         failing = lambda _, actuation, *__: (0.0, actuation)  # noqa: E731
@@ -119,14 +120,9 @@ def test_time_and_step_count_advance_also_when_a_step_fails(diamond, monkeypatch
 
 def test_keeping_a_state_because_every_step_inverts_is_a_failure(diamond, monkeypatch):
     simulation = diamond()
-    newton, before = simulation._newton, simulation.state
-    gather_forces = newton._gather_forces
-
-    def folded(positions):
-        gather_forces(positions)
-        newton.inverted_count = 3
-
-    monkeypatch.setattr(newton, "_gather_forces", folded)
+    term, before = simulation.model.forces[0], simulation.state
+    add_forces = term.add_forces
+    monkeypatch.setattr(term, "add_forces", lambda *given: add_forces(*given) + 3)
     target = simulation.effector_positions() + [[0.01, 0.0, 0.0]]
     result = simulation.step(FollowTargets(target, 0.02))
     assert result.status is Status.REFUSED and result.status.is_failure
@@ -178,10 +174,12 @@ def test_a_target_out_of_reach_is_not_attributed_to_a_small_energy_weight(reques
     assert not ends & {Status.OK, Status.LINEARIZED}
 
 
-def test_a_target_that_takes_several_steps_is_not_reported_as_unreachable(diamond):
+def test_a_target_that_takes_several_steps_is_not_reported_as_unreachable(
+    diamond, monkeypatch
+):
+    monkeypatch.setattr(inverse_actuation, "LONGEST_REACH", 0.01)
     simulation = diamond(without_rates)
     target = simulation.effector_positions() + [[0.01, 0.02, 0.012]]
-    simulation._inverse._steps._longest = 2e-3
     ends = []
     for _ in range(30):
         result = simulation.step(FollowTargets(target, 0.02))

@@ -11,6 +11,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status, Touched
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
+from softrobot_twin.simulation.stiffness_targets import StiffnessTargets
 
 FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "stifface.yaml"
 WHERE, NOWHERE = np.array([[0.0, 0.0, -1.0e-3]]), np.full((1, 3), np.nan)
@@ -148,7 +149,7 @@ def test_without_weight_nothing_is_computed_and_nothing_changes():
     one, other = same_to_the_bit(plain, unweighed)
     assert other.effector_stiffness is None and other.stiffness_errors is None
     assert "stiffness" not in other.report.stage_times
-    assert unweighed._stiffness is None and unweighed.stages == plain.stages
+    assert unweighed.stages == plain.stages
 
 
 def test_without_a_target_nothing_is_computed(pad):
@@ -158,9 +159,9 @@ def test_without_a_target_nothing_is_computed(pad):
 
 
 def test_warming_up_runs_what_a_message_may_ask_for(pad, monkeypatch):
-    asked, rows = [], pad._stiffness.rows
+    asked, rows = [], StiffnessTargets.rows
     monkeypatch.setattr(
-        pad._stiffness, "rows", lambda *arguments: asked.append(arguments[1]) or rows(*arguments)
+        StiffnessTargets, "rows", lambda *given: asked.append(given[2]) or rows(*given)
     )
     before = pad.state
     pad.warm_up()

@@ -484,7 +484,7 @@ def test_targets_of_nan_do_no_harm(beam):
     home = simulation.effector_positions()
     free = np.full_like(home, np.nan)
     near, far = home + [0.005, 0.0, -0.004], home + [0.6, 0.6, -0.6]
-    trust = simulation._inverse.trust
+    trust = simulation.inverse.trust
     for target in (free, far, free, near):
         for _ in range(2 * LONG_PATIENCE):
             result = simulation.step(FollowTargets(target, 0.02))
@@ -501,7 +501,7 @@ def test_the_weight_does_not_stay_where_the_nearest_place_is_reached(beam):
     for _ in range(100):
         result = simulation.step(FollowTargets(target, 0.02))
     assert result.status is Status.UNREACHABLE
-    assert simulation._inverse.trust.weight == 0.0
+    assert simulation.inverse.trust.weight == 0.0
 
 
 def test_what_is_learnt_is_forgotten_by_a_reset(beam, rod):
@@ -517,7 +517,7 @@ def test_what_is_learnt_is_forgotten_by_a_reset(beam, rod):
         lengths, weights = [], []
         for _ in range(100):
             lengths.append(simulation.step(FollowTargets(target, 0.02)).setpoints)
-            weights.append(simulation._inverse.trust.weight)
+            weights.append(simulation.inverse.trust.weight)
         return lengths, weights
 
     (first, weights), (again, _) = follow(), follow()

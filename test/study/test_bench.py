@@ -33,8 +33,8 @@ def measured(column):
     return measure(given_cases([column])[0], 5)
 
 
-def test_bench_runs_as_a_command_and_prints_every_stage(column, call):
-    done = call("bench", column, "--steps", 5)
+def test_bench_prints_and_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call):
+    done = call("bench", column, "--steps", 5, "--output", tmp_path / "made")
     assert done.code == 0, done.errors
     simulation = Simulation.from_scene_file(column)
     for words in (*simulation.stages, OUTSIDE, WHOLE_STEP, "one SuperLU factorization",
@@ -42,16 +42,10 @@ def test_bench_runs_as_a_command_and_prints_every_stage(column, call):
                   "factor's buffers", "multifrontal Cholesky", "garbage collection off"):
         assert words in done.output, words
     assert "required 0.16" not in done.output  # it is set for the default Diamond only
-
-
-def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call):
-    done = call("bench", column, "--steps", 5, "--output", tmp_path / "made")
-    assert done.code == 0, done.errors
     with (tmp_path / "made" / "bench.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == COLUMNS
-    stages = Simulation.from_scene_file(column).stages
-    assert [row["stage"] for row in rows] == [*stages, OUTSIDE, WHOLE_STEP]
+    assert [row["stage"] for row in rows] == [*simulation.stages, OUTSIDE, WHOLE_STEP]
     for row in rows:
         assert 0.0 < float(row["median_ms"]) <= float(row["p99_ms"]) <= float(row["max_ms"])
         assert row["growth_exponent"] == ""  # a single size has no growth

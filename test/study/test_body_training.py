@@ -241,6 +241,6 @@ def test_an_error_that_fresh_states_exceed_after_the_last_round_is_said(capsys):
     options = body_training.TrainingOptions(error=0.01)
     shares = np.array([0.001, 0.02, 0.005])
     judged = body_training.Judgement(shares * 0.1, shares)
-    assert not body_training._tell_whether_met(options, [], True, judged)
+    assert not body_training.tell_whether_met(options, [], True, judged)
     assert "is exceeded at 1 of the 3 fresh states" in capsys.readouterr().err
-    assert body_training._tell_whether_met(options, [], True, judged._replace(shares=shares / 3))
+    assert body_training.tell_whether_met(options, [], True, judged._replace(shares=shares / 3))

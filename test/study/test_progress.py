@@ -24,37 +24,25 @@ def clock(monkeypatch):
     return now
 
 
-def lines_of(clock, total, step_time, count=None, completed=0):
-    """Lines of a run whose steps take a time each [s]."""
+@pytest.mark.parametrize(("total", "step_time", "count", "completed", "line_count", "told"), [
+    (1000, 0.004, 1000, 0, 0, {}),  # a short run
+    (1000, 0.125, 1000, 0, 10, {0: "robot: 40 of 1000, about 2 minutes left, ok",
+                                5: "robot: 540 of 1000, about 60 s left, ok"}),
+    (100_000, 0.125, 3000, 0, 13, {1: "robot: 280 of 100000, about 3.5 hours left, ok"}),
+    (1000, 1.0, 6, 500, 1, {0: "robot: 505 of 1000, about 8 minutes left, ok"}),  # goes on
+])  # fmt: skip
+def test_a_long_run_prints_a_line_for_each_tenth_or_half_minute_with_the_time_left(
+    clock, total, step_time, count, completed, line_count, told
+):
     stream = io.StringIO()
     with PipedProgress(stream) as bar:
         task = bar.add_task("robot", total=total, completed=completed, note="")
-        for _ in range(total if count is None else count):
+        for _ in range(count):
             clock[0] += step_time
             bar.update(task, advance=1, note="ok")
-    return stream.getvalue().splitlines()
-
-
-def test_a_short_run_prints_nothing_through_a_pipe(clock):
-    assert lines_of(clock, 1000, 0.004) == []
-
-
-def test_a_long_run_prints_a_line_for_each_tenth_with_the_time_left(clock):
-    lines = lines_of(clock, 1000, 0.125)
-    assert lines[0] == "robot: 40 of 1000, about 2 minutes left, ok"
-    assert lines[5] == "robot: 540 of 1000, about 60 s left, ok"
-    assert len(lines) == 10
-
-
-def test_a_very_long_run_prints_a_line_every_half_minute(clock):
-    lines = lines_of(clock, 100_000, 0.125, count=3000)
-    assert lines[1] == "robot: 280 of 100000, about 3.5 hours left, ok"
-    assert len(lines) == 13
-
-
-def test_parts_that_were_done_before_do_not_shorten_the_estimate(clock):
-    lines = lines_of(clock, 1000, 1.0, count=6, completed=500)
-    assert lines == ["robot: 505 of 1000, about 8 minutes left, ok"]
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == line_count
+    assert {place: lines[place] for place in told} == told
 
 
 def test_standard_error_that_is_no_terminal_gets_lines(monkeypatch):

@@ -174,7 +174,7 @@ def test_a_state_of_a_target_has_the_effector_near_it(finder):
 
 def test_a_target_that_a_whole_step_misses_is_sought_anew(finder, monkeypatch):
     """The first way is cut after one step, which ends far from targets across the workspace."""
-    size, follow = finder.simulation.model.nodes.size, StateFinder._follow
+    size, follow = finder.simulation.model.nodes.size, StateFinder.follow
     calls = []
 
     def cut_short(self, wanted, is_last):
@@ -188,7 +188,7 @@ def test_a_target_that_a_whole_step_misses_is_sought_anew(finder, monkeypatch):
     targets[1, 0], targets[2, 0] = [0.015, 0.008, 0.098], [0.006, 0.013, 0.098]
     plain = finder(drawn)
     assert plain.is_found.all() and not plain.has_missed(size).any()
-    monkeypatch.setattr(StateFinder, "_follow", cut_short)
+    monkeypatch.setattr(StateFinder, "follow", cut_short)
     states = finder(drawn)
     assert len(calls) > 2 and states.is_found.all() and not states.has_missed(size).any()
     np.testing.assert_allclose(states.effectors[1:, 0], targets[1:, 0], atol=1.1e-3 * size)

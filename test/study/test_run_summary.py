@@ -43,17 +43,56 @@ def row(simulation, step, *, errors=(np.nan,), shortening=0.0, tension=1.0, limi
                   np.array(sums, float))
 
 
-def lines_of(simulation, *rows, **options):
-    summary = RunSummary(simulation, **options)
+BARE = """\
+steps: 2, 0.1 s at their end
+tip, at the end: [0, 0, 0] mm
+cable_0: shortening [0, 0] mm, tension [1, 1] N
+cable_1: shortening [0, 1] mm, tension [1, 1] N
+residual, max: 0.001 N
+compute time: median 2.00 ms, p99 2.00 ms, max 2.00 ms
+status ok: 2 steps"""
+FULL = """\
+steps: 4, 0.3 s at their end
+tip, tracking error: mean 2.0000 mm, max 3.0000 mm at 0.1 s
+side, tracking error: mean 0.5000 mm, max 1.0000 mm at 0.1 s
+hub_0, highest: +0.00 mm at 0.00 s
+hub_1, highest: +3.00 mm at 0.30 s
+cable_0, cable_1, cable_2: shortening [0, 0] mm, tension [0, 2.5] N
+contacts, maximum: 2
+force on tip by wall: resultant median 0.000 N, max 0.000 N; sum of magnitudes median 2.000 N, \
+max 2.000 N; touching in 25 % of steps
+limits met most: cable_0.rate 50 %, cable_1.tension_max 25 % of steps
+residual, max: 0.001 N
+compute time: median 2.00 ms, p99 2.00 ms, max 2.00 ms
+status linearized: 1 steps
+status ok: 3 steps, the last too"""
+MANY = """\
+steps: 3, 0.2 s at their end
+tip, at the end: [0, 0, 0] mm
+highest of 9: hub_8 +16.00 mm at 0.20 s
+40 cables: shortening [0, 39] mm of cable_39, tension [1, 1] N of cable_0
+residual, max: 0.001 N
+compute time: median 2.00 ms, p99 2.00 ms, max 2.00 ms
+status ok: 3 steps"""
+WITH_ALL = scene_of(3, ("tip", "side", "free"), (("tip", "wall"), ("tip", "floor")), 2)
+
+
+@pytest.mark.parametrize(("simulation", "rows", "printed"), [
+    (scene_of(), ({}, {"shortening": 1e-3}), BARE),
+    (WITH_ALL, (
+        {"status": Status.LINEARIZED, "errors": (1e-3, 0.0, np.nan), "tension": 0.0,
+         "limits": ("cable_0.rate",), "sums": (0.0, 0.0)},
+        {"errors": (3e-3, 1e-3, np.nan), "tension": 2.5, "sums": (2.0, 0.0),
+         "limits": ("cable_0.rate", "cable_1.tension_max")},
+        *2 * ({"errors": (2e-3, 0.5e-3, np.nan), "sums": (0.0, 0.0)},)), FULL),
+    (scene_of(cables=40, bodies=9), ({}, {"shortening": 1e-3}, {}), MANY),
+], ids=["bare", "full", "many"])  # fmt: skip
+def test_what_a_run_had_is_told_and_nothing_else(simulation, rows, printed):
+    """Errors of effectors with targets, pairs that touched, limits met; alike things in one row."""
+    summary = RunSummary(simulation)
     for step, given in enumerate(rows):
         summary.add(row(simulation, step, **given))
-    return dict(summary.lines())
-
-
-def test_a_run_without_targets_contacts_or_limits_has_no_rows_of_them():
-    lines = lines_of(scene_of(), {}, {"shortening": 1e-3})
-    assert list(lines) == ["steps", "tip, at the end", "cable_0", "cable_1", "residual, max",
-                           "compute time", "status ok"]
+    assert "\n".join(f"{name}: {text}" for name, text in summary.lines()) == printed
 
 
 @pytest.mark.parametrize(
@@ -70,51 +109,3 @@ def test_the_exit_code_tells_rows_without_solution_and_a_last_row_that_is_not_go
     for step, status in enumerate(statuses):
         summary.add(row(simulation, step, status=Status(status)))
     assert summary.exit_code == code
-
-
-def test_of_several_statuses_the_one_at_the_end_is_told():
-    lines = lines_of(scene_of(), {"status": Status.LINEARIZED}, {}, {})
-    assert lines["status linearized"] == "1 steps"
-    assert lines["status ok"] == "2 steps, the last too"
-
-
-def test_errors_are_told_for_each_effector_that_has_targets():
-    simulation = scene_of(effectors=("tip", "side", "free"))
-    lines = lines_of(simulation, {"errors": (1e-3, 0.0, np.nan)}, {"errors": (3e-3, 1e-3, np.nan)})
-    assert lines["tip, tracking error"] == "mean 2.0000 mm, max 3.0000 mm at 0.1 s"
-    assert lines["side, tracking error"].startswith("mean 0.5000 mm")
-    assert not any(name.startswith("free") for name in lines)
-
-
-def test_actuators_with_the_same_ranges_share_a_row():
-    lines = lines_of(scene_of(cables=3), {"tension": 0.0}, {"tension": 2.5})
-    assert lines["cable_0, cable_1, cable_2"] == "shortening [0, 0] mm, tension [0, 2.5] N"
-
-
-def test_many_actuators_are_one_row_that_names_the_largest():
-    lines = lines_of(scene_of(cables=40), {}, {"shortening": 1e-3})
-    told = [text for name, text in lines.items() if "cable" in name]
-    assert told == [lines["40 cables"]]
-    assert told[0].startswith("shortening [0, 39] mm of cable_39, tension [1, 1] N")
-
-
-def test_limits_are_told_by_how_often_they_were_met():
-    lines = lines_of(scene_of(), {"limits": ("cable_0.rate",)},
-                     {"limits": ("cable_0.rate", "cable_1.tension_max")}, {}, {})
-    assert lines["limits met most"] == "cable_0.rate 50 %, cable_1.tension_max 25 % of steps"
-
-
-def test_pairs_that_touched_are_told_and_no_others():
-    simulation = scene_of(pairs=(("tip", "wall"), ("tip", "floor")))
-    lines = lines_of(simulation, {"sums": (0.0, 0.0)}, {"sums": (2.0, 0.0)})
-    assert "touching in 50 % of steps" in lines["force on tip by wall"]
-    assert "force on tip by floor" not in lines and lines["contacts, maximum"] == "2"
-
-
-@pytest.mark.parametrize(("bodies", "expected"), [
-    (2, {"hub_0, highest": "+0.00 mm at 0.00 s", "hub_1, highest": "+2.00 mm at 0.20 s"}),
-    (9, {"highest of 9": "hub_8 +16.00 mm at 0.20 s"}),
-])
-def test_of_many_bodies_the_highest_is_told(bodies, expected):
-    lines = lines_of(scene_of(bodies=bodies), {}, {}, {})
-    assert {name: text for name, text in lines.items() if "highest" in name} == expected

@@ -154,7 +154,8 @@ def drawn(shots):
     pyplot.close("all")
 
 
-@pytest.mark.parametrize("name", KINDS)
+# Together they have all kinds.
+@pytest.mark.parametrize("name", ["stifface", "springy", "strider", "trunk"])
 def test_the_legend_names_all_that_a_scene_has_and_nothing_else(name, drawn):
     (legend,) = drawn(name).legends
     texts = [text.get_text() for text in legend.get_texts()]
@@ -162,7 +163,7 @@ def test_the_legend_names_all_that_a_scene_has_and_nothing_else(name, drawn):
 
 
 @pytest.mark.parametrize(("name", "view"), [
-    *((name, None) for name in KINDS), ("stifface", (90.0, 0.0)), ("strider", (0.0, -90.0))])
+    ("stifface", None), ("stifface", (90.0, 0.0)), ("strider", (0.0, -90.0))])
 def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view, drawn, check_texts):
     check_texts(drawn(name) if view is None else drawn(name, view))
 
@@ -187,9 +188,9 @@ def test_labels_name_every_thing_once_and_alike_ones_together(shots):
 
 
 def test_labels_are_a_step_apart_and_move_as_little_as_possible():
-    assert scene_picture._spread([0.0, 1.0, 2.0], 0.2) == [0.0, 1.0, 2.0]
-    np.testing.assert_allclose(scene_picture._spread([0.0, 0.0, 2.0], 0.2), [-0.1, 0.1, 2.0])
-    crowded = scene_picture._spread([0.0, 0.0, 0.05, 0.3, 0.3], 0.2)
+    assert scene_picture.spread([0.0, 1.0, 2.0], 0.2) == [0.0, 1.0, 2.0]
+    np.testing.assert_allclose(scene_picture.spread([0.0, 0.0, 2.0], 0.2), [-0.1, 0.1, 2.0])
+    crowded = scene_picture.spread([0.0, 0.0, 0.05, 0.3, 0.3], 0.2)
     np.testing.assert_array_less(0.2 - 1e-12, np.diff(crowded))
 
 

@@ -24,7 +24,7 @@ def test_a_short_sweep_follows_its_profile_and_is_drawn(program, tmp_path, capsy
     assert made.pressed == pytest.approx(200.0, rel=0.05) and np.isnan(made.device).all()
     program.draw_sweep(made, tmp_path / "sweep.png")
     assert (tmp_path / "sweep.png").stat().st_size > 10_000
-    program._print_sweep(made)
+    program.print_sweep(made)
     assert "the model at each step" in capsys.readouterr().out
 
 
@@ -33,7 +33,7 @@ def test_the_reach_is_drawn_over_the_whole_pad(program, tmp_path, capsys):
     made = program.Reach(places, np.array([100.0, 200.0, 300.0]), np.array([400.0, 600.0, 600.0]))
     program.draw_reach(made, tmp_path / "reach.png")
     assert (tmp_path / "reach.png").stat().st_size > 10_000
-    program._print_reach(made)
+    program.print_reach(made)
     assert "4.00" in capsys.readouterr().out
 
 

@@ -112,7 +112,7 @@ def test_a_vacuum_is_as_strong_a_colour_as_the_same_pressure():
     # Beyond the range it is the colour of the range's end.
     assert (weak[0] == weak[1]).all() and (weak[0] == strong[0]).all()
     assert (weak[2] == pressure_colours(np.array([20.0e3]), (0.0, 20.0e3))[0]).all()
-    lab = module._to_oklab(np.array([weak[0], pressure_colours([0.0], (0.0, 1.0))[0]])[:, :3] / 255)
+    lab = module.to_oklab(np.array([weak[0], pressure_colours([0.0], (0.0, 1.0))[0]])[:, :3] / 255)
     assert np.linalg.norm(lab[0] - lab[1]) < 0.02
 
 
