@@ -240,7 +240,7 @@ class Witness:
         """Disables the twin, measures, and enables it, as an operator does after a fault."""
         self.measure_until_uncontested()
         for is_on in (False, True):
-            response = self._twin._enable(SetBool.Request(data=is_on), SetBool.Response())
+            response = self._twin.enable(SetBool.Request(data=is_on), SetBool.Response())
             assert response.success, response.message
 
     def ticks_until_a_command(self, most):

@@ -71,7 +71,7 @@ def test_the_ghost_of_a_twin_of_another_name_blocks_no_enabling(world, make_twin
     refused = twin.enable(request, SetBool.Response())
     assert not refused.success and "commanded by /other" in refused.message
     other.stop()
-    other._claim.close()  # As a crash does: its publishers stay in the graph.
+    other.claim.close()  # As a crash does: its publishers stay in the graph.
     time.sleep(LIFE_TIME + 0.2)
     assert twin.enable(request, SetBool.Response()).success
     # A publisher that is no twin still does.
