@@ -47,6 +47,8 @@ class DiagnosticsWindow:
         blocked: Number of commands that the gate rejected.
         violated: Limits that these commands violated.
         causes: Number of ticks that held or published nothing, by cause.
+        sources: Kinds of messages that moved a target last, as `TargetReading.source` tells them.
+        source_changes: How often the kind changed from tick to tick.
         tracking_error_max: Largest distance of an effector from its target [m]; NaN without one.
         left_out: Number of ticks in which a marker was left out as implausible, by its id.
         contact_count_max: Largest number of contacts with force at once.
@@ -80,6 +82,8 @@ class DiagnosticsWindow:
         self.violated: set[str] = set()
         self.causes: dict[str, int] = {}
         self.tracking_error_max = float("nan")
+        self.sources: set[str] = set()
+        self.source_changes = 0
         self.left_out: dict[int, int] = {}
         self.contact_count_max = self.contact_sweeps_max = 0
         self.contact_residual_max = self.contact_force_residual_max = self.overlap_max = 0.0
@@ -89,6 +93,9 @@ class DiagnosticsWindow:
 
     def add(self, outcome: TickOutcome) -> None:
         """Adds a tick."""
+        source = outcome.reading.source
+        self.source_changes += self.newest is not None and self.newest.reading.source != source
+        self.sources.add(source)
         self.add_again(outcome)
         result, report = outcome.result, outcome.result.report
         if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):

@@ -10,6 +10,7 @@ from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.simulation import Status
+from softrobot_twin.simulation.result import RATE
 
 REPORTED_SHARE = 0.03
 """A tracking error above this share of the robot's size is reported with its cause."""
@@ -90,7 +91,16 @@ def _what_stops(signs: TrackingSigns) -> str:
         return signs.holding
     if signs.kept_back:
         return "commands kept back: " + ", ".join(signs.kept_back)
-    return f"step {signs.worst.value}" if signs.worst.is_failure else ""
+    if signs.worst is Status.SATURATED and (limits := _limits_but_rates(signs)):
+        return limits
+    stops = signs.worst.is_failure or signs.worst is Status.UNREACHABLE
+    return f"step {signs.worst.value}" if stops else ""
+
+
+def _limits_but_rates(signs: TrackingSigns) -> str:
+    """The active limits that are no rates, in words; empty where none is active."""
+    names = [name for name in signs.limits if not name.endswith(RATE)]
+    return "limit: " + ", ".join(names) if names else ""
 
 
 def _what_slows(signs: TrackingSigns) -> str:
@@ -98,17 +108,13 @@ def _what_slows(signs: TrackingSigns) -> str:
         return f"late: {signs.late} of {signs.ticks + signs.late} ticks"
     if signs.overloaded > OFTEN * signs.ticks:
         return f"overload: {signs.overloaded} of {signs.ticks} ticks with a stale factor"
-    rates = [name for name in signs.limits if name.endswith(".rate")]
-    others = [name for name in signs.limits if name not in rates]
     # A slack cable at its limit does not limit the effector while other actuators still move.
-    if rates and signs.worst is not Status.SATURATED:
+    if rates := [name for name in signs.limits if name.endswith(RATE)]:
         return "rate limit: " + ", ".join(rates)
-    if others:
-        return "limit: " + ", ".join(others)
+    if limits := _limits_but_rates(signs):
+        return limits
     if signs.approaching and signs.worst in _GOES_ON:
         return "approaching at approach_speed"
-    if signs.worst is Status.UNREACHABLE:
-        return f"step {signs.worst.value}"
     if signs.device_lag > signs.reported_above / 2.0:
         return f"the device differs from its command by {_MILLI * signs.device_lag:.1f} mm"
     if signs.device_off:

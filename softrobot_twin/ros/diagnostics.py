@@ -17,6 +17,7 @@ from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.ros.ticking_node import publisher_names
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.actuators import Actuators
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 _MILLI = 1.0e3
 
 
+_BY_TURNS = 3
+"""So many changes of the kind of targets in a second are of two that send by turns."""
 _EXCEEDED = ".force_limit_exceeded"
 
 
@@ -461,6 +464,9 @@ class TwinDiagnostics:
             return WARN, f"{refused} messages refused", values
         if clamped:
             return WARN, f"{clamped} times limited to the workspace", values
+        if window.source_changes >= _BY_TURNS:
+            kinds = " and ".join(sorted(window.sources))
+            return WARN, f"targets by turns as {kinds}, the newest counts: {self._senders()}", values
         message = window.newest.activity.value
         if cause:
             error = window.tracking_error_max * _MILLI
@@ -468,6 +474,14 @@ class TwinDiagnostics:
         if window.newest.cause:
             message += f": {window.newest.cause}"
         return (WARN if "timeout" in window.newest.cause else OK), message, values
+
+    def _senders(self) -> str:
+        """The topics of targets that nodes publish on, with their names."""
+        node, found = self._node, []
+        for topic in () if node is None else node.topics_of_targets():
+            if names := publisher_names(node, topic):
+                found.append(f"{topic} ({names})")
+        return ", ".join(found)
 
     def _of_graph(self, node: TwinNode):
         clashes = node.clashes

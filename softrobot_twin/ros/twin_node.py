@@ -543,6 +543,11 @@ class TwinNode(TickingNode):
         self._yield_to_rivals()
         super().watch_graph()
 
+    def topics_of_targets(self) -> list[str]:
+        """Full names of the topics of points, poses and velocities."""
+        return [one.topic_name for one in self._commands
+                if one.msg_type in (PointStamped, PoseStamped, Twist)]  # fmt: skip
+
     def ghosts(self) -> set[tuple[str, str]]:
         """The twins that claim these topics in the graph, where none of them lives but this one."""
         return publishing_nodes(self, self.claim.claimed_on) if self.claim.is_alone else set()

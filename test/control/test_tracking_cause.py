@@ -30,6 +30,8 @@ def test_a_small_error_has_no_cause(error):
         ({"holding": "device lost"}, "device lost"),
         ({"kept_back": ("north.rate",)}, "commands kept back: north.rate"),
         ({"worst": Status.DIVERGED}, "step diverged"),
+        ({"late": 30, "worst": Status.UNREACHABLE}, "step unreachable"),
+        ({"late": 30, "worst": Status.SATURATED, "limits": ("a.reach",)}, "limit: a.reach"),
         ({"late": 30}, "late: 30 of 80 ticks"),
         ({"overloaded": 20}, "overload: 20 of 50 ticks with a stale factor"),
         (
@@ -85,6 +87,22 @@ def test_the_observed_symptoms_are_read_from_a_loop(drive):
     driver.outcomes.clear()
     driver.tick(5)
     assert account(driver) == ""
+
+
+def test_a_target_out_of_reach_is_approached_and_then_its_limits_are_the_cause(drive):
+    driver = drive(approach_speed=0.03)
+    driver.target(0.0, 0.0, 0.25)
+    driver.tick(4)
+    assert account(driver) == "approaching at approach_speed"
+    driver.tick(300)
+    driver.outcomes.clear()
+    driver.tick(50)
+    # Each step aims at a point on the line, and the tip stands still: nothing is approached.
+    assert all(outcome.is_approaching for outcome in driver.outcomes)
+    assert {outcome.result.status for outcome in driver.outcomes} == {Status.SATURATED}
+    for late in (0, 40):
+        cause = account(driver, late)
+        assert cause.startswith("limit: ") and "north.shortening_max" in cause
 
 
 def test_a_wrong_model_and_an_approach_have_different_causes(drive):

@@ -5,11 +5,12 @@ import time
 from functools import partial
 
 import pytest
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, Twist
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool
 
+from softrobot_twin.ros import twin_node
 from softrobot_twin.ros.claim import LIFE_TIME, Rival, TopicClaim
 from softrobot_twin.ros.messages import cables_message
 from softrobot_twin.ros.twin_node import TwinNode
@@ -117,6 +118,31 @@ def test_two_publishers_of_targets_are_named_and_not_followed(world, make_twin):
         speakers[0].publish(world.target_message((0.01, 0.0, 0.134)))
         world.run(0.02)
     assert twin.window.newest.cause == ""
+
+
+def test_two_nodes_that_give_a_point_and_a_velocity_by_turns_are_named(
+    world, make_twin, diagnostics, monkeypatch
+):
+    monkeypatch.setattr(twin_node, "_DIAGNOSTICS_PERIOD", 1.0)
+    make_twin(rate=50.0)
+    points = world.speaker(PointStamped, "/twin/target/tip")
+    velocities = world.speaker(Twist, "/twin/target_velocity")
+
+    def speak_by_turns():
+        points.publish(world.target_message((0.0, 0.0, 0.134)))
+        world.run(0.05)
+        velocities.publish(Twist())
+        world.run(0.05)
+        return [status for message in diagnostics.messages for status in message.status
+                if "by turns" in status.message]  # fmt: skip
+
+    world.until(speak_by_turns)
+    found = speak_by_turns()[0]
+    assert found.level == b"\x01"
+    assert found.message == (
+        "targets by turns as point and velocity, the newest counts: "
+        "/twin/target/tip (/probe), /twin/target_velocity (/probe)"
+    )
 
 
 def test_two_devices_disable_a_running_twin_and_are_named(world, make_twin):
