@@ -59,8 +59,8 @@ def test_the_closed_loop_cuts_the_mean_error_to_a_fifth(drive, robot):
     path = Circle((0.0, 0.0, 0.136), 0.02, 7.5).position
 
     def mean_error(closed):
-        robot._simulation.reset()
-        device = SimulatedDevice(robot._simulation, FLAWS)
+        robot.simulation.reset()
+        device = SimulatedDevice(robot.simulation, FLAWS)
         driver = drive(closed_loop=closed, correction_gain=5.0, correction_limit=0.01)
         driver.loop.simulation.reset()
         return track(driver, device, path, 200)[20:].mean()
