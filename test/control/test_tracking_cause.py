@@ -90,11 +90,11 @@ def test_the_observed_symptoms_are_read_from_a_loop(drive):
 
 
 def test_a_target_out_of_reach_is_approached_and_then_its_limits_are_the_cause(drive):
-    driver = drive(approach_speed=0.03)
+    driver = drive(approach_speed=0.01)
     driver.target(0.0, 0.0, 0.25)
-    driver.tick(4)
+    driver.tick(2)
     assert account(driver) == "approaching at approach_speed"
-    driver.tick(300)
+    driver.tick(600)
     driver.outcomes.clear()
     driver.tick(50)
     # Each step aims at a point on the line, and the tip stands still: nothing is approached.
