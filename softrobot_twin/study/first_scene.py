@@ -44,8 +44,9 @@ _TETS = 2000.0
 _IN_FACE = 1.0e-5
 # A flat end face of less than this share of the box around the section is a rim, not an end.
 _LEAST_END = 0.1
-# A body stands on what is lowest if that surrounds this share of its outline from above.
-_LEAST_FLOOR = 0.5
+# A body stands on what is lowest if that surrounds this share of its outline from above; on flat
+# feet if they surround that share: three at the rim of a disc surround two fifths of it.
+_LEAST_FLOOR, _LEAST_FEET = 0.5, 0.2
 # Without a flat face this share of the length is fixed.
 _SLAB = 0.05
 # Where the points of the examples of cables lie along the body.
@@ -159,12 +160,12 @@ def guess(reading: MeshReading) -> Guess:
 def _stands(points: np.ndarray, on_flat_faces: bool) -> bool:
     """Whether a body stands on the floor: its lowest points surround enough of what is above."""
     heights = points[:, 2] - points[:, 2].min()
-    reach = _IN_FACE if on_flat_faces else _SLAB
+    reach, share = (_IN_FACE, _LEAST_FEET) if on_flat_faces else (_SLAB, _LEAST_FLOOR)
     try:
         floor = ConvexHull(points[heights <= reach * heights.max()][:, :2]).volume
     except (QhullError, ValueError):  # fewer than three points, or all on a line
         return False
-    return floor >= _LEAST_FLOOR * ConvexHull(points[:, :2]).volume
+    return floor >= share * ConvexHull(points[:, :2]).volume
 
 
 def _flat_area(points, triangles, axis: int, end: float) -> float:
