@@ -127,18 +127,16 @@ def line_of_key(path: Path, key: str) -> int | None:
         return None
     line = None
     for part in places:
-        if isinstance(part, int):
-            if isinstance(node, yaml.SequenceNode) and part < len(node.value):
-                node = node.value[part]
-                line = node.start_mark.line + 1
-            elif not isinstance(node, yaml.MappingNode):  # one entry in place of a list
-                break
-        else:
-            pairs = node.value if isinstance(node, yaml.MappingNode) else ()
-            named = [pair for pair in pairs if pair[0].value == part]
-            if not named:
-                break
-            line, node = named[0][0].start_mark.line + 1, named[0][1]
+        items = node.value if isinstance(node, yaml.SequenceNode) else ()
+        if isinstance(part, int) and part < len(items):
+            node = items[part]
+            line = node.start_mark.line + 1
+            continue
+        pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+        named = [pair for pair in pairs if pair[0].value == str(part)]
+        if not named:  # or one entry in place of a list
+            break
+        line, node = named[0][0].start_mark.line + 1, named[0][1]
     return line
 
 

@@ -162,6 +162,14 @@ def test_a_missing_key_has_the_line_of_its_section(tmp_path):
     assert str(error.value).startswith(f"{file}:8: springs[0].stiffness = '(nothing)'")
 
 
+def test_a_key_that_is_a_number_has_its_line(tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text(SPRING + "7: 8\n")
+    with pytest.raises(SceneError, match="a key must be a word") as error:
+        load_scene(file)
+    assert error.value.line == SPRING.count("\n") + 1
+
+
 def test_an_error_in_a_value_of_several_kinds_is_one_error_at_its_key(tmp_path):
     file = tmp_path / "scene.yaml"
     file.write_text("name: a\nbeams:\n  - name: b\n    joined:\n      - {at: middle, to: world}\n")

@@ -56,10 +56,8 @@ def lengths(result, names):
 
 
 @pytest.mark.parametrize("case", range(3))
-def test_commands_of_redundant_cables_rest(case):
-    seed = np.random.SeedSequence().entropy
-    print("seed", seed)
-    rng = np.random.default_rng(seed)
+def test_commands_of_redundant_cables_rest(case, drawn_rng):
+    rng = drawn_rng
     robot = beam(rng, int(rng.integers(2, 5)))
     goal = np.array([LENGTH * (1 - rng.uniform(0.02, 0.3)), 0.0, LENGTH * rng.uniform(-0.4, 0.4)])
     names, late = robot.simulation.actuators.names, []
