@@ -232,6 +232,10 @@ TWIN_TOPICS = _by_name(
           "that holds it; of a motor of a hinge its angle [rad] and torque [N m]; of a cavity its "
           "gauge pressure [Pa] in both, or with `control: volume` its volume [m³] and gauge "
           "pressure [Pa]"),
+    Topic("~/cable_paths", OUT, JointState, NEWEST, "m",
+          "`position` = length of each cable's path through the body [m], which is shorter than its "
+          "length in `~/cables`, that of its winch, where the cable is slack; only in scenes with "
+          "cables, and while somebody receives it"),
     Topic("~/cables/claim", OUT, String, CLAIM, "",
           "five times a second: that this twin lives, and whether it is enabled; below the name to "
           "which `~/cables` is remapped. Twins on the same topic hear each other by it: the later "

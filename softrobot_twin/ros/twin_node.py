@@ -165,6 +165,32 @@ class SolidOutputs:
         return is_heard or bool(self._sent) or self._contacts is not None
 
 
+class CablePathOutput:
+    """Publishes the lengths of the paths of cables, which are computed only while somebody receives
+    them.
+
+    Args:
+        node: The twin.
+        simulation: Its model.
+    """
+
+    def __init__(self, node: Node, simulation: Simulation):
+        self._actuators = simulation.actuators
+        self._publisher = None
+        if any(kind.one_sided for kind in self._actuators.kinds):
+            self._publisher = open_publisher(node, TOPICS["~/cable_paths"])
+
+    def publish(self, outcome: TickOutcome, header: Header) -> bool:
+        """Publishes a tick if somebody listens; false where nobody does."""
+        if self._publisher is None or not self._publisher.get_subscription_count():
+            return False
+        paths = self._actuators.path_lengths(outcome.result.state.positions)
+        self._publisher.publish(
+            JointState(header=header, name=list(paths), position=list(paths.values()))
+        )
+        return True
+
+
 class ComplianceOutputs:
     """Publishes compliances and Jacobians of the effectors. Nothing is computed, nor memory
     allocated for it, until one of them is received.
@@ -357,6 +383,7 @@ class TwinNode(TickingNode):
         ]
         self._solids = SolidOutputs(self, simulation)
         self._compliances = ComplianceOutputs(self, self.loop)
+        self._cable_paths = CablePathOutput(self, simulation)
         values = self._values
         self.visualization = VisualizationOutput(
             self, simulation, self.loop_frame, float(values["visualization_rate"])
@@ -621,7 +648,7 @@ class TwinNode(TickingNode):
         if wants_markers:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
-        outputs = (self._solids, self._compliances, self._transforms)
+        outputs = (self._solids, self._compliances, self._cable_paths, self._transforms)
         self._has_listeners = any([
             wants_markers, *(output.publish(outcome, header) for output in outputs)
         ])  # fmt: skip

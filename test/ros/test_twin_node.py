@@ -223,3 +223,23 @@ def test_in_direct_mode_targets_are_ignored(world, make_twin):
     twin = make_twin(mode="direct")
     assert twin.count_subscribers("/twin/target/tip") == 0
     assert twin.count_subscribers("/twin/target_velocity") == 0
+
+
+def test_the_path_of_a_slack_cable_is_shorter_than_its_length_and_is_given_to_who_listens(
+    world, make_twin
+):
+    twin = make_twin(mode="direct", message_timeout=0.0)
+    cables, paths = (world.hear(JointState, f"/twin/{topic}", 100) for topic in ("cables", "cable_paths"))
+    names = twin.loop.simulation.actuator_names
+    lengths = twin.loop.simulation.rest_setpoints - [0.012, 0.0, 0.012, 0.0]
+    commands = world.speaker(JointState, "/twin/command/cables")
+    commands.publish(JointState(header=Header(stamp=world.stamp()), name=list(names),
+                                position=lengths.tolist()))  # fmt: skip
+    world.until(lambda: cables and np.allclose(cables[-1].position, lengths, atol=1e-9))
+    world.run(0.5)
+    assert paths[-1].name == list(names)
+    slack = lengths - paths[-1].position
+    np.testing.assert_allclose(slack[[0, 2]], 0.0, atol=1e-6)
+    assert slack[1] > 0.001 and slack[3] > 0.001
+    told = next(one for one in cables if one.header.stamp == paths[-1].header.stamp)
+    assert told.effort[1] == told.effort[3] == 0.0 < told.effort[0]
