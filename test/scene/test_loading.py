@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from pathlib import Path
 
 import pytest
@@ -33,88 +34,47 @@ def test_our_own_scenes_load(scene):
     assert loaded.deformables or loaded.beams
 
 
-@pytest.mark.parametrize(
-    "key, value, unit",
-    [
-        ("young_modulus", 0.0, "Pa"),
-        ("young_modulus", -1.0, "Pa"),
-        ("young_modulus", float("nan"), "Pa"),
-        ("young_modulus", "soft", "Pa"),
-        ("poisson_ratio", 0.5, ""),
-        ("poisson_ratio", 0.7, ""),
-        ("density", 0.0, "kg/m³"),
-        ("density", float("inf"), "kg/m³"),
-    ],
-)
-def test_impossible_materials_are_refused_with_key_value_and_unit(key, value, unit):
-    error = refused(lambda m: m["body"]["material"].__setitem__(key, value))
-    assert error.key == f"body.material.{key}"
-    assert error.unit == unit
-    assert str(error.value) == str(value)
-    assert f"body.material.{key} = {value!r}" in str(error)
+MISSING = object()
+MATERIAL, CABLE = ("body", "material"), ("cables", 0)
 
 
-def test_a_lower_limit_above_the_upper_one_is_refused():
-    error = refused(lambda m: m["cables"][1].__setitem__("tension", [5.0, 1.0]))
-    assert error.key == "cables[1].tension"
-    assert error.unit == "N"
-    assert "above" in error.reason
+@pytest.mark.parametrize("place, value, key, unit, words", [
+    *(((*MATERIAL, name), value, f"body.material.{name}", unit, f"body.material.{name} = {value!r}")
+      for name, value, unit in (
+          ("young_modulus", 0.0, "Pa"), ("young_modulus", -1.0, "Pa"),
+          ("young_modulus", float("nan"), "Pa"), ("young_modulus", "soft", "Pa"),
+          ("poisson_ratio", 0.5, ""), ("poisson_ratio", 0.7, ""), ("density", 0.0, "kg/m³"),
+          ("density", float("inf"), "kg/m³"))),
+    (("cables", 1, "tension"), [5.0, 1.0], "cables[1].tension", "N", "above"),
+    ((*CABLE, "tension"), [-1.0, 5.0], "cables[0].tension", "N", "push"),
+    ((*CABLE, "shortening"), [0.01, 0.02], "cables[0].shortening", "m", "rest"),
+    (("shells",), [{"name": "x"}], "shells", "", "shells.*not available"),
+    (("reduction",), [{"name": "x"}], "reduction", "", "reduced models.*not available"),
+    (("body", "element"), "cubic", "body.element", "", "quadratic"),
+    (("cables", 2, "ratee"), 0.1, "cables[2].ratee", "", "rate.*shortening"),
+    ((*CABLE, "pull_point"), MISSING, "cables[0].pull_point", "m", "required"),
+    (("effectors", 0, "points"), [[0.0, 1.0]], "effectors[0].points[0]", "m", ""),
+    (("cables", 1, "name"), "north", "cables[1].name", "", "north.*more than once"),
+    (("effectors", 0, "measured_by"), [4, 99], "effectors[0].measured_by", "", "tip.*99"),
+    (("body", "fixed", 0, "nodes"), [1], "body.fixed[0]", "", "exactly one"),
+])  # fmt: skip
+def test_impossible_values_are_refused_with_key_value_and_unit(place, value, key, unit, words):
+    def spoil(mapping):
+        *sections, name = place
+        for section in sections:
+            mapping = mapping[section]
+        if value is MISSING:
+            del mapping[name]
+        else:
+            mapping[name] = value
 
-
-def test_a_cable_that_would_push_is_refused():
-    assert "push" in refused(lambda m: m["cables"][0].__setitem__("tension", [-1.0, 5.0])).reason
-
-
-def test_limits_that_exclude_rest_are_refused():
-    error = refused(lambda m: m["cables"][0].__setitem__("shortening", [0.01, 0.02]))
-    assert "rest" in error.reason
-
-
-@pytest.mark.parametrize(
-    "effect, word",
-    [("shells", "shells"), ("reduction", "reduced models")],
-)
-def test_an_unsupported_effect_is_refused_by_name(effect, word):
-    error = refused(lambda m: m.__setitem__(effect, [{"name": "x"}]))
-    assert error.key == effect
-    assert word in error.reason and "not available" in error.reason
+    error = refused(spoil)
+    assert (error.key, error.unit) == (key, unit)
+    assert re.search(words, str(error)), str(error)
 
 
 def test_an_element_is_linear_by_default():
     assert scene_from_mapping(copy.deepcopy(GOOD)).body.element == "linear"
-    error = refused(lambda m: m["body"].__setitem__("element", "cubic"))
-    assert error.key == "body.element" and "quadratic" in error.reason
-
-
-def test_a_misspelt_key_is_refused_with_the_known_keys():
-    error = refused(lambda m: m["cables"][2].__setitem__("ratee", 0.1))
-    assert error.key == "cables[2].ratee"
-    assert "shortening" in error.reason and "rate" in error.reason
-
-
-def test_a_missing_key_is_named():
-    error = refused(lambda m: m["cables"][0].pop("pull_point"))
-    assert error.key == "cables[0].pull_point" and "required" in error.reason
-
-
-def test_a_point_of_two_numbers_is_refused_in_metres():
-    error = refused(lambda m: m["effectors"][0].__setitem__("points", [[0.0, 1.0]]))
-    assert error.key.startswith("effectors[0].points[0]") and error.unit == "m"
-
-
-def test_two_cables_of_one_name_are_refused():
-    error = refused(lambda m: m["cables"][1].__setitem__("name", "north"))
-    assert "north" in error.reason and "more than once" in error.reason
-
-
-def test_an_effector_measured_by_an_unknown_marker_is_refused():
-    error = refused(lambda m: m["effectors"][0].__setitem__("measured_by", [4, 99]))
-    assert "99" in error.reason and "tip" in error.reason
-
-
-def test_a_region_of_two_kinds_is_refused():
-    error = refused(lambda m: m["body"]["fixed"][0].__setitem__("nodes", [1]))
-    assert "exactly one" in error.reason
 
 
 SPOILT = """
@@ -203,19 +163,6 @@ def test_a_text_too_large_for_a_scene_is_refused_before_it_is_read_whole(tmp_pat
         load_scene(file)
 
 
-@pytest.mark.parametrize("text, word", [("a: [", "not YAML"), ("- 1", "mapping"), ("", "mapping")])
-def test_a_file_without_a_scene_is_refused(tmp_path, text, word):
-    file = tmp_path / "s.yaml"
-    file.write_text(text)
-    with pytest.raises(SceneError, match=word):
-        load_scene(file)
-
-
-def test_a_missing_file_is_refused_by_name(tmp_path):
-    with pytest.raises(SceneError, match="nowhere.yaml"):
-        load_scene(tmp_path / "nowhere.yaml")
-
-
 def test_the_mesh_is_found_from_the_scene_files_folder(tmp_path):
     scene = scene_from_mapping(copy.deepcopy(GOOD), tmp_path / "config" / "scenes" / "r.yaml")
     assert scene.mesh_path == tmp_path / "meshes" / "diamond_1600.vtk"
@@ -291,6 +238,7 @@ ANCHORS = "".join(
     (b"- 1\n", "a scene is a mapping"),
     (b"a word", "a scene is a mapping"),
     (b"name: [1\n", "line 2"),
+    (b"a: [", "not YAML"),
     (b"name: caf\xe9\n", "not a text file"),
     (b"\x00\x01\x02\xff", "not a text file"),
     ("name: a".encode("utf-16"), "not a text file"),

@@ -14,33 +14,22 @@ from softrobot_twin.simulation import Hold
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_a_body_that_is_not_held_is_named(diamond):
-    with pytest.raises(SceneError, match="body.fixed") as error:
-        diamond(lambda m: m["body"].pop("fixed"))
-    assert "float" in error.value.reason
+FAR = {"sphere": {"centre": [1, 1, 1], "radius": 0.01}}
 
 
-def test_a_body_held_along_one_line_only_is_named(diamond):
-    with pytest.raises(SceneError, match="not held"):
-        diamond(lambda m: m["body"].update(fixed=[{"nodes": [0, 1]}]))
-
-
-def test_a_region_without_nodes_is_refused(diamond):
-    with pytest.raises(SceneError, match="holds no node"):
-        diamond(
-            lambda m: m["body"].update(fixed=[{"sphere": {"centre": [1, 1, 1], "radius": 0.01}}])
-        )
-
-
-def test_a_node_beyond_the_file_is_refused(diamond):
-    with pytest.raises(SceneError, match="nodes 0 to"):
-        diamond(lambda m: m["body"].update(fixed=[{"nodes": [0, 1, 10**6]}]))
-
-
-def test_a_cable_point_far_outside_the_body_is_refused_with_its_distance(diamond):
-    with pytest.raises(SceneError, match="mm outside the body") as error:
-        diamond(lambda m: m["cables"][1].update(points=[[-0.15, 0.0, 0.045]]))
-    assert error.value.key == "cables[1].points[0]" and error.value.unit == "m"
+@pytest.mark.parametrize("change, key, words", [
+    (lambda m: m["body"].pop("fixed"), "body.fixed", "float"),
+    (lambda m: m["body"].update(fixed=[{"nodes": [0, 1]}]), "body.fixed", "not held"),
+    (lambda m: m["body"].update(fixed=[FAR]), "body.fixed[0]", "holds no node"),
+    (lambda m: m["body"].update(fixed=[{"nodes": [0, 1, 10**6]}]), "body.fixed[0].nodes",
+     "nodes 0 to"),
+    (lambda m: m["cables"][1].update(points=[[-0.15, 0.0, 0.045]]), "cables[1].points[0]",
+     "m: .*mm outside the body"),
+])  # fmt: skip
+def test_what_does_not_fit_the_mesh_is_refused_with_its_key(diamond, change, key, words):
+    with pytest.raises(SceneError, match=words) as error:
+        diamond(change)
+    assert error.value.key == key
 
 
 def test_a_cable_point_just_outside_is_snapped_to_the_surface_with_a_warning(diamond):
