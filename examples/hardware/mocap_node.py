@@ -158,7 +158,7 @@ class MocapNode(TickingNode):
         self._warn = self.warner()
         kind = KINDS[str(values["mocap_type"])]
         self._tracker = self.create_subscription(
-            kind, str(values["mocap_topic"]), self._receive, SENSOR
+            kind, str(values["mocap_topic"]), self.receive, SENSOR
         )
         self.start(1.0)
         self.watch_topics((self._markers,), (self._tracker,))
@@ -180,7 +180,8 @@ class MocapNode(TickingNode):
             raise ParameterError("mocap_ids", tuple(ids), "", "an id is used twice")
         return dict(zip(ids[::2], own, strict=True)) if kind == "PointCloud2" else tuple(ids)
 
-    def _receive(self, message) -> None:
+    def receive(self, message) -> None:
+        """Publishes the markers of a message, or counts why it is refused."""
         found = self._convert(message)
         if isinstance(found, Refusal):
             self.refusals.add(found)

@@ -181,7 +181,7 @@ class ServoBus:
     """
 
     def __init__(self, port: Port, timeout: float = 0.02):
-        self._port, self._timeout, self._reader = port, timeout, PacketReader()
+        self._port, self.timeout, self._reader = port, timeout, PacketReader()
 
     def ping(self, servo: int) -> int:
         """Number of the model of a servo.
@@ -247,7 +247,7 @@ class ServoBus:
     def _ask(self, asked: bytes, servos: Sequence[int]) -> dict[int, bytes]:
         """Answers of some servos, by their ids."""
         self._send(asked)
-        deadline, answers = time.monotonic() + self._timeout, {}
+        deadline, answers = time.monotonic() + self.timeout, {}
         while len(answers) < len(servos):
             rest = deadline - time.monotonic()
             missing = next(servo for servo in servos if servo not in answers)

@@ -211,6 +211,8 @@ class ServoDevice:
         port: Where they are; None opens the serial port of the description.
 
     Attributes:
+        description: The servos.
+        bus: The bus that they are on.
         refused: Number of commands refused.
         trouble: Why the servos stand still, or why a command was refused; empty when they follow.
 
@@ -221,13 +223,13 @@ class ServoDevice:
     effector_names: tuple[str, ...] = ()
 
     def __init__(self, description: ServosFile, port: Port | None = None):
-        self._description = description
+        self.description = description
         self._servos = {servo.id: servo for servo in description.servos}
         self.actuator_names = tuple(servo.name for servo in description.servos)
         port = SerialPort(description.port, description.baud_rate) if port is None else port
         # An answer of 10 bytes has 21 on the bus, each of 10 bits.
         sent = 10.0 * (40 + 21 * len(self._servos)) / description.baud_rate
-        self._port, self._bus = port, ServoBus(port, description.answer_time + sent)
+        self._port, self.bus = port, ServoBus(port, description.answer_time + sent)
         self._torque = self._is_stopped = self._is_closed = False
         self._goal: np.ndarray | None = None
         self._lengths: np.ndarray | None = None
@@ -242,11 +244,11 @@ class ServoDevice:
 
     def _prepare(self, servo: int) -> None:
         """Switches the torque of a servo off and sets its mode."""
-        self._bus.ping(servo)
-        self._bus.write(servo, TORQUE_ENABLE, b"\0")
-        if state := self._bus.read(servo, HARDWARE_ERROR, 1)[0]:
+        self.bus.ping(servo)
+        self.bus.write(servo, TORQUE_ENABLE, b"\0")
+        if state := self.bus.read(servo, HARDWARE_ERROR, 1)[0]:
             raise HardwareAlert(servo, f"error of the hardware: {state:#04x}")
-        self._bus.write(servo, OPERATING_MODE, bytes([_MODES[self._description.mode]]))
+        self.bus.write(servo, OPERATING_MODE, bytes([_MODES[self.description.mode]]))
 
     def apply(self, setpoints: np.ndarray, now: float) -> None:
         """Takes the newest command: lengths [m]; it is sent with the next measurement."""
@@ -266,8 +268,8 @@ class ServoDevice:
                 return (f"command refused: {servo.name} {length:.4f} m is not within "
                         f"{servo.least_length:g} to {servo.greatest_length:g} m")  # fmt: skip
             # Written so that a NaN is refused too.
-            if not abs(length - measured) <= self._description.largest_jump:
-                most = self._description.largest_jump
+            if not abs(length - measured) <= self.description.largest_jump:
+                most = self.description.largest_jump
                 return (f"command refused: {servo.name} would jump from {measured:.4f} to "
                         f"{length:.4f} m, more than {most:g} m")  # fmt: skip
         return ""
@@ -279,7 +281,7 @@ class ServoDevice:
             BusError: A servo does not answer, or reports an error of its hardware. The servos'
                 watchdog stops them if this goes on.
         """
-        answers = self._bus.sync_read(list(self._servos), PRESENT_CURRENT, 10)
+        answers = self.bus.sync_read(list(self._servos), PRESENT_CURRENT, 10)
         lengths, tensions = np.empty(len(answers)), np.empty(len(answers))
         for index, (servo, content) in enumerate(
             zip(self._servos.values(), answers.values(), strict=True)
@@ -287,7 +289,7 @@ class ServoDevice:
             current = int.from_bytes(content[:2], "little", signed=True)
             ticks = int.from_bytes(content[6:], "little", signed=True)
             lengths[index] = servo.length(ticks)
-            tensions[index] = servo.tension(current, self._description.torque_constant)
+            tensions[index] = servo.tension(current, self.description.torque_constant)
         self._lengths = lengths
         self._drive(now, tensions)
         return DeviceReading(lengths, tensions, np.empty(0, np.uint32), np.empty((0, 3)),
@@ -297,8 +299,8 @@ class ServoDevice:
         """Sends the goal, or stops the servos where they are."""
         if self._goal is None:
             return
-        greatest = self._description.greatest_tension
-        if now - self._commanded > self._description.command_timeout:
+        greatest = self.description.greatest_tension
+        if now - self._commanded > self.description.command_timeout:
             self._stop("no command arrives: the servos stand still")
         elif tensions.max() > greatest:
             name = self.actuator_names[int(tensions.argmax())]
@@ -323,14 +325,14 @@ class ServoDevice:
     def _switch_on(self) -> None:
         """Switches the torque on; the goal is where the servos are, so nothing moves by that."""
         self._send(self._lengths)
-        time_out = max(1, min(127, round(self._description.command_timeout / WATCHDOG_UNIT)))
+        time_out = max(1, min(127, round(self.description.command_timeout / WATCHDOG_UNIT)))
         for servo in self._servos:
-            self._bus.write(servo, TORQUE_ENABLE, b"\1")
-            self._bus.write(servo, WATCHDOG, bytes([time_out]))
+            self.bus.write(servo, TORQUE_ENABLE, b"\1")
+            self.bus.write(servo, WATCHDOG, bytes([time_out]))
         self._torque = True
 
     def _send(self, lengths: np.ndarray) -> None:
-        self._bus.sync_write(GOAL_POSITION, {
+        self.bus.sync_write(GOAL_POSITION, {
             servo.id: servo.ticks(length).to_bytes(4, "little", signed=True)
             for servo, length in zip(self._servos.values(), lengths, strict=True)
         })  # fmt: skip
@@ -345,8 +347,8 @@ class ServoDevice:
         """
         self._goal, self._lengths, self._torque = None, None, False
         for servo in self._servos:
-            self._bus.write(servo, TORQUE_ENABLE, b"\0")
-            self._bus.write(servo, WATCHDOG, b"\0")
+            self.bus.write(servo, TORQUE_ENABLE, b"\0")
+            self.bus.write(servo, WATCHDOG, b"\0")
 
     def close(self) -> list[str]:
         """Switches the torque of all servos off, each tried several times, and closes the port.
@@ -361,7 +363,7 @@ class ServoDevice:
         for servo in self._servos:
             for left in reversed(range(_TRIES)):
                 try:
-                    self._bus.write(servo, TORQUE_ENABLE, b"\0")
+                    self.bus.write(servo, TORQUE_ENABLE, b"\0")
                     break
                 except HardwareAlert:
                     break  # it has obeyed, or has switched off by itself

@@ -85,7 +85,7 @@ class TargetInput:
 
     def apply(self, settings: LoopSettings) -> None:
         """Uses changed limits and timeouts from now on."""
-        self._settings = settings
+        self.settings = settings
         for header in self._headers:
             header.apply(settings)
 
@@ -160,7 +160,7 @@ class TargetInput:
     ) -> None:
         """Keeps a valid position [m], shape (3,); it replaces a velocity."""
         self._headers[effector].remember(arrival)
-        self._targets[effector] = self._settings.in_workspace(position)
+        self._targets[effector] = self.settings.in_workspace(position)
         self.clamped += bool((self._targets[effector] != position).any())
         self._newest, self._source = arrival.time, source
         if effector == self._velocity_effector:
@@ -179,7 +179,7 @@ class TargetInput:
             return self.velocity_refusals.add(Refusal.NOT_FINITE)
         # The square of a very large component is infinite, which is above the limit too.
         with np.errstate(over="ignore"):
-            self.slowed += bool(np.linalg.norm(velocity) > self._settings.speed_limit)
+            self.slowed += bool(np.linalg.norm(velocity) > self.settings.speed_limit)
         self._velocity, self._velocity_time = velocity, time
         self._newest, self._source = time, "velocity"
         return None
@@ -194,7 +194,7 @@ class TargetInput:
 
     def is_moving(self, now: float) -> bool:
         """Whether a velocity is still valid."""
-        return now - self._velocity_time <= self._settings.velocity_timeout
+        return now - self._velocity_time <= self.settings.velocity_timeout
 
     def read(self, now: float, time_step: float, effector_positions: np.ndarray) -> TargetReading:
         """The targets now, after integrating a velocity that is still valid.
@@ -208,7 +208,7 @@ class TargetInput:
         if self.is_moving(now):
             self._integrate_velocity(time_step, effector_positions[self._velocity_effector])
         age = self.age(now)
-        timeout = self._settings.target_timeout
+        timeout = self.settings.target_timeout
         timed_out = timeout > 0.0 and math.isfinite(age) and age > timeout
         turns = None if self._orientations is None else self._orientations.copy()
         return TargetReading(self._targets.copy(), self._source, age, timed_out, turns)
@@ -221,12 +221,12 @@ class TargetInput:
         # Scaled first: the square of a very large component would overflow.
         direction = self._velocity / largest
         speed = float(np.linalg.norm(direction))
-        velocity = direction / speed * min(self._settings.speed_limit, largest * speed)
+        velocity = direction / speed * min(self.settings.speed_limit, largest * speed)
         target = self._targets[self._velocity_effector]
         if not np.isfinite(target).all():
             target = start
-        low = np.minimum(target, self._settings.workspace_min)
-        high = np.maximum(target, self._settings.workspace_max)
+        low = np.minimum(target, self.settings.workspace_min)
+        high = np.maximum(target, self.settings.workspace_max)
         moved = target + velocity * time_step
         self._targets[self._velocity_effector] = np.clip(moved, low, high)
         self.clamped += bool((self._targets[self._velocity_effector] != moved).any())
@@ -677,7 +677,7 @@ class PoseInput:
 
     def apply(self, settings: LoopSettings) -> None:
         """Uses changed timeouts and workspace from now on."""
-        self._settings = settings
+        self.settings = settings
         for header in self._headers.values():
             header.apply(settings)
 
@@ -705,7 +705,7 @@ class PoseInput:
         if refusal is not None:
             return self.refusals.add(refusal)
         self._headers[name].remember(arrival)
-        inside = self._settings.in_workspace(pose.position)
+        inside = self.settings.in_workspace(pose.position)
         self.clamped += bool((inside != pose.position).any())
         self.newest[name] = pose._replace(position=inside)
         self._time = arrival.time

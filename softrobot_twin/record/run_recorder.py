@@ -147,6 +147,7 @@ class RunRecorder:
         ticks: Ticks that were noted.
         lost: Calls and ticks that were dropped; from the first on the run cannot be replayed.
         failure: Why nothing is written any more; empty while it is.
+        writer: Writes the file, in the recorder's thread.
     """
 
     def __init__(
@@ -172,8 +173,8 @@ class RunRecorder:
         self._clock, self._ros_time, self._to_bytes = clock, ros_time, to_bytes
         self._sequence, self._pending, self._newest = 1, [], description.began
         self._queue = BoundedQueue(most_waiting)
-        self._writer = RunWriter(path, f"{description.node}/record")
-        self._writer.begin(description)
+        self.writer = RunWriter(path, f"{description.node}/record")
+        self.writer.begin(description)
         listen(loop, self._note_call)
         self._tick_of_loop, loop.tick = loop.tick, self._tick
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
@@ -237,31 +238,32 @@ class RunRecorder:
                 continue
             try:
                 for noted in batch or ():
-                    self._write(noted)
+                    self.write(noted)
                 if time.monotonic() >= due:
-                    self._writer.flush()
+                    self.writer.flush()
                     due = time.monotonic() + FLUSH_PERIOD
             except Exception as error:  # noqa: BLE001 - no error may reach the loop
                 self._fail(f"{self.path}: {type(error).__name__}: {error}")
         if self.failure:
-            self._writer.abandon()
+            self.writer.abandon()
             return
         try:
             end = {"kind": END, "ticks": self.ticks}
-            self._writer.add_entry(self._sequence, self._newest, end)
-            self._writer.finish()
+            self.writer.add_entry(self._sequence, self._newest, end)
+            self.writer.finish()
         except Exception as error:  # noqa: BLE001
             self._fail(f"{self.path}: {type(error).__name__}: {error}")
 
-    def _write(self, noted: Noted) -> None:
+    def write(self, noted: Noted) -> None:
+        """Writes what was noted, in the recorder's thread."""
         sequence, self._newest, content = noted
         if isinstance(content, Said):
             data = self._to_bytes(content.message)
-            self._writer.add_message(content.topic, noted.time, data)
+            self.writer.add_message(content.topic, noted.time, data)
         elif isinstance(content, Call):
-            self._writer.add_entry(sequence, noted.time, {"kind": CALL, **content.to_json()})
+            self.writer.add_entry(sequence, noted.time, {"kind": CALL, **content.to_json()})
         else:
-            self._writer.add_entry(sequence, noted.time, {"kind": TICK, **content.to_json()})
+            self.writer.add_entry(sequence, noted.time, {"kind": TICK, **content.to_json()})
 
     def _fail(self, failure: str) -> None:
         if not self.failure:

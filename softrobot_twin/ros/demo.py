@@ -746,18 +746,23 @@ class Demo:
     Args:
         plan: The plan.
         show_status: Called with the status about ten times a second.
+
+    Attributes:
+        processes: The nodes that were started.
+        executor: Runs the recorder.
+        phase: What is done at present, for the status.
     """
 
     def __init__(self, plan: DemoPlan, show_status: Callable[[DemoStatus], None]):
         self._plan, self._show_status = plan, show_status
         self._cores = os.sched_getaffinity(0)
-        self._processes: list[DemoProcess] = []
+        self.processes: list[DemoProcess] = []
         self._starts: dict[str, float] = {}
         self._end = -math.inf
         self._reports_before = 0
         self._times_before: ProcessorTimes | None = None
         self._began = self._looked = time.monotonic()
-        self._phase = ""
+        self.phase = ""
         self._stop_requested = False
 
     def run(self) -> DemoOutcome:
@@ -772,8 +777,8 @@ class Demo:
         self._recorder = DemoRecorder(
             "/twin", "/device", self._plan.effector, START_TOPIC, self._plan.is_direct,
             self._plan.touch)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._recorder)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self._recorder)
         was_stopped = False
         # Also for SIGINT: a shell starts background jobs with SIGINT ignored.
         previous = {number: signal.signal(number, self._record_stop_signal) for number in _SIGNALS}
@@ -785,7 +790,7 @@ class Demo:
             # A second Ctrl-C is only recorded, so all processes are ended; every wait has a time
             # limit.
             others = self._share_of_others()
-            exit_codes = stop_all(self._processes)
+            exit_codes = stop_all(self.processes)
             self._recorder.destroy_node()
             rclpy.try_shutdown()
             for number, handler in previous.items():
@@ -803,44 +808,44 @@ class Demo:
     def _drive(self) -> None:
         """Starts the processes and waits for the end of the last run."""
         recorder = self._recorder
-        self._phase = "starting"
+        self.phase = "starting"
         of_twin, of_rest = processor_shares(self._cores)
         for node in ("twin", "device", "target"):
             self._start(node, of_twin if node == "twin" else of_rest)
         # After the start of the nodes, because children inherit the share of this process.
         of_rest.give(0)
-        self._until(lambda: recorder.twin_effector.times and recorder.device_effector.times,
+        self.until(lambda: recorder.twin_effector.times and recorder.device_effector.times,
                     _START_TIMEOUT, "twin", "twin and device do not publish effectors", True)
-        self._until(recorder.target_is_found, _START_TIMEOUT, "target", "it was not found", True)
-        self._phase = "enabling"
+        self.until(recorder.target_is_found, _START_TIMEOUT, "target", "it was not found", True)
+        self.phase = "enabling"
         self._enable()
-        self._until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin",
+        self.until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin",
                     "it commands no cables")
         start = recorder.start_target()
         if not self._plan.is_direct:
-            self._until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target",
+            self.until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target",
                         "it publishes nothing")
             start = recorder.target.times[0]
         self._reports_before = len(recorder.loop_reports)
         self._times_before = self._processor_times()
         for number, run in enumerate(self._plan.runs):
-            self._phase = run.replace("_", " ")
+            self.phase = run.replace("_", " ")
             if run == "closed_loop":
                 self._close_loop()
             self._starts[run] = start + number * self._plan.run_time
             self._end = start + (number + 1) * self._plan.run_time
-            self._until(lambda: self._last_reference() >= self._end,
+            self.until(lambda: self._last_reference() >= self._end,
                         self._plan.run_time + _ANSWER_TIMEOUT,
                         "twin" if self._plan.is_direct else "target", "it stopped publishing")
-        self._phase = "ending"
+        self.phase = "ending"
 
     def _start(self, node: str, place: ProcessorShare) -> None:
         log = self._plan.folder / f"{node}.log"
-        self._processes.append(DemoProcess(node, self._plan.command(node), log, place))
+        self.processes.append(DemoProcess(node, self._plan.command(node), log, place))
 
     def _processor_times(self) -> ProcessorTimes | None:
         try:
-            return processor_times((process.session for process in self._processes), self._cores)
+            return processor_times((process.session for process in self.processes), self._cores)
         except OSError:
             return None
 
@@ -863,7 +868,7 @@ class Demo:
                 return
             if time.monotonic() > deadline:
                 raise DemoError("twin", f"cannot be enabled: {answer.message}")
-            self._until(_after(0.2), _ANSWER_TIMEOUT, "twin", "")
+            self.until(_after(0.2), _ANSWER_TIMEOUT, "twin", "")
 
     def _close_loop(self) -> None:
         name = "/twin/set_parameters"
@@ -876,12 +881,12 @@ class Demo:
 
     def _ask(self, client, request, name: str):
         """Answer of a service."""
-        self._until(client.service_is_ready, _ANSWER_TIMEOUT, "twin", f"offers no service {name}")
+        self.until(client.service_is_ready, _ANSWER_TIMEOUT, "twin", f"offers no service {name}")
         future = client.call_async(request)
-        self._until(future.done, _ANSWER_TIMEOUT, "twin", f"does not answer on {name}")
+        self.until(future.done, _ANSWER_TIMEOUT, "twin", f"does not answer on {name}")
         return future.result()
 
-    def _until(self, is_done: Callable[[], object], timeout: float, name: str,
+    def until(self, is_done: Callable[[], object], timeout: float, name: str,
                reason: str, is_starting: bool = False) -> None:
         """Receives messages until a condition holds; checks the processes meanwhile.
 
@@ -901,27 +906,28 @@ class Demo:
         while not is_done():
             if self._stop_requested:
                 raise _StopRequested
-            self._executor.spin_once(timeout_sec=0.02)
+            self.executor.spin_once(timeout_sec=0.02)
             now = time.monotonic()
             if now - self._looked < _WATCH_PERIOD:
                 continue
             self._looked = now
-            for process in self._processes:
+            for process in self.processes:
                 process.check_running()
-            if is_starting and (size := sum(one.written() for one in self._processes)) != written:
+            if is_starting and (size := sum(one.written() for one in self.processes)) != written:
                 deadline, written = now + timeout, size
-                self._phase = next(filter(None, (one.compiles() for one in self._processes)),
+                self.phase = next(filter(None, (one.compiles() for one in self.processes)),
                                    "starting")  # fmt: skip
-            self._show_status(self._status(now))
+            self._show_status(self.status(now))
             if now > deadline:
                 raise DemoError(name, f"{reason}, waited {timeout:g} s; see {name}.log in "
                                 f"{self._plan.folder}")
 
-    def _status(self, now: float) -> DemoStatus:
+    def status(self, now: float) -> DemoStatus:
+        """The present status at a monotonic time [s]."""
         loop_reports = self._recorder.loop_reports
         before = loop_reports[self._reports_before - 1].missed if self._reports_before else 0
         return DemoStatus(
-            now - self._began, self._phase, self._recorder.error(),
+            now - self._began, self.phase, self._recorder.error(),
             loop_reports[-1].compute_p50 if loop_reports else math.nan,
             loop_reports[-1].missed - before if loop_reports else 0,
             self._recorder.cause)

@@ -143,7 +143,7 @@ class DeviceNode(TickingNode):
             for name in (() if carried is None else carried.rigid_names)
         ]
         topic, names = TOPICS["<twin>/cables"], self.device.actuator_names
-        commands = [self.listen(topic, self._take, self.refusals, "", twin, names)]
+        commands = [self.listen(topic, self.take, self.refusals, "", twin, names)]
         topic = TOPICS["<twin>/poses/<guided body>"]
         for name in () if carried is None else carried.guided_names:
             take = partial(self._take_pose, name)
@@ -182,7 +182,8 @@ class DeviceNode(TickingNode):
             self._carried.apply_pose(name, *self.poses.newest[name], came)
         return refusal
 
-    def _take(self, message: JointState) -> Refusal | None:
+    def take(self, message: JointState) -> Refusal | None:
+        """Takes a command of the twin; gives why it is refused."""
         if not message.position:
             return self.refusals.add(Refusal.WRONG_SIZE)
         arrival = self.arrival(message.header)

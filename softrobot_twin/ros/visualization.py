@@ -69,7 +69,7 @@ class RobotMarkers:
         self._cables = simulation.actuators.of_section("cables")
         self._tensions, self._pressures = tension_range(simulation), pressure_range(simulation)
         self._rigid = [skin.points[skin.triangles.ravel()] for skin in simulation.rigid_skins()]
-        self._obstacles = [skin.points[skin.triangles.ravel()]
+        self.obstacles = [skin.points[skin.triangles.ravel()]
                            for skin in simulation.obstacle_skins()]  # fmt: skip
         # By the markers in a message: which obstacles, targets and shapes there are.
         self._forms: dict[tuple, MarkerBytes] = {}
@@ -164,7 +164,7 @@ class RobotMarkers:
         return [
             _Drawn("obstacles", number, Marker.TRIANGLE_LIST, palette.OBSTACLE_COLOUR,
                    Content(corners))
-            for number, corners in enumerate(self._obstacles)
+            for number, corners in enumerate(self.obstacles)
         ]  # fmt: skip
 
     def _effectors(self, outcome: TickOutcome) -> list[_Drawn]:

@@ -32,6 +32,9 @@ class ContactSolvers:
 
     Attributes:
         tolerance: Residual at which a solution is good enough [m].
+        rubbing, sweeps: A few sweeps, to exact forces and to the tolerance alone.
+        newton, continuation: Newton's method in the unknowns of W, and along a path of problems.
+        judge: Computes the residual of a solution.
     """
 
     def __init__(self, entry: Contact):
@@ -44,13 +47,13 @@ class ContactSolvers:
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
         self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
         rubbing = min(SWEEPS_THAT_RUB, entry.most_sweeps)
-        self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing, FORCE_SHARE)
-        self._sweeps = ContactGaussSeidel(entry.tolerance, rubbing)
+        self.rubbing = ContactGaussSeidel(entry.tolerance, rubbing, FORCE_SHARE)
+        self.sweeps = ContactGaussSeidel(entry.tolerance, rubbing)
         self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
-        self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
-        self._continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
+        self.newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
+        self.continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only computes the residual of a solution.
-        self._judge = ContactGaussSeidel(entry.tolerance, 0)
+        self.judge = ContactGaussSeidel(entry.tolerance, 0)
 
     def warm_up(self, rows_per_contact: int) -> None:
         """Solve a small problem with every solver that a scene may use, so that none is compiled
@@ -64,19 +67,19 @@ class ContactSolvers:
         friction = np.full(WARM_CONTACTS, 0.5 if rows_per_contact == 3 else 0.0)
         low = ContactProblem(None, np.full(count, -1.0), none, none, friction, rows_per_contact, Yt)
         problem, nothing = low.with_matrix(), np.zeros(count)
-        self._newton.solve(low, nothing)
+        self.newton.solve(low, nothing)
         self._solver.solve(problem, nothing)
         if rows_per_contact == 1:
             self._finished(problem, self._short.solve(problem, nothing))
             return
-        found = self._rubbing.solve(problem, nothing)
+        found = self.rubbing.solve(problem, nothing)
         # Any gap is accepted and no force, so that the steps after the last sweep are compiled too.
         ContactGaussSeidel(np.inf, 1, 0.0).solve(problem, nothing)
-        self._newton.solve(problem, nothing)
-        self._continuation.warm_up()
+        self.newton.solve(problem, nothing)
+        self.continuation.warm_up()
         for guess in (nothing, found.multipliers, -found.multipliers):
-            self._continuation.solve(problem, guess, nothing)
-            self._continuation.end(problem, guess)
+            self.continuation.solve(problem, guess, nothing)
+            self.continuation.end(problem, guess)
 
     def solve(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray, margin: float
@@ -91,14 +94,14 @@ class ContactSolvers:
         """
         self._clearance = CLEARANCE * margin
         if problem.Yt is not None and problem.Yt.shape[1] <= MOST_RANK:
-            found = self._newton.solve(problem, guess)
+            found = self.newton.solve(problem, guess)
             if found.converged:
                 return found
-            return _better(found, self._swept(problem.with_matrix(), guess, expected))
+            return _better(found, self.swept(problem.with_matrix(), guess, expected))
         problem = problem.with_matrix()
-        return self._swept(problem, guess, expected)
+        return self.swept(problem, guess, expected)
 
-    def _swept(
+    def swept(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
     ) -> ContactSolution:
         """Sweeps; if they converge slowly, Newton's method. Without friction an active set makes a
@@ -111,10 +114,10 @@ class ContactSolvers:
             if len(guess) > MANY_ROWS:
                 found = self._continued(problem, guess, expected)
             else:
-                found = self._rubbing.solve(problem, guess)
+                found = self.rubbing.solve(problem, guess)
             if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
                 return found
-            exact = self._newton.solve(problem, found.multipliers)
+            exact = self.newton.solve(problem, found.multipliers)
             return _better(found, exact._replace(sweeps=found.sweeps + exact.sweeps))
         soon = len(guess) <= MANY_ROWS
         found = (self._short if soon else self._solver).solve(problem, guess)
@@ -132,14 +135,14 @@ class ContactSolvers:
 
         The residual of sweeps is small in metres, not in newtons: Newton's method reduces it.
         """
-        found = self._continuation.solve(problem, expected, guess)
+        found = self.continuation.solve(problem, expected, guess)
         if found.converged:
             return found
-        swept = self._sweeps.solve(problem, found.multipliers)
+        swept = self.sweeps.solve(problem, found.multipliers)
         swept = swept._replace(sweeps=found.sweeps + swept.sweeps)
         if not swept.converged or has_exact_forces(swept):
             return swept
-        for exactly in (self._continuation.end, self._newton.solve):
+        for exactly in (self.continuation.end, self.newton.solve):
             ended = exactly(problem, swept.multipliers)
             swept = swept._replace(sweeps=swept.sweeps + ended.sweeps)
             if ended.converged:
@@ -151,7 +154,7 @@ class ContactSolvers:
         multipliers = solve_by_active_set(problem, found.multipliers, self._clearance)
         if multipliers is None:
             return found
-        return _better(found, self._judge.solve(problem, multipliers)._replace(sweeps=found.sweeps))
+        return _better(found, self.judge.solve(problem, multipliers)._replace(sweeps=found.sweeps))
 
 
 def has_exact_forces(found: ContactSolution) -> bool:

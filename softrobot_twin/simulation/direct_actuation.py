@@ -25,7 +25,11 @@ ROUND_OFF = 1.0e-11
 
 
 class DirectActuation:
-    """Solves for efforts and contact forces with commanded actuators."""
+    """Solves for efforts and contact forces with commanded actuators.
+
+    Attributes:
+        solvers: Solvers of contacts; None in scenes without.
+    """
 
     def __init__(self, model: Model):
         """Create the solvers that the scene needs.
@@ -41,14 +45,14 @@ class DirectActuation:
         self._actuators = model.actuators if model.actuators.stalls.any() else None
         self._round_off = ROUND_OFF * model.actuators.displacement_scale
         # A scene without contact allocates no contact solver.
-        self._solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
+        self.solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         groups = model.rows.groups
         self._efforts = self._before = np.zeros(groups.actuators.stop)
 
     def warm_up(self) -> None:
         """Compile every contact solver that may be needed."""
-        if self._solvers is not None and self._contacts.pairs:
-            self._solvers.warm_up(self._contacts.rows_per_contact)
+        if self.solvers is not None and self._contacts.pairs:
+            self.solvers.warm_up(self._contacts.rows_per_contact)
 
     def remember(self, efforts: np.ndarray) -> None:
         """Start the next solution from these efforts [N], shape (actuator_count,).
@@ -81,7 +85,7 @@ class DirectActuation:
             The actuation; None with contact pairs and commanded setpoints, where it is not needed.
         """
         self._before = self._efforts
-        if self._solvers is not None and isinstance(command, CommandSetpoints):
+        if self.solvers is not None and isinstance(command, CommandSetpoints):
             return None
         return self.at_drives(linear, drives, bounds)
 
@@ -122,7 +126,7 @@ class DirectActuation:
     ) -> Actuation:
         """Efforts within bounds, and contact forces, at given displacements."""
         a = linear.groups.actuators
-        if self._solvers is not None:
+        if self.solvers is not None:
             return self._in_contact(linear, displacements, lower, upper)
         if (lower == upper).all():
             # All efforts are held, as where regulators hold all pressures: nothing is to be found.
@@ -178,7 +182,7 @@ class DirectActuation:
         """
         a = linear.groups.actuators
         wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
-        if self._solvers is not None:
+        if self.solvers is not None:
             return self._at_efforts_in_contact(linear, wanted, held, bounds)
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
         within = widened(path, bounds)
@@ -297,7 +301,7 @@ class DirectActuation:
         while True:
             problem = self._problem(linear, displacements, moves, lower, upper)
             chosen = self._places(linear)
-            found = self._solvers.solve(
+            found = self.solvers.solve(
                 problem, guess[chosen], expected[chosen], contacts.margin
             )
             if linear.chosen is None:
@@ -352,7 +356,7 @@ class DirectActuation:
         normals = problem.W.diagonal()[len(problem.lower) :: problem.rows_per_contact]
         stiffest = normals[normals > 0.0].min(initial=np.inf)
         force = FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
-        return min(self._solvers.tolerance, stiffest * force)
+        return min(self.solvers.tolerance, stiffest * force)
 
 
 def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:

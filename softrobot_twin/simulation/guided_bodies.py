@@ -22,7 +22,11 @@ WHOLE = 1.0 - 1.0e-9
 
 
 class Guides:
-    """Moves guided bodies and the nodes attached to them at the beginning of each step."""
+    """Moves guided bodies and the nodes attached to them at the beginning of each step.
+
+    Attributes:
+        limits: Greatest speed [m/s] and turn rate [rad/s], by names of bodies.
+    """
 
     def __init__(self, layout: Layout):
         """Find the guided bodies and the nodes attached to them.
@@ -37,7 +41,7 @@ class Guides:
             if not part.is_free and part.name not in sliding
         }  # fmt: skip
         by_default = SIZES_IN_A_SECOND * layout.nodes.size
-        self._limits = {
+        self.limits = {
             name: (part.entry.speed or by_default, part.entry.turn_rate or TURN_RATE)
             for name, part in self._parts.items()
         }
@@ -135,7 +139,7 @@ class Guides:
     def _reached(self, name: str, here, there, time_step: float):
         """Origin and rotation that a body can reach in a step; None where it does not move."""
         (origin, rotation), (target, target_rotation) = here, there
-        speed, turn_rate = self._limits[name]
+        speed, turn_rate = self.limits[name]
         displacement = target - origin
         turn = vector_from_rotation(target_rotation @ rotation.T)
         displacement *= _share(np.linalg.norm(displacement), speed, time_step)
@@ -156,7 +160,7 @@ class Guides:
         Returns:
             The pose, of the type of `there`; `there` itself where it can be reached.
         """
-        speed, turn_rate = self._limits[name]
+        speed, turn_rate = self.limits[name]
         start = (here[0], rotation_from_quaternion(here[1]))
         end = (there[0], rotation_from_quaternion(there[1]))
         turn = np.linalg.norm(vector_from_rotation(end[1] @ start[1].T))

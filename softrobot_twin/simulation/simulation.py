@@ -128,10 +128,10 @@ class Simulation(Readouts):
         self._remembering = self.model.remembering
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self.newton = Newton(self.model)
-        self._direct = DirectActuation(self.model)
+        self.direct = DirectActuation(self.model)
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self.newton)
-        self.inverse = build_inverse(self.model, self._direct, qp_solvers)
+        self.inverse = build_inverse(self.model, self.direct, qp_solvers)
         self._results = StepResults(self.model, self.newton, self.inverse)
         self._optimises = "optimise" in self.model.stages
         self._stiffness = None
@@ -215,7 +215,7 @@ class Simulation(Readouts):
         self._rest: StepResult | None = None
         self._is_balanced = True
         self.newton.forget()
-        self._direct.remember(self.state.efforts)
+        self.direct.remember(self.state.efforts)
         if self.inverse is not None:
             self.inverse.reset()
 
@@ -236,7 +236,7 @@ class Simulation(Readouts):
         # It ends beside the state, of which elements know their deformation already.
         self.newton.folds(before.positions, before.positions + np.spacing(1.0))
         run_every_path(self)
-        self._direct.warm_up()
+        self.direct.warm_up()
         self.restore(before)
         if self.fallback is not None:
             self.fallback.warm_up()
@@ -396,7 +396,7 @@ class Simulation(Readouts):
         if linear is None:
             return None
         still = self.actuators.drives(self.state.setpoints)
-        held = self._direct.held(linear, still, asked.bounds, command)
+        held = self.direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
         state = rows = None
         is_held = self._touches is not None and self._touches.hold_points
@@ -544,7 +544,7 @@ class Simulation(Readouts):
         Returns:
             The actuation, and the one that a shorter step begins with.
         """
-        direct, wanted, bounds = self._direct, asked.wanted, asked.bounds
+        direct, wanted, bounds = self.direct, asked.wanted, asked.bounds
         if isinstance(command, CommandSetpoints):
             prescribed = self.actuators.limits.drives_within(wanted, bounds)
             return direct.at_drives(linear, prescribed, bounds), held
@@ -566,7 +566,7 @@ class Simulation(Readouts):
         newton, residual = self.newton, math.nan
         share, actuation = newton.correct(positions, actuation, is_judged)
         if newton.is_augmented:
-            self._direct.remember(actuation.efforts)
+            self.direct.remember(actuation.efforts)
         clock.mark("correct")
         if share:
             residual = newton.residual(positions, actuation)
@@ -615,7 +615,7 @@ class Simulation(Readouts):
                 # It cannot even stay: the last good state is kept.
                 share, newton.inverted_count, inverts = 0.0, 0, True
         if part < 1.0:
-            self._direct.remember(done.efforts)
+            self.direct.remember(done.efforts)
             self.inverse.trust.tighten()
             done = done._replace(is_refused=inverts)
         return share, residual, done

@@ -100,7 +100,7 @@ class InverseSolver:
 
     def reset(self) -> None:
         """Forget the last solution, so that a run can be repeated to the bit."""
-        self._active: np.ndarray | None = None
+        self.active: np.ndarray | None = None
         for solver in self._qp_solvers:
             solver.reset()
 
@@ -130,10 +130,10 @@ class InverseSolver:
             solution = self._solve_program(problem, held)
         else:
             solution = solve_by_pivoting(
-                problem, held, touching, last, self._most_programs, self._active, expired,
+                problem, held, touching, last, self._most_programs, self.active, expired,
                 second_start=second_start,
             )  # fmt: skip
-        self._active = solution.active
+        self.active = solution.active
         return solution
 
     def efforts_by_guess(
@@ -158,7 +158,7 @@ class InverseSolver:
             Efforts [N], shape (a,); None where there is no last solution, or they are not proved.
         """
         # The centre is copied: for a read-only one the kernel would be compiled again.
-        active = self._active
+        active = self.active
         if not self._uses_warm_start or self._is_exact or active is None:
             return None
         if len(active) != 2 * len(violation):
@@ -169,13 +169,13 @@ class InverseSolver:
         )  # fmt: skip
         if not proved:
             return None
-        self._active = active
+        self.active = active
         return efforts
 
     def _solve_program(self, problem: QPCC, held: np.ndarray) -> QPCCSolution:
         """Solve a problem without contacts."""
         count = len(problem.g) + len(problem.row_lower)
-        active = self._active
+        active = self.active
         if active is None or len(active) != count:
             active = np.zeros(count, dtype=np.int64)
         if self._uses_warm_start:

@@ -159,6 +159,7 @@ class DrawingThread:
         logged_count: Frames that were drawn.
         failed_count: Frames whose drawing failed.
         failure: The last failure as a sentence, or None.
+        latest: The frame to draw next.
     """
 
     def __init__(self, name: str, canvas: FrameDrawing, frame_filter: FrameFilter):
@@ -168,7 +169,7 @@ class DrawingThread:
         self.failure: str | None = None
         self._canvas = canvas
         self._filter = frame_filter
-        self._latest: LatestItem[Frame] = LatestItem()
+        self.latest: LatestItem[Frame] = LatestItem()
         self._deadline = 0.0
         self._thread = threading.Thread(target=self._run, name=f"view-{name}", daemon=True)
         self._thread.start()
@@ -176,17 +177,17 @@ class DrawingThread:
     @property
     def dropped_count(self) -> int:
         """Frames that were replaced before they were drawn."""
-        return self._latest.dropped_count
+        return self.latest.dropped_count
 
     def offer(self, frame: Frame) -> None:
         """Passes a frame to the thread, if the filter chooses it; returns at once."""
         if self._filter.wants_next():
-            self._latest.put(frame)
+            self.latest.put(frame)
 
     def end(self, timeout: float) -> None:
         """Accepts no more frames; the thread has this time to finish [s]."""
         self._deadline = time.monotonic() + timeout
-        self._latest.close()
+        self.latest.close()
 
     def join(self) -> None:
         """Waits for the thread until the time given to `end` is over."""
@@ -196,7 +197,7 @@ class DrawingThread:
             _log.warning(self.failure)
 
     def _run(self) -> None:
-        while (frame := self._latest.take()) is not None:
+        while (frame := self.latest.take()) is not None:
             try:
                 self._canvas.log(frame)
             except Exception as error:  # noqa: BLE001 - no error may reach the loop

@@ -56,7 +56,7 @@ class Watched:
             self.furthest = max(self.furthest, float(moved.max()))
             assert (moved <= loop.simulation.limits.rate * time + ROUNDING).all()
             for name, pose in outcome.guided_poses.items():
-                speed, _ = loop.simulation.model.guides._limits[name]
+                speed, _ = loop.simulation.model.guides.limits[name]
                 way = np.linalg.norm(pose.position - self.last[2][name].position)
                 assert way <= speed * time + ROUNDING
         self.last = now, setpoints, dict(outcome.guided_poses)

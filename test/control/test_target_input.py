@@ -118,7 +118,7 @@ def test_a_velocity_does_not_move_the_target_out_of_the_workspace(targets):
 def test_a_target_outside_a_reduced_workspace_moves_only_inwards_and_without_a_jump(
     targets,
 ):
-    settings = targets._settings
+    settings = targets.settings
     targets.apply(replace(settings, workspace_max=(0.1, 0.1, 0.2)))
     targets.accept_point(0, (0.05, 0.0, 0.125), at(0.0))
     targets.apply(settings)
@@ -145,7 +145,7 @@ def test_a_velocity_that_is_stopped_at_the_workspace_is_counted(targets):
 
 @pytest.mark.parametrize(("speed", "count"), [(0.02, 0), (0.021, 1), (1e200, 1)])
 def test_a_velocity_above_the_speed_limit_is_counted(targets, speed, count):
-    assert targets._settings.speed_limit == 0.02
+    assert targets.settings.speed_limit == 0.02
     targets.accept_velocity((0.0, -speed, 0.0), 0.1)
     for _ in range(3):
         targets.read(0.1, STEP, REST)

@@ -71,7 +71,7 @@ class Wired:
 
     def wait(self, device, seconds):
         """Lets time pass, once the servos have done what was sent to them."""
-        device._bus.ping(1)
+        device.bus.ping(1)
         self.now += seconds
 
     def follow(self, device, lengths):
@@ -99,7 +99,7 @@ def wired():
 
 
 def rest(device):
-    return np.array([one.zero_length for one in device._description.servos])
+    return np.array([one.zero_length for one in device.description.servos])
 
 
 def test_packets_are_those_of_the_public_description():
@@ -369,7 +369,7 @@ def test_a_torque_that_may_still_be_on_is_told(wired):
 def test_any_answers_end_a_measurement_as_an_error_of_the_bus(wired):
     device = wired.device()
     wired.follow(device, rest(device) - 0.002)
-    device._bus._timeout, now = 0.01, wired.now  # it waits for what will not come
+    device.bus.timeout, now = 0.01, wired.now  # it waits for what will not come
     seed = int(np.random.default_rng().integers(2**32))
     print(f"seed {seed}")
     random = np.random.default_rng(seed)

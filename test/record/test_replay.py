@@ -360,13 +360,13 @@ def test_what_does_not_fit_the_queue_is_counted_and_ends_the_replay_there(
 ):
     path, gate = tmp_path / "slow.mcap", threading.Event()
     live = Live(scene_file, path, most_waiting=3)
-    write = live.recorder._write
+    write = live.recorder.write
 
     def slow(noted):
         gate.wait(30.0)
         write(noted)
 
-    live.recorder._write = slow
+    live.recorder.write = slow
     drive(live, 12)
     assert live.recorder.lost > 0
     gate.set()
@@ -386,7 +386,7 @@ def test_a_disk_that_is_full_stops_the_recording_and_not_the_loop(scene_file, tm
         raise OSError(28, "No space left on device")
 
     drive(live, 4)
-    live.recorder._writer.add_entry = full
+    live.recorder.writer.add_entry = full
     drive(live, 2)
     live.recorder.close()
     assert len(live.outcomes) == 6

@@ -229,15 +229,15 @@ def test_the_start_is_waited_for_as_long_as_a_node_tells_of_its_progress(
 ):
     shown = []
     demo = Demo(SimpleNamespace(folder=tmp_path), shown.append)
-    demo._processes = [module("twin", COMPILING)]
-    demo._executor = SimpleNamespace(spin_once=lambda timeout_sec: time.sleep(timeout_sec))
-    monkeypatch.setattr(demo, "_status", lambda now: demo._phase)
+    demo.processes = [module("twin", COMPILING)]
+    demo.executor = SimpleNamespace(spin_once=lambda timeout_sec: time.sleep(timeout_sec))
+    monkeypatch.setattr(demo, "status", lambda now: demo.phase)
     line = "softrobot_twin: compiled 1 of at most 60 kernels in 9 s, now a.b"
-    await_line(demo._processes[0], line)
+    await_line(demo.processes[0], line)
     with pytest.raises(DemoError, match="it is late, waited 2 s"):
-        demo._until(lambda: False, 2.0, "twin", "it is late", is_starting=True)
+        demo.until(lambda: False, 2.0, "twin", "it is late", is_starting=True)
     assert "twin compiled 7 of at most 60 kernels" in shown
-    stop_all(demo._processes)
+    stop_all(demo.processes)
 
 
 def test_the_twin_has_half_of_the_cores_and_the_other_processes_the_other_half():

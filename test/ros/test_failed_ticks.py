@@ -27,7 +27,8 @@ def twin(world, small_scene_file):
 
 def break_effectors(twin, monkeypatch):
     """Destroys the publisher of the effector."""
-    twin.destroy_publisher(twin._effectors[0])
+    effectors = next(one for one in twin.publishers if "/effectors/" in one.topic_name)
+    twin.destroy_publisher(effectors)
 
 
 def break_step(twin, monkeypatch):

@@ -147,7 +147,7 @@ def test_no_message_moves_a_servo_out_of_its_lengths(world, robot, hardware):
         lengths = [float(length) + draw.uniform(-0.06, 0.01) if honest
                    else draw.choice(NUMBERS) for length in rest][:count]  # fmt: skip
         header = Header(stamp=world.stamp(), frame_id="base_link")
-        hardware._take(JointState(header=header, name=names, position=lengths))
+        hardware.take(JointState(header=header, name=names, position=lengths))
         if index % 100 == 0:
             hardware.tick()
             for servo, length in zip(robot.servos.values(), rest, strict=True):
@@ -206,13 +206,13 @@ def test_hidden_markers_are_hidden_and_wrong_messages_are_counted(world, make_mo
     node, heard = make_mocap("PoseArray", mocap_ids=[1, 2, 3], mocap_frame="studio")
     header = Header(frame_id="studio")
     places = [[0.0, 0.0, 0.0], [math.nan, 0.0, 1.0], [10.0, 20.0, 30.0]]
-    node._receive(PoseArray(header=header, poses=[pose_at(place) for place in places]))
+    node.receive(PoseArray(header=header, poses=[pose_at(place) for place in places]))
     world.until(lambda: heard)
     _, positions = read_markers(heard[0])
     assert np.isnan(positions[:2]).all()
     np.testing.assert_allclose(positions[2], [0.01, 0.02, 0.03], atol=1e-7)
-    node._receive(PoseArray(header=header, poses=[pose_at(places[2])]))
-    node._receive(PoseArray(header=Header(frame_id="other"), poses=[pose_at(places[2])] * 3))
+    node.receive(PoseArray(header=header, poses=[pose_at(places[2])]))
+    node.receive(PoseArray(header=Header(frame_id="other"), poses=[pose_at(places[2])] * 3))
     assert node.refusals.by_word() == {"wrong_size": 1, "wrong_frame": 1}
     world.run(0.1)
     assert len(heard) == 1
@@ -225,9 +225,9 @@ def test_no_message_of_a_tracker_ends_its_node(world, make_mocap):
     node, heard = make_mocap("PoseArray", mocap_ids=[1, 2, 3])
     for _ in range(2000):
         places = [[draw.choice(NUMBERS) for _ in range(3)] for _ in range(draw.choice((0, 3, 4)))]
-        node._receive(PoseArray(header=Header(frame_id=draw.choice(("", "é" * 300))),
+        node.receive(PoseArray(header=Header(frame_id=draw.choice(("", "é" * 300))),
                                 poses=[pose_at(place) for place in places]))  # fmt: skip
-    node._receive(PoseArray(header=Header(), poses=[pose_at([10.0, 20.0, 30.0])] * 3))
+    node.receive(PoseArray(header=Header(), poses=[pose_at([10.0, 20.0, 30.0])] * 3))
     spin(node, world.executor, lambda: bool(heard) or node.tick_clock.ticks > 1)
     world.until(lambda: heard and np.isfinite(read_markers(heard[-1])[1]).all())
 

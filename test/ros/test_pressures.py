@@ -252,7 +252,8 @@ def test_no_pressure_causes_an_unsafe_command(world, make_air, mode):
     ends = [entry for entry in twin.subscriptions if entry.msg_type is FluidPressure]
     assert len(ends) == 6
     if mode == "inverse":
-        twin._take_target(0, world.target_message((0.01, 0.01, 0.101)))
+        arrival = twin.arrival(world.target_message((0.01, 0.01, 0.101)).header)
+        assert twin.loop.targets.accept_point(0, (0.01, 0.01, 0.101), arrival) is None
     for tick in range(200):
         for _ in range(20 if tick % 50 else 500):
             pressure = AIR + draw.uniform(-1e4, 3e4)

@@ -236,7 +236,7 @@ def test_a_body_with_nothing_to_show_is_left_out(make_twin):
     twin.stop()
     twin.tick()
     markers = RobotMarkers(twin.loop.simulation, "base_link", 3.0)
-    markers._obstacles = [np.empty((0, 3)), np.ones((3, 3))]
+    markers.obstacles = [np.empty((0, 3)), np.ones((3, 3))]
     found = deserialize_message(
         markers.message(twin.window.newest, (1, 2), True), MarkerArray
     ).markers

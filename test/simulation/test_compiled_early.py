@@ -138,7 +138,7 @@ def note(self, signature):
     return compiled(self, signature)
 
 Dispatcher.compile = note
-solvers = simulation._direct._solvers
+solvers = simulation.direct.solvers
 rng = np.random.default_rng(1)
 for contacts in (3, 40):
     Y = rng.standard_normal((3 * contacts, 3 * contacts + 10))
@@ -146,11 +146,11 @@ for contacts in (3, 40):
     problem = ContactProblem(
         Y @ Y.T, rng.uniform(-1.0, 0.1, 3 * contacts), none, none, np.full(contacts, 0.4), 3)
     guess = np.zeros(3 * contacts)
-    solvers._swept(problem, guess, guess)
-    for solver in (solvers._rubbing, solvers._sweeps, solvers._newton, solvers._judge):
+    solvers.swept(problem, guess, guess)
+    for solver in (solvers.rubbing, solvers.sweeps, solvers.newton, solvers.judge):
         solver.solve(problem, guess)
-    found = solvers._continuation.solve(problem, guess, guess)
-    solvers._continuation.end(problem, found.multipliers)
+    found = solvers.continuation.solve(problem, guess, guess)
+    solvers.continuation.end(problem, found.multipliers)
 print(late)
 """
 

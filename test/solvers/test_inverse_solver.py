@@ -88,7 +88,7 @@ def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proxi
         problem = build_inverse_problem(
             system, weights, 1e-4, within, centre=centre, proximal_weight=proximal_weight
         )
-        by_kernel._active = by_problem._active
+        by_kernel.active = by_problem.active
         efforts = by_kernel.efforts_by_guess(
             W, slice(n, n + 3), errors, weights, 1e-4, proximal_weight, centre, free, within
         )
@@ -96,7 +96,7 @@ def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proxi
         assert (efforts is None) == (proved == 0 or expected.solver != "warm start")
         if efforts is not None:
             np.testing.assert_array_equal(efforts, expected.unknowns)
-            np.testing.assert_array_equal(by_kernel._active, expected.active)
+            np.testing.assert_array_equal(by_kernel.active, expected.active)
         proved += 1
     assert proved == STEPS
 
@@ -106,7 +106,7 @@ def test_without_a_last_solution_no_guess_is_made():
     given = (W, slice(4, 7), errors, np.ones(3), 1e-4, 0.0, centre, free, bounds)
     assert solver_of(4).efforts_by_guess(*given) is None
     exact = solver_of(4, is_exact=True)
-    exact._active = np.zeros(8, dtype=np.int64)
+    exact.active = np.zeros(8, dtype=np.int64)
     assert exact.efforts_by_guess(*given) is None
 
 

@@ -19,7 +19,7 @@ def offer_all(mirror, frames):
     for frame in frames:
         mirror.offer(frame)
         deadline = time.monotonic() + 10.0
-        while file.logged_count + file.failed_count < file._latest.put_count:
+        while file.logged_count + file.failed_count < file.latest.put_count:
             assert time.monotonic() < deadline
             time.sleep(0.001)
 
