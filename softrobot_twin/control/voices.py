@@ -34,19 +34,24 @@ _MOST_VOICES = 8
 
 
 class _Publisher:
-    """What is heard of one publisher: its newest number, when, and its interval [s]."""
+    """What is heard of one publisher: its newest number, when, the time between what is heard of it,
+    and that between its messages, of which some may be lost [s].
+    """
 
     def __init__(self, number: int, time: float):
-        self.number, self.heard, self.interval = number, time, _FIRST_INTERVAL
+        self.number, self.heard = number, time
+        self.interval = self.spacing = _FIRST_INTERVAL
 
     def continues(self, number: int, time: float) -> bool:
         """Whether a message of this number can be its next one."""
-        expected = (time - self.heard) / self.interval if self.interval > 0.0 else 0.0
+        expected = (time - self.heard) / self.spacing if self.spacing > 0.0 else 0.0
         return 0 < number - self.number <= _MOST_LOST + _MOST_LOST_FACTOR * expected
 
     def hear(self, number: int, time: float) -> None:
         """It sends a message."""
-        self.number, self.interval, self.heard = number, time - self.heard, time
+        self.interval = time - self.heard
+        self.spacing = self.interval / (number - self.number)
+        self.number, self.heard = number, time
 
     def is_silent(self, now: float) -> bool:
         """Whether it has ended, as far as its interval tells."""

@@ -1,7 +1,7 @@
 """Priority of the thread that runs the ticks.
 
-It is raised where the system allows it, reported, and lowered again when the thread uses almost a
-whole core.
+It is raised where the system allows it, reported, and lowered to a nice value while the thread uses
+almost a whole core.
 """
 
 from __future__ import annotations
@@ -47,8 +47,9 @@ class ThreadPriority:
     A SCHED_FIFO thread that never sleeps would block all other programs on its core. Three rules
     prevent this. Real-time priority is used only if the kernel limits the time of such threads
     (`sched_rt_runtime_us`). It is used only if there is a second core. And `offer`, called after
-    each tick, lowers the priority for some seconds when the thread used more than nine tenths of a
-    core, as a loop that is always late does. Child processes do not inherit the priority.
+    each tick, lowers it to a nice value for some seconds when the thread used more than nine tenths
+    of a core, as a loop that is always late does: the kernel would stop it at 95 %. Child processes
+    do not inherit the priority.
 
     The other threads of the process, those of the middleware and of the view, get a priority just
     below, because a tick waits while one of them holds Python's lock or a lock of the middleware,
@@ -90,13 +91,14 @@ class ThreadPriority:
             return
         self._begin_window()
         self._retake_at = float("inf")
-        reason = ""
-        if self._wanted is Priority.REAL_TIME:
-            reason = self._take_real_time()
-            self._is_real_time = not reason
-            if not reason:
-                self._raise_others()
-                return
+        reason = self._take_real_time() if self._wanted is Priority.REAL_TIME else ""
+        if self._is_real_time:
+            self._raise_others()
+        else:
+            self._take_nice(reason)
+
+    def _take_nice(self, reason: str) -> None:
+        """Requests a negative nice value; `reason` is why it is no real-time priority."""
         self._raise_others()
         try:
             os.sched_setscheduler(0, _ORDINARY, os.sched_param(0))
@@ -117,7 +119,7 @@ class ThreadPriority:
             os.sched_setscheduler(0, flags, os.sched_param(_REAL_TIME))
         except OSError as error:
             return f"real-time priority refused: {error.strerror}"
-        self._is_raised = self.is_granted = True
+        self._is_raised = self._is_real_time = self.is_granted = True
         self.state = f"real-time, SCHED_FIFO {_REAL_TIME}"
         return ""
 
@@ -130,7 +132,7 @@ class ThreadPriority:
             for thread, nice in self._others.items():
                 _set_ordinary(thread, nice)
             self._others.clear()
-            self._is_raised = False
+            self._is_raised = self._is_real_time = False
 
     def offer(self) -> str:
         """Checks the thread's use of its core; called after each tick, in the same thread.
@@ -142,7 +144,7 @@ class ThreadPriority:
         if now >= self._retake_at:
             self.take()
             return f"priority raised again: {self.state}"
-        if not self._is_raised or now - self._window_began < _WINDOW:
+        if not self._is_real_time or now - self._window_began < _WINDOW:
             return ""
         elapsed = now - self._window_began
         computed = self._thread_time() - self._computed_before
@@ -152,16 +154,16 @@ class ThreadPriority:
         self._raise_others()
         who = "the ticks"
         if share < _LARGEST_SHARE:
-            # Only a real-time thread keeps other programs from a core.
-            if share_of_others < _LARGEST_SHARE or not self._is_real_time:
+            if share_of_others < _LARGEST_SHARE:
                 return ""
             who, share = "the other threads", share_of_others
         self.give_back()
+        # A nice value keeps other programs from no core: they go on with a tenth of it at least.
+        reason = f"{who} took {100 * share:.0f} % of a core"
+        self._take_nice(reason)
         self.times_given_back += 1
         self._retake_at = now + _PAUSE
-        self.is_granted = False
-        self.state = f"normal: {who} took {100 * share:.0f} % of a core"
-        return f"priority lowered for {_PAUSE:g} s: {who} took {100 * share:.0f} % of a core"
+        return f"priority lowered for {_PAUSE:g} s: {self.state}"
 
     def _begin_window(self) -> None:
         self._window_began, self._computed_before = self._clock(), self._thread_time()

@@ -40,6 +40,16 @@ def test_one_publisher_that_loses_messages_and_is_started_again_is_never_contest
 
 
 @pytest.mark.parametrize("case", range(20))
+def test_one_publisher_whose_listener_stops_again_and_again_is_never_contested(case):
+    draw, watch = drawn(), PublisherWatch()
+    interval, heard = 10.0 ** draw.uniform(-2.5, -1.0), 0
+    for pause in (0.0, 0.0, *draw.uniform(0.0, 1.5, 40)):
+        # Of a queue of one, only the newest message is left after a pause.
+        heard += max(1, round(pause / interval))
+        assert watch.hear(heard, heard * interval) and not watch.is_contested(heard * interval)
+
+
+@pytest.mark.parametrize("case", range(20))
 def test_two_publishers_are_contested_and_neither_is_used_by_turns(case):
     draw, watch = drawn(), PublisherWatch()
     first, second = stream(draw, 0.0, 8.0), stream(draw, 3.0, 8.0, int(draw.choice((1, 40, 5000))))

@@ -94,8 +94,8 @@ def test_a_thread_that_never_sleeps_drops_real_time_priority_and_retakes_it_late
     assert system.run(priority, 10.0, 0.7) == []
     assert system.policy == os.SCHED_FIFO
     told = system.run(priority, 1.0, 1.0)
-    assert told == ["priority lowered for 5 s: the ticks took 100 % of a core"]
-    assert (system.policy, system.nice) == (os.SCHED_OTHER, 3)
+    assert told == ["priority lowered for 5 s: nice -10: the ticks took 100 % of a core"]
+    assert (system.policy, system.nice) == (os.SCHED_OTHER, -10)
     assert priority.times_given_back == 1 and not priority.is_granted
     told = system.run(priority, 5.5, 0.5)
     assert told == ["priority raised again: real-time, SCHED_FIFO 5"]
@@ -106,6 +106,18 @@ def test_a_thread_that_never_sleeps_drops_real_time_priority_and_retakes_it_late
         system.run(priority, 0.01, 1.0)
         raised += system.policy == os.SCHED_FIFO
     assert raised <= 0.11 * 6000
+
+
+def test_without_nice_values_the_thread_that_never_sleeps_gets_its_ordinary_priority_back(
+    monkeypatch,
+):
+    system = System(monkeypatch, grants_nice=False)
+    system.nice = 3
+    priority = system.priority()
+    priority.take()
+    told = system.run(priority, 1.0, 1.0)
+    assert told == ["priority lowered for 5 s: normal: the ticks took 100 % of a core"]
+    assert (system.policy, system.nice) == (os.SCHED_OTHER, 3)
 
 
 def test_other_threads_get_real_time_priority_below_that_of_the_ticks(monkeypatch):
@@ -129,7 +141,7 @@ def test_other_threads_that_never_sleep_lose_their_priority(monkeypatch):
     priority.take()
     assert system.run(priority, 5.0, 0.3, share_of_others=0.6) == []
     told = system.run(priority, 1.0, 0.3, share_of_others=1.0)
-    assert told == ["priority lowered for 5 s: the other threads took 100 % of a core"]
+    assert told == ["priority lowered for 5 s: nice -10: the other threads took 100 % of a core"]
     assert system.others[11] == (os.SCHED_OTHER, 0)
 
 
