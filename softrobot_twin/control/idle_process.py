@@ -31,7 +31,7 @@ STATE, UNKNOWN = "state", "unknown"
 # Pause before the next request, in durations of the last answer: a fifth of a processor at most.
 _PAUSE = 4.0
 _END_TIMEOUT = 2.0
-_LINGER = 10.0
+LINGER = 10.0
 """A process without a new state to judge gives its memory back after this time [s]: some 270 MB."""
 _FIRST = "SOFTROBOT_TWIN_FIRST_MESSAGE"
 """Variable of the environment: file that holds the first message for the program that follows."""
@@ -193,7 +193,7 @@ def yield_to_all() -> None:
 class Requests:
     """Reads messages from standard input.
 
-    When none has come for `_LINGER`, the process becomes that of a new program, which waits for one
+    When none has come for `LINGER`, the process becomes that of a new program, which waits for one
     in a few megabytes, before it loads anything, and goes on from the first message of this one. The
     twin knows nothing of it, and must not start a process: it would wait for a thread of ordinary
     priority.
@@ -219,7 +219,7 @@ class Requests:
 
     def read(self) -> object | None:
         """The next message; None when the other end has closed."""
-        if self._read_first and not select.select([sys.stdin.fileno()], [], [], _LINGER)[0]:
+        if self._read_first and not select.select([sys.stdin.fileno()], [], [], LINGER)[0]:
             self._follow()
         if self.is_again and not self._read_first:
             self._read_first = True

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 REST = "rest"
 """Kind of the first reply: the mesh at rest."""
-_PROGRAM = "from softrobot_twin.control.mesh_error_watch import main; main({})"
+PROGRAM = "from softrobot_twin.control.mesh_error_watch import main; main({})"
 
 
 class MeshErrorWatch(IdleWatch):
@@ -46,7 +46,7 @@ class MeshErrorWatch(IdleWatch):
         """
         self.at_rest: MeshError | None = None
         self.newest = float("nan")
-        super().__init__(_PROGRAM.format(yields), simulation.scene)
+        super().__init__(PROGRAM.format(yields), simulation.scene)
 
     @property
     def estimates(self) -> int:

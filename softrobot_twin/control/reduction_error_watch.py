@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 READY = "ready"
 """Kind of the first reply: the models are built."""
-_PROGRAM = "from softrobot_twin.control.reduction_error_watch import main; main({})"
+PROGRAM = "from softrobot_twin.control.reduction_error_watch import main; main({})"
 
 
 class ReductionErrorWatch(IdleWatch):
@@ -48,7 +48,7 @@ class ReductionErrorWatch(IdleWatch):
         self.states: dict[str, ReductionState] = {}
         self.newest: dict[str, FullError] = {}
         self.linearizations = 0
-        super().__init__(_PROGRAM.format(yields), simulation.scene)
+        super().__init__(PROGRAM.format(yields), simulation.scene)
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
         """The state itself: coordinates, setpoints and efforts; see `IdleWatch`."""

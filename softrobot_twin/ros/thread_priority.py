@@ -19,7 +19,7 @@ _HELPER = 4
 """That of the other threads of the process, below the tick's."""
 _NICE = -10
 _ORDINARY = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
-_THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
+THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 _WINDOW = 0.5
 """Time over which the thread's share of a core is measured [s]."""
 _LARGEST_SHARE = 0.9
@@ -207,9 +207,9 @@ def why_unsafe() -> str:
     if (os.cpu_count() or 1) < 2:
         return "no real-time priority on a single core: it would block all other programs"
     try:
-        limit = int(_THROTTLE.read_text())
+        limit = int(THROTTLE.read_text())
     except (OSError, ValueError):
         return ""
     if limit < 0:
-        return f"no real-time priority without the kernel's limit on its time ({_THROTTLE} is -1)"
+        return f"no real-time priority without the kernel's limit on its time ({THROTTLE} is -1)"
     return ""

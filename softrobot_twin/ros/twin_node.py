@@ -235,7 +235,7 @@ class ComplianceOutputs:
                 publisher.publish(matrix_message(matrix, self._WORLD, columns, header))
 
 
-_DIAGNOSTICS_PERIOD = 1.0
+DIAGNOSTICS_PERIOD = 1.0
 _WARN_EVERY = 2.0
 _TABLE = {entry.name: entry for entry in TWIN}
 
@@ -687,7 +687,7 @@ class TwinNode(TickingNode):
             self._warn_of(newest, now)
         if now < self._diagnostics_due:
             return
-        self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
+        self._diagnostics_due = now + DIAGNOSTICS_PERIOD
         self._watch_mesh_error(now)
         if self._reduction is not None and not self.loop.simulation.falls_back:
             self._reduction.offer(self.loop.simulation, False, now)

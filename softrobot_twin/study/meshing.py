@@ -206,7 +206,7 @@ def mesh_part(
 
         trial = tried(size) if step is None else _searched(path, step, tried, scale)
         _print(path, trial, element)
-        _print_mesh_error(trial.scene)
+        print_mesh_error(trial.scene)
     with output_file(output) as partial:
         write_msh(partial, trial.made)
     largest = float(np.ptp(trial.made.mesh.node_positions, axis=0).max())
@@ -317,7 +317,7 @@ def _place(place: np.ndarray) -> str:
     return "(" + ", ".join(f"{1e3 * value + 0.0:.3g}" for value in place) + ") mm"
 
 
-def _print_mesh_error(scene: Scene) -> None:
+def print_mesh_error(scene: Scene) -> None:
     """Prints the estimated error of the mesh, with the corotational law of the same moduli."""
     corotational = with_law(scene, "corotational")
     if scene.body.element != "quadratic":

@@ -68,12 +68,12 @@ def progress() -> Progress | PipedProgress:
                     console=Console(stderr=True))
 
 
-_FIRST_LINE, _NEXT_LINE = 5.0, 30.0
+FIRST_LINE, NEXT_LINE = 5.0, 30.0
 """Time until the first line of progress through a pipe, and from then on the longest between two
 lines [s].
 """
 _TENTH = 0.1
-"""A line is printed too when so much more of the whole is done, at most every `_FIRST_LINE`."""
+"""A line is printed too when so much more of the whole is done, at most every `FIRST_LINE`."""
 
 
 class PipedProgress:
@@ -130,7 +130,7 @@ class PipedProgress:
         since = time.monotonic() - self._printed_at
         is_more = self._done - self._printed >= _TENTH * self._total
         is_first = self._printed == self._first
-        if since >= _NEXT_LINE or since >= _FIRST_LINE and (is_more or is_first):
+        if since >= NEXT_LINE or since >= FIRST_LINE and (is_more or is_first):
             self._print()
 
     def _print(self) -> None:
@@ -154,7 +154,7 @@ def terminal_status(text: str) -> AbstractContextManager:
 @contextmanager
 def _piped_status(text: str, stream: TextIO) -> Iterator[None]:
     """Prints a line when an activity takes some seconds."""
-    timer = threading.Timer(_FIRST_LINE, lambda: print(f"{text} …", file=stream, flush=True))
+    timer = threading.Timer(FIRST_LINE, lambda: print(f"{text} …", file=stream, flush=True))
     timer.daemon = True
     timer.start()
     try:

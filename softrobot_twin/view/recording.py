@@ -133,7 +133,7 @@ def serve_at(address: str, port: int, memory_limit: str, application: str,
     if not CAN_SERVE:
         raise ViewError("serve", True, f"rerun {rr.__version__} cannot serve to this machine only "
                         "without blocking the sender; record into a file, or install rerun 0.41")
-    port = _check_port(address, port)
+    port = check_port(address, port)
     sink = rr.GrpcServerSink(address, port, server_memory_limit=memory_limit)
     stream = _new_stream(application,
                          batcher_config=rr.ChunkBatcherConfig(flush_tick=_LIVE_FLUSH_TICK))
@@ -188,7 +188,7 @@ def _flush(stream: rr.RecordingStream, timeout: float) -> None:
         stream.flush(blocking=True)
 
 
-def _check_port(address: str, port: int) -> int:
+def check_port(address: str, port: int) -> int:
     """Returns a port that can be used, a free one for 0; rerun itself only logs a failure."""
     try:
         ipaddress.IPv4Address(address)

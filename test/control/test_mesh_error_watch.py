@@ -133,9 +133,9 @@ def resident(process) -> int:
 def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
     diamond, watch_of, monkeypatch
 ):
-    program = mesh_error_watch._PROGRAM.replace("main({})", "idle_process._LINGER = 0.2; main({})")
+    program = mesh_error_watch.PROGRAM.replace("main({})", "idle_process.LINGER = 0.2; main({})")
     monkeypatch.setattr(
-        mesh_error_watch, "_PROGRAM", "from softrobot_twin.control import idle_process; " + program
+        mesh_error_watch, "PROGRAM", "from softrobot_twin.control import idle_process; " + program
     )
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))

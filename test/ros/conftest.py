@@ -210,5 +210,5 @@ def statuses(message, part):
 @pytest.fixture
 def diagnostics(world, monkeypatch):
     """The twin's diagnostics, five times a second: nobody waits a second for each."""
-    monkeypatch.setattr(twin_node, "_DIAGNOSTICS_PERIOD", 0.2)
+    monkeypatch.setattr(twin_node, "DIAGNOSTICS_PERIOD", 0.2)
     return Diagnostics(world)

@@ -38,7 +38,7 @@ def break_step(twin, monkeypatch):
 
 def break_diagnostics(twin, monkeypatch):
     """Lets the diagnostics raise an exception in each tick."""
-    monkeypatch.setattr("softrobot_twin.ros.twin_node._DIAGNOSTICS_PERIOD", -math.inf)
+    monkeypatch.setattr("softrobot_twin.ros.twin_node.DIAGNOSTICS_PERIOD", -math.inf)
     twin.request_diagnostics()
     monkeypatch.setattr(twin.diagnostics, "statuses", lambda now: {}["of the diagnostics"])
 

@@ -155,7 +155,7 @@ def test_real_time_priority_is_not_requested_where_it_could_freeze_the_machine(
     file = tmp_path / "sched_rt_runtime_us"
     file.write_text(limit)
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    monkeypatch.setattr(thread_priority, "_THROTTLE", file)
+    monkeypatch.setattr(thread_priority, "THROTTLE", file)
     why = why_unsafe()
     assert reason in why and bool(why) == bool(reason)
 

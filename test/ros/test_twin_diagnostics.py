@@ -239,8 +239,8 @@ def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
     from softrobot_twin.control import mesh_error_watch
 
     # The estimating process has the lowest priority and might never run on a busy machine.
-    program = mesh_error_watch._PROGRAM.format(False)
-    monkeypatch.setattr(mesh_error_watch, "_PROGRAM", program)
+    program = mesh_error_watch.PROGRAM.format(False)
+    monkeypatch.setattr(mesh_error_watch, "PROGRAM", program)
     make_twin(mesh_error=True)
     world.until(lambda: diagnostics.messages, 30.0)
     solver = diagnostics(
@@ -262,8 +262,8 @@ def test_the_errors_of_a_reduced_body_are_reported(
         world, make_twin, diagnostics, monkeypatch, half_trained):
     from softrobot_twin.control import reduction_error_watch
 
-    program = reduction_error_watch._PROGRAM.format(False)
-    monkeypatch.setattr(reduction_error_watch, "_PROGRAM", program)
+    program = reduction_error_watch.PROGRAM.format(False)
+    monkeypatch.setattr(reduction_error_watch, "PROGRAM", program)
     make_twin(scene_file=str(half_trained))
     world.until(lambda: diagnostics.messages, 60.0)
     solver = diagnostics(

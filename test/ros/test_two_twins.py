@@ -123,7 +123,7 @@ def test_two_publishers_of_targets_are_named_and_not_followed(world, make_twin):
 def test_two_nodes_that_give_a_point_and_a_velocity_by_turns_are_named(
     world, make_twin, diagnostics, monkeypatch
 ):
-    monkeypatch.setattr(twin_node, "_DIAGNOSTICS_PERIOD", 1.0)
+    monkeypatch.setattr(twin_node, "DIAGNOSTICS_PERIOD", 1.0)
     make_twin(rate=50.0)
     points = world.speaker(PointStamped, "/twin/target/tip")
     velocities = world.speaker(Twist, "/twin/target_velocity")

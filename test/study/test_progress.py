@@ -72,7 +72,7 @@ def test_only_work_longer_than_half_a_minute_is_announced(capsys):
 
 def test_an_activity_that_takes_long_is_named_through_a_pipe(monkeypatch):
     stream = io.StringIO()
-    monkeypatch.setattr(terminal, "_FIRST_LINE", 0.0)
+    monkeypatch.setattr(terminal, "FIRST_LINE", 0.0)
     monkeypatch.setattr(sys, "stderr", stream)
     with terminal.terminal_status("building the scene"):
         for thread in terminal.threading.enumerate():

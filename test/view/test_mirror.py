@@ -131,7 +131,7 @@ def test_a_taken_port_is_refused_by_name_without_a_remaining_server(stage, tmp_p
 @serving
 def test_a_port_that_is_taken_at_the_last_moment_is_refused_too(stage, monkeypatch):
     from softrobot_twin.view import recording
-    monkeypatch.setattr(recording, "_check_port", lambda address, port: port)
+    monkeypatch.setattr(recording, "check_port", lambda address, port: port)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         with pytest.raises(ViewError, match=str(taken.getsockname()[1])):
             RerunMirror(stage, serve=True, port=taken.getsockname()[1])
