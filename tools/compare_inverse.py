@@ -3,21 +3,26 @@
     tools/compare_inverse.py SEED COUNT
 
 Each robot is a bar of hexahedra or a beam with random cables, and one or two effectors with random
-directions and weights; some cables are limited. Targets are within reach or far out. The robot follows its targets for 300 steps. Then the weighted distance is minimised over the
-lengths of the cables by `scipy.optimize.least_squares` on direct steps, from where the robot is and
-from poses at random. A robot is worse where it is left more than 1 % further away than that, told
-where its status is not `ok`, and restless where a command still moves by more than 1e-6 of the
-size in the last 60 steps, or where these end as neither ok, saturated nor unreachable.
+directions and weights; some cables are limited. Some effectors ask for an orientation, or on bars
+for a stiffness, too. Targets are within reach or far out. The robot follows its targets for 300
+steps. Then the weighted distance is minimised over the lengths of the cables by
+`scipy.optimize.least_squares` on direct steps: near where the robot is, and from lengths at random.
+Direct steps begin where the robot is; where its body is not in balance, they begin at rest. A pose
+counts where direct steps come to balance with all tensions within their limits. A robot is worse
+where it is left more than 1 % further away than that, told where its status is not `ok`, and restless
+where a command still moves by more than 1e-6 of the size in the last 60 steps, or where these end as
+neither ok, saturated nor unreachable.
 """
 
 from __future__ import annotations
 
 import argparse
 import warnings
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 import softrobot_twin as st
 
@@ -26,17 +31,20 @@ STEPS, LATE, RESTED = 300, 60, 1.0e-6
 DIRECT_STEPS, STARTS, EVALUATIONS = 6, 2, 25
 WORSE = 1.01
 RESTING = ("ok", "saturated", "unreachable")
+LEAST_RATIO = 1.0e-6
+QUARTERS = np.arange(4) * 0.5 * np.pi
 DIRECTIONS = (["z"], ["y", "z"], ["x", "z"], ["x", "y", "z"])
 
 
-@dataclass(frozen=True)
-class Robot:
+class Robot(NamedTuple):
     """A random robot and what it is asked for.
 
     Attributes:
         scene: The scene, as keywords of `softrobot_twin.build`.
         targets: Targets by the names of `softrobot_twin.targets`.
-        weights: Square roots of the weights of the effectors' rows, by effector.
+        weights: Square roots of the weights of the effectors' positions, by effector.
+        turns: Square roots of the weights of orientations times the length per radian, by effector.
+        stiff: The same of stiffnesses times their length.
         size: Length of the body [m].
         kind: What it is, in a few words.
     """
@@ -44,12 +52,13 @@ class Robot:
     scene: dict
     targets: dict
     weights: dict
+    turns: dict
+    stiff: dict
     size: float
     kind: str
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """How a robot fared.
 
     Attributes:
@@ -105,7 +114,7 @@ def random_robot(rng: np.random.Generator) -> Robot:
         if limit is not None:
             cable["shortening"] = [-limit * length, limit * length * rng.uniform(0.2, 1.5)]
         cables.append(cable)
-    effectors, targets, weights, words = [], {}, {}, []
+    effectors, targets, weights, words, turns, stiff = [], {}, {}, [], {}, {}
     for name, share in (("tip", 1.0), ("mid", 4 / 7))[: 1 + (rng.random() < 0.4)]:
         place = point(share, None)
         directions = DIRECTIONS[int(rng.integers(0, len(DIRECTIONS)))]
@@ -118,6 +127,31 @@ def random_robot(rng: np.random.Generator) -> Robot:
         targets[name] = (np.array(place) + off).tolist()
         weights[name] = np.sqrt(weight) * np.isin(["x", "y", "z"], directions)
         words.append(f"{name} {''.join(directions)}")
+        more = rng.random()
+        if more < 0.3:
+            # Four points around the axis: their mean is the place, their turn the orientation.
+            effectors[-1]["points"] = [point(share, quarter) for quarter in QUARTERS]
+            turns[name] = np.sqrt(effectors[-1]["weight"]) * length
+            whole = bool(rng.random() < 0.5)
+            effectors[-1]["orientation"] = dict(
+                weight=effectors[-1]["weight"], length_per_radian=length,
+                **({} if whole else dict(pointing=[1.0, 0.0, 0.0])),
+            )  # fmt: skip
+            turn = Rotation.from_rotvec(rng.normal(size=3) * far / length)
+            targets[f"{name}_quaternion"] = turn.as_quat().tolist()
+            words[-1] += " turn" if whole else " pointing"
+        elif more < 0.5 and not is_beam:
+            stiff[name] = np.sqrt(effectors[-1]["weight"]) * 0.1 * length
+            effectors[-1]["stiffness"] = dict(
+                weight=effectors[-1]["weight"], length=0.1 * length, target=[None] * 3
+            )
+            # Up to thrice what it has without cables.
+            lever = np.linalg.norm(np.subtract(point(share, 0.0), place))
+            bare = 3.0 * tension * lever / (share**3 * length**2)
+            wanted = [None, None, None]
+            wanted[int(rng.integers(1, 3))] = float(bare * 10 ** rng.uniform(-0.1, 0.5))
+            targets[f"{name}_stiffness_N_per_m"] = wanted
+            words[-1] += " stiffness"
     kind = "beam" if is_beam else "bar"
     scene = dict(
         name=kind, gravity=[0.0, 0.0, 0.0], cables=cables, effectors=effectors,
@@ -125,7 +159,8 @@ def random_robot(rng: np.random.Generator) -> Robot:
         **body,
     )  # fmt: skip
     limits = "" if limit is None else f" limited to {limit:g} L"
-    return Robot(scene, targets, weights, length, f"{kind} {count} cables{limits} {words}")
+    words = f"{kind} {count} cables{limits} {words}"
+    return Robot(scene, targets, weights, turns, stiff, length, words)
 
 
 def _beam(rng, length: float):
@@ -165,50 +200,65 @@ def _bar(rng, length: float):
     return dict(body=body), point, {}, young * width**4 / 12.0 / length / (0.42 * width)
 
 
-def compare(robot: Robot, rng: np.random.Generator) -> Finding:
-    """Lets a robot follow its targets, and looks for nearer poses by direct steps."""
+def follow(robot: Robot) -> tuple[st.Robot, Finding]:
+    """Lets a robot follow its targets; it is as near to them as the best that is known."""
     twin = st.build(**robot.scene)
-    names = [cable["name"] for cable in robot.scene["cables"]]
     asked, commands, late = st.targets(robot.targets), [], set()
     for step in range(STEPS):
         result = twin.step(asked)
         if step >= STEPS - LATE:
-            commands.append(_setpoints(result, names))
+            commands.append(_setpoints(result, _names(robot)))
             late.add(result.status.value)
     late_move = float(np.abs(np.diff(commands, axis=0)).max()) / robot.size
-    ours, state, limits = _missed(robot, result), twin.state, twin.simulation.actuators.limits
-    least, most = limits.displacement_min.copy(), limits.displacement_max.copy()
-    least = np.maximum(least, -0.5 * robot.size)
+    ours = float(np.linalg.norm(_missed(robot, result)))
+    return twin, Finding(
+        result.status.value, result.limits, ours, ours, late_move, frozenset(late),
+        twin.simulation.scene.solver.reach_tolerance,
+    )  # fmt: skip
+
+
+def compare(robot: Robot, rng: np.random.Generator) -> Finding:
+    """Lets a robot follow its targets, and looks for nearer poses by direct steps."""
+    twin, found = follow(robot)
+    names, limits = _names(robot), twin.simulation.actuators.limits
+    least = np.maximum(limits.displacement_min, -0.5 * robot.size)
+    most = limits.displacement_max.copy()
+    own = _setpoints(twin.step(st.hold()), names)
+    if found.status not in RESTING:
+        twin.reset()
+    state, greatest = twin.state, robot.scene["cables"][0]["tension"][1]
 
     def at(shortenings):
         twin.state = state
         given = {f"{name}_shortening_m": float(s) for name, s in zip(names, shortenings)}
         for _ in range(DIRECT_STEPS):
-            found = twin.step(st.setpoints(given))
-            if found.is_at_rest:
+            result = twin.step(st.setpoints(given))
+            if result.is_at_rest:
                 break
-        if found.status.value != "ok" or max(found[f"{name}_tension_N"] for name in names) >= (
-            robot.scene["cables"][0]["tension"][1]
-        ):
-            return np.full(3 * len(robot.weights), 10.0 * robot.size)
-        return _missed(robot, found)
+        is_pose = result.status.value == "ok"
+        if robot.stiff:
+            # A step that follows targets tells the stiffness; here all lengths are commanded.
+            result = twin.step(st.targets(robot.targets, **given))
+        is_pose = is_pose and max(result[f"{name}_tension_N"] for name in names) < greatest
+        missed = _missed(robot, result)
+        return missed if is_pose else np.full(len(missed), 10.0 * robot.size)
 
-    best, own = float(np.linalg.norm(ours)), commands[-1]
-    tolerance = twin.simulation.scene.solver.reach_tolerance
-    if best > tolerance:
+    best = found.ours
+    if best > found.tolerance:
         starts = [own, *(own + 0.1 * robot.size * rng.normal(size=len(names))
                          for _ in range(STARTS))]  # fmt: skip
         for start in starts:
             inside = np.clip(start, least + 1e-9, most - 1e-9)
-            found = least_squares(
+            pose = least_squares(
                 at, inside, bounds=(least, most), x_scale=0.02 * robot.size, diff_step=1e-4,
                 max_nfev=EVALUATIONS,
             )
-            best = min(best, float(np.linalg.norm(found.fun)))
-    return Finding(
-        result.status.value, result.limits, float(np.linalg.norm(ours)), best, late_move,
-        frozenset(late), tolerance,
-    )  # fmt: skip
+            best = min(best, float(np.linalg.norm(pose.fun)))
+    return found._replace(best=best)
+
+
+def _names(robot: Robot) -> list[str]:
+    return [cable["name"] for cable in robot.scene["cables"]]
 
 
 def _setpoints(result, names: list[str]) -> np.ndarray:
@@ -216,11 +266,35 @@ def _setpoints(result, names: list[str]) -> np.ndarray:
 
 
 def _missed(robot: Robot, result) -> np.ndarray:
-    """Weighted distances of the effectors, one row after the other [m]."""
-    return np.concatenate([
+    """Weighted distances of the effectors, one row after the other, after a step [m]."""
+    missed = [
         weights * (np.array(result.effectors[name]) - robot.targets[name])
         for name, weights in robot.weights.items()
-    ])  # fmt: skip
+    ]
+    effectors = {one["name"]: one for one in robot.scene["effectors"]}
+    for name, weight in robot.turns.items():
+        made = Rotation.from_quat(result.orientations[name])
+        wanted = Rotation.from_quat(robot.targets[f"{name}_quaternion"])
+        axis = effectors[name]["orientation"].get("pointing")
+        missed.append(weight * _turn(made, wanted, axis))
+    for place, one in enumerate(robot.scene["effectors"]):
+        if one["name"] in robot.stiff:
+            wanted = robot.targets[f"{one['name']}_stiffness_N_per_m"]
+            ratio = result.outcome.effector_stiffness[place] / np.array(wanted, dtype=float)
+            # What yields backwards is as wrong as what hardly yields.
+            ratio = np.maximum(ratio[np.isfinite(ratio)], LEAST_RATIO)
+            missed.append(robot.stiff[one["name"]] * np.log(ratio))
+    return np.concatenate(missed)
+
+
+def _turn(made: Rotation, wanted: Rotation, axis) -> np.ndarray:
+    """The rotation vector between two orientations, or between where an axis points [rad]."""
+    if axis is None:
+        return (made * wanted.inv()).as_rotvec()
+    pointed, direction = made.apply(axis), wanted.apply(axis)
+    across = np.cross(direction, pointed)
+    angle = np.arctan2(np.linalg.norm(across), direction @ pointed)
+    return across * angle / max(np.linalg.norm(across), 1e-300)
 
 
 def main() -> None:

@@ -107,7 +107,7 @@ class ApparentStiffness:
         self._loads = rows.row_index, rows.node_index, rows.blocks
         # Rows of axes that the scene controls, which are condensed already.
         own = model.effectors
-        places = 3 * own.row_effector[: own.position_row_count] + own.row_axis
+        places = (3 * own.row_effector + own.row_axis)[: own.position_row_count]
         self._row_of = {place: row for row, place in enumerate(places.tolist())}
 
     def gradient(self, state: State, directions: np.ndarray) -> ComplianceGradient:

@@ -27,6 +27,7 @@ from softrobot_twin.simulation.direct_actuation import DirectActuation, widened
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.stiffness_targets import StiffnessRows
 from softrobot_twin.simulation.target_trust import NO_LOADS, Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
@@ -416,6 +417,9 @@ class InverseActuation:
             held = held._replace(contact=held.contact._replace(limits=limits))
         if commanded.all() or self.trust.approach is Approach.REST:
             return held, held
+        if self.trust.approach is Approach.RETURN:
+            goal = self._limits.drives_within(self.trust.goal, bounds)
+            return self._direct.at_drives(linear, goal, bounds), held
         if self.trust.approach is Approach.RETRACE:
             return self._retrace(linear, held, bounds), held
         if self.trust.approach is Approach.LEAD_BACK:
@@ -437,7 +441,11 @@ class InverseActuation:
             places = linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
             if stiffness is not None:
                 places = np.concatenate([places, stiffness.places(found.efforts)])
-            self.trust.expect(places)
+            is_hindered = self.trust.is_careful and any(
+                name.endswith(RATE)
+                for name in self._limits.binding(found.displacements, found.efforts, bounds)
+            )
+            self.trust.expect(places, is_hindered)
         return found, held
 
     def _over_branches(

@@ -17,13 +17,16 @@ its way, for instance behind an obstacle: then its shape at rest is much nearer.
 along the path of its actuators, as far as the last target that it reached, and tries again from
 there. At the same displacements the body may have another shape than on its way, for instance where
 it slipped around an obstacle: then its effectors are led back through the places where they were.
-Or it goes to and fro without gain, because a kink, such as a contact that opens and closes, is
-sharper than a linearization can tell, or drifts without gain. Then the actuators rest until
-something changes.
+Or it goes to and fro without gain, because a kink, such as a contact that opens and closes or a
+part that snaps, is sharper than a linearization can tell, or drifts without gain, or its body does
+not come to balance. Then it goes on with care, as a trust region method does: it goes back to the
+nearest place where it was in balance, and each further place that it tries is judged in balance, and
+left again unless it is nearer. Where none is, the actuators rest until something changes.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from enum import Enum
 from typing import NamedTuple
 
@@ -50,10 +53,22 @@ LONG_PATIENCE = 3 * PATIENCE
 TO_AND_FRO = 0.5
 # Moves below this share of the actuators' scales are round-off.
 MOVED = 1.0e-8
+# Steps in which a body that does not move may come to balance, before a place is given up.
+MOST_WAITS = 10
+# Steps with care towards one target; those that a rate hinders do not count.
+MOST_CAREFUL_STEPS = 150
+# Places in balance that are kept. Among so many trials, T falls by such a share at least.
+MOST_PLACES, TRIALS, TRIAL_PROGRESS = 64, 12, 5.0e-3
+# Their first weight: along a valley the tracking term bends far less than on the mean.
+FIRST_WITH_CARE = 1.0e-6
+# The greatest weight with which these begin.
+MOST_AT_FIRST = 1.0
 # Where a target is reached, actuators rest soon. Each so many steps it is looked whether what targets
 # leave open goes to and fro. From then on, and after so many looks in any case, it goes by ever
 # smaller shares while its path between two looks does not get shorter by this factor.
 SETTLING_STEPS, MOST_LOOKS, SETTLING = 8, 9, 0.5
+# Actuators that move further between two looks do not rest.
+CREEPS = 1.0e-6 * SETTLING_STEPS
 # A target that moves by more than this share of its distance is another one.
 ANOTHER_TARGET = 0.01
 # Loads that change by more than this share of all loads are other ones.
@@ -75,6 +90,7 @@ class Approach(Enum):
     REST = "they stay, since nothing brings them nearer"
     RETRACE = "they go back along their path, since they were caught on the way"
     LEAD_BACK = "they lead the effectors back through the places where these were on the way"
+    RETURN = "they go to a place, and stay there until the body is in balance"
 
 
 class ActuatorPath:
@@ -216,6 +232,8 @@ class TargetTrust:
             leave open goes by the share 1 / (1 + open_weight) towards the least energy in one step.
         approach: What the actuators do.
         path: Where the actuators have been.
+        is_careful: Whether places are tried with care, each until the body is in balance.
+        goal: Displacements to which the actuators return, shape (actuator_count,).
         rest: Effector coordinates in the rest shape [m], shape (n,).
     """
 
@@ -249,14 +267,17 @@ class TargetTrust:
         self._asked: Situation | None = None
         self._last: Situation | None = None
         self._promised: np.ndarray | None = None
+        # The nearest place in balance, or the last one under way to other targets.
+        self._nearest: Situation | None = None
         self._start_again()
-        self._has_retraced = False
+        self._has_retraced, self._unbalanced = False, 0
         self.path.forget()
 
     def _start_again(self) -> None:
         self.approach = Approach.FOLLOW
         self._best, self._since, self._since_balanced = np.inf, 0, 0
         self._step_count = 0
+        self.is_careful, self._least = False, np.inf
 
     def begin(self, situation: Situation) -> None:
         """Compare what the last step promised with what came of it, and choose what to do.
@@ -277,7 +298,8 @@ class TargetTrust:
             # What came of the promise is the work of other loads too.
             self._promised = None
         reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
-        if self._promised is not None and self.approach is Approach.FOLLOW and now > reached:
+        is_free = self.approach is Approach.FOLLOW and not self.is_careful
+        if self._promised is not None and is_free and now > reached:
             before = situation.tracking(self._last.places)
             if self._have_moved(situation):
                 self._learn(before, situation.tracking(self._promised), now)
@@ -285,15 +307,16 @@ class TargetTrust:
                 # Nothing came of the promise because nothing was done about it.
                 self._set(self.weight * LOOSER)
         self._has_reached = self._has_reached or now <= reached
-        if self._has_reached and self.approach is Approach.FOLLOW:
-            self._settle(situation)
-        if now <= reached:
+        self._unbalanced = 0 if situation.is_balanced else self._unbalanced + 1
+        if now <= reached and not (self.is_careful and self._unbalanced):
             self._set(self.weight * LOOSER)
             self._start_again()
             self.path.forget()
         else:
             # Progress is measured by the target asked first, else noise of targets would hide it.
             self._choose(situation, self._asked.tracking(situation.places))
+        if self._has_reached and is_free:
+            self._settle(situation)
         if self.approach is Approach.FOLLOW:
             self.path.add(situation.displacements, situation.places[self._positions])
         self._last, self._promised = situation, None
@@ -325,6 +348,9 @@ class TargetTrust:
         goes_on = is_late and path > SETTLING * self._settled_path
         if path > MOVED and (distance < TO_AND_FRO * path or goes_on):
             self.open_weight = 2.0 * self.open_weight + 1.0
+        if is_late and path > CREEPS and self._unbalanced >= SETTLING_STEPS:
+            # Where the body creeps away, the target is held by actuators that never rest.
+            self._take_care(situation)
         self._settling, self._settled_path = drives, path
         self._settling_path, self._settling_count = 0.0, 0
 
@@ -356,6 +382,11 @@ class TargetTrust:
         if self.approach is Approach.REST:
             self._watch(situation)
             return
+        if self.is_careful:
+            self._go_carefully(situation, now)
+            return
+        if situation.is_balanced and now < self._least:
+            self._nearest, self._least = situation, now
         self._recent[:-1] = self._recent[1:]
         self._recent[-1] = situation.displacements / self._scales
         self._step_count += 1
@@ -364,13 +395,100 @@ class TargetTrust:
             return
         self._since += 1
         self._since_balanced += situation.is_balanced
-        if self._since_balanced < PATIENCE and self._since < LONG_PATIENCE:
+        # A body that is not in balance is given time for it with care.
+        if self._since_balanced < PATIENCE and self._since < PATIENCE:
             return
+        is_late = self._since >= LONG_PATIENCE
+        if (self._since_balanced >= PATIENCE or is_late) and self._retraces(situation, now):
+            return
+        is_stuck = not situation.is_balanced and not self._path_length
+        if is_stuck or self._goes_to_and_fro() or is_late and self._path_length:
+            self._take_care(situation)
+
+    def _retraces(self, situation: Situation, now: float) -> bool:
+        """Go back along the path where it was caught on the way, once; whether it does."""
         is_free = bool(np.isnan(situation.commanded).all())
-        if is_free and not self._has_retraced and self._is_caught(situation, now):
-            self.approach, self._has_retraced = Approach.RETRACE, True
-        elif self._goes_to_and_fro() or self._since >= LONG_PATIENCE and self._path_length:
-            self.approach, self._resting = Approach.REST, situation
+        if self._has_retraced or not (is_free and self._is_caught(situation, now)):
+            return False
+        self.approach, self._has_retraced = Approach.RETRACE, True
+        return True
+
+    def _return(self, situation: Situation) -> None:
+        """Go to where the actuators are in a situation, and wait for balance there."""
+        self.approach, self.goal = Approach.RETURN, situation.displacements
+        self._wait_count, self._distance = 0, np.inf
+
+    def _take_care(self, situation: Situation) -> None:
+        """Go to the nearest place in balance, and on from there with care."""
+        self.is_careful, self._is_trial = True, False
+        self._careful_count = self._trial_count = 0
+        self._judged = self._expected = np.inf
+        self._is_hindered, self._least_at_floor = False, -np.inf
+        self._set(min(self.weight, MOST_AT_FIRST))
+        if self._nearest is None:
+            self._nearest = situation
+        self._before, self._back = deque([self._asked], MOST_PLACES), 1
+        self._return(self._nearest)
+
+    def _go_carefully(self, situation: Situation, now: float) -> None:
+        """Try places near the nearest one, each until the body is in balance; `now` is T [m²]."""
+        self._careful_count += not self._is_hindered
+        if self._is_trial and self.approach is Approach.FOLLOW:
+            self._return(situation)
+        gain, promise = self._least - now, self._least - self._expected
+        # Balance that is not yet there makes no difference where a place is much further away, nor
+        # where the body is back as it was.
+        is_clear = gain < -promise if self._is_trial else gain > -POOR * promise
+        distance = longest_move(self.goal, situation.displacements, self._scales)
+        is_clear = distance <= MOVED and (is_clear or situation.is_balanced)
+        if not is_clear and self._waits(situation, distance):
+            return
+        has_come, self._is_trial = self._is_trial, False
+        self.approach = Approach.FOLLOW
+        if has_come:
+            if not (is_clear and situation.is_balanced and gain > 0.0):
+                self.tighten()
+                self._return(self._nearest)
+                return
+            self._learn(self._least, self._expected, now)
+        elif not is_clear and self._before:
+            # Not even where it was in balance before: it goes further back, and less far from there.
+            self._floor, self._least_at_floor, self._judged = self.weight, self._least, np.inf
+            for _ in range(min(self._back, len(self._before))):
+                self._nearest = self._before.pop()
+            self._back *= 2
+            self._least = self._asked.tracking(self._nearest.places)
+            self._return(self._nearest)
+            return
+        if situation.is_balanced:
+            if has_come:
+                self._before.append(self._nearest)
+                self._floor = self._floor if now >= self._least_at_floor else 0.0
+            self._nearest, self._least, self._back = situation, now, 1
+        if not is_clear or self._is_in_vain(now):
+            self.is_careful, self.weight = False, 0.0
+            if not self._retraces(situation, now):
+                self.approach, self._resting = Approach.REST, situation
+            return
+        self._is_trial = True
+
+    def _waits(self, situation: Situation, distance: float) -> bool:
+        """Whether the actuators are on their way to the goal, or the body to balance."""
+        if distance >= self._distance:
+            # A step that changed nothing would change nothing again.
+            is_kept = are_equal(situation.places, self._last.places)
+            self._wait_count += PATIENCE if is_kept and not situation.is_balanced else 1
+        self._distance = distance
+        return self._wait_count < (MOST_WAITS if self._is_trial else PATIENCE)
+
+    def _is_in_vain(self, now: float) -> bool:
+        """Whether further trials would bring the effectors no nearer; `now` is T [m²]."""
+        is_slow = False
+        if not self._is_hindered:
+            if self._trial_count % TRIALS == 0:
+                is_slow, self._judged = now > (1.0 - TRIAL_PROGRESS) * self._judged, now
+            self._trial_count += 1
+        return is_slow or self._careful_count > MOST_CAREFUL_STEPS or self.weight >= GREATEST
 
     def _go_back(self, situation: Situation) -> None:
         """Choose how to go on along the path: by the actuators while the body is as it was."""
@@ -417,19 +535,21 @@ class TargetTrust:
         if float(np.abs(moved).max(initial=0.0)) > self._tolerance:
             self._start_again()
 
-    def expect(self, places: np.ndarray) -> None:
+    def expect(self, places: np.ndarray, is_hindered: bool = False) -> None:
         """Note what a step promises.
 
         Args:
             places: Effector coordinates in balance after it [m], shape (n,).
+            is_hindered: Whether it would go further but for a rate; such a step is no trial.
         """
-        self._promised = places
+        self._promised, self._expected = places, self._last.tracking(places)
+        self._is_hindered = is_hindered
 
     def tighten(self) -> None:
         """Trust the next step less; without effect where it does not follow targets."""
         if self.approach is not Approach.FOLLOW:
             return
-        self._set(max(self.weight, FIRST) * TIGHTER)
+        self._set(max(self.weight, self._first) * TIGHTER)
 
     @property
     def _has_more(self) -> bool:
@@ -438,4 +558,8 @@ class TargetTrust:
 
     def _set(self, weight: float) -> None:
         weight = max(weight, self._floor)
-        self.weight = min(weight, GREATEST) if weight >= FIRST else 0.0
+        self.weight = min(weight, GREATEST) if weight >= self._first else 0.0
+
+    @property
+    def _first(self) -> float:
+        return FIRST_WITH_CARE if self.is_careful else FIRST

@@ -71,6 +71,20 @@ def test_a_stiffness_alone_may_be_asked_for(pad):
     assert stiffness_at_state(pad) == pytest.approx(300.0, rel=1e-4)
 
 
+def test_an_effector_may_ask_for_its_orientation_too():
+    def points(mapping):
+        mapping["effectors"][0]["orientation"] = dict(pointing=[0.0, 0.0, 1.0])
+
+    simulation = make(points, weight=1.0)
+    tip, level = simulation.effector_positions() + WHERE, np.array([[0.0, 0.0, 0.0, 1.0]])
+    for _ in range(60):
+        result = simulation.step(
+            FollowTargets(tip, 0.02, None, level, np.array([[np.nan, np.nan, 250.0]]))
+        )
+    assert result.status is Status.OK and result.orientation_errors[0] < 1e-3
+    assert stiffness_at_state(simulation) == pytest.approx(250.0, rel=1e-3)
+
+
 def test_what_is_told_of_a_stiffness_is_that_of_the_new_shape(pad):
     """To first order from the last linearization, in a step that goes on moving."""
     for result in pad.follow(250.0, steps=12):

@@ -12,6 +12,7 @@ from softrobot_twin.simulation.target_trust import (
     LONG_PATIENCE,
     LONGEST_PATH,
     LOOSER,
+    MOST_CAREFUL_STEPS,
     PATH_SPACING,
     MOST_LOOKS,
     OTHER_LOADS,
@@ -32,12 +33,12 @@ TARGET = 1.0
 
 
 def situation(
-    place=0.0, target=TARGET, displacement=0.0, commanded=np.nan, is_balanced=True
+    place=0.0, target=TARGET, displacement=0.0, commanded=np.nan, is_balanced=True, loads=()
 ) -> Situation:
-    """A situation of one effector coordinate [m] and one actuator [m]."""
+    """A situation of one effector coordinate [m] and one actuator [m], under loads [N]."""
     return Situation(
         np.array([target]), np.ones(1), np.array([place]), np.array([displacement]),
-        np.array([commanded]), is_balanced,
+        np.array([commanded]), is_balanced, np.atleast_1d(np.array(loads, dtype=float)), 2.0,
     )  # fmt: skip
 
 
@@ -56,6 +57,22 @@ def learns(trust, promised, came) -> float:
     trust.expect(np.array([promised]))
     trust.begin(situation(came, displacement=0.1))
     return trust.weight / before
+
+
+def obey(trust, place=0.0, **given) -> None:
+    """One step of a body that is in balance at any displacement, and comes no nearer."""
+    displacement = trust.goal[0] if trust.approach is Approach.RETURN else 0.02
+    trust.expect(np.array([0.1]))
+    trust.begin(situation(place, displacement=displacement, **given))
+
+
+def rests(trust, **given) -> bool:
+    """Whether the actuators rest after all that is tried with care was in vain."""
+    for _ in range(MOST_CAREFUL_STEPS):
+        if trust.approach is Approach.REST:
+            return True
+        obey(trust, **given)
+    return False
 
 
 def to_and_fro(step: int) -> float:
@@ -177,7 +194,7 @@ def test_actuators_that_go_to_and_fro_without_gain_rest(trust):
     for step in range(PATIENCE + 1):
         assert trust.approach is Approach.FOLLOW
         trust.begin(situation(displacement=to_and_fro(step)))
-    assert trust.approach is Approach.REST
+    assert trust.approach is Approach.RETURN and rests(trust)
 
 
 def test_actuators_that_go_to_and_fro_with_gain_follow(trust):
@@ -190,7 +207,7 @@ def test_actuators_that_drift_without_gain_rest_later(trust):
     for step in range(LONG_PATIENCE + 1):
         assert trust.approach is Approach.FOLLOW
         trust.begin(situation(displacement=0.01 * step))
-    assert trust.approach is Approach.REST
+    assert trust.approach is Approach.RETURN and rests(trust)
 
 
 def test_actuators_that_stand_still_may_follow(trust):
@@ -199,11 +216,98 @@ def test_actuators_that_stand_still_may_follow(trust):
     assert trust.approach is Approach.FOLLOW
 
 
-def test_a_body_that_is_not_in_balance_is_given_more_time(trust):
-    for step in range(LONG_PATIENCE + 1):
+@pytest.mark.parametrize("move", [to_and_fro, lambda step: 0.0], ids=["moves", "is stuck"])
+def test_a_body_that_does_not_come_to_balance_goes_back_to_where_it_was_in_balance(trust, move):
+    trust.begin(situation(-0.5, displacement=0.7))
+    for step in range(PATIENCE + 1):
         assert trust.approach is Approach.FOLLOW
-        trust.begin(situation(displacement=to_and_fro(step), is_balanced=False))
-    assert trust.approach is Approach.REST
+        trust.begin(situation(displacement=move(step), is_balanced=False))
+    assert trust.approach is Approach.RETURN and trust.goal == [0.7]
+
+
+def takes_care(trust) -> None:
+    """A robot that goes to and fro, and is back at the nearest place that it was at, 0.4 m away."""
+    for step in range(PATIENCE + 1):
+        trust.begin(situation(0.6 - to_and_fro(step), displacement=to_and_fro(step)))
+    trust.begin(situation(0.6, displacement=trust.goal[0]))
+    assert trust.approach is Approach.FOLLOW and trust.is_careful
+
+
+def tries(trust, place, is_balanced=True, promised=0.7) -> None:
+    """A step with care that is to lead to 0.7 m, and where the body is after it."""
+    trust.expect(np.array([promised]))
+    trust.begin(situation(place, displacement=0.05, is_balanced=is_balanced))
+
+
+@pytest.mark.parametrize("place, is_kept", [(0.601, True), (0.65, True), (0.599, False)])
+def test_with_care_a_place_is_kept_where_it_is_nearer(trust, place, is_kept):
+    takes_care(trust)
+    before = trust.weight
+    tries(trust, place)
+    assert trust.approach is (Approach.FOLLOW if is_kept else Approach.RETURN)
+    assert trust.weight > before if place < 0.61 else trust.weight == before
+    if not is_kept:
+        assert trust.goal == [0.0]
+
+
+def test_with_care_a_place_is_judged_in_balance(trust):
+    """Out of balance it seemed much nearer than it is."""
+    takes_care(trust)
+    tries(trust, 0.9, is_balanced=False)
+    for place in (0.89, 0.8):
+        assert trust.approach is Approach.RETURN and trust.goal == [0.05]
+        trust.begin(situation(place, displacement=0.05, is_balanced=False))
+    trust.begin(situation(0.5, displacement=0.05))
+    assert trust.approach is Approach.RETURN and trust.goal == [0.0]
+
+
+def test_a_body_that_stays_out_of_balance_goes_further_and_further_back(trust):
+    """Each place with care is nearer, until one where it is caught, and at each before it too."""
+    takes_care(trust)
+    for step in range(1, 9):
+        trust.expect(np.array([0.6 + 0.01 * step]))
+        trust.begin(situation(0.6 + 0.01 * step, displacement=0.1 * step))
+    goals, weight = [], trust.weight
+    while len(goals) < 4:
+        trust.begin(situation(0.68, displacement=0.9, is_balanced=False))
+        if trust.approach is Approach.RETURN and trust.goal[0] not in (*goals, 0.9):
+            goals.append(float(trust.goal[0]))
+    np.testing.assert_allclose(goals, [0.8, 0.7, 0.5, 0.1], atol=1e-12)
+    trust.begin(situation(0.61, displacement=goals[-1]))
+    assert trust.approach is Approach.FOLLOW and trust.weight > weight
+
+
+def test_a_step_with_care_that_a_rate_hinders_is_no_trial(trust):
+    takes_care(trust)
+    for step in range(3 * MOST_CAREFUL_STEPS):
+        trust.expect(np.array([0.6 + 1e-6 * (step + 1)]), is_hindered=True)
+        trust.begin(situation(0.6 + 1e-6 * (step + 1), displacement=1e-4 * step))
+        assert trust.approach is Approach.FOLLOW and trust.is_careful
+
+
+def test_with_care_a_target_may_be_reached(trust):
+    takes_care(trust)
+    tries(trust, TARGET, is_balanced=False)
+    assert trust.approach is Approach.RETURN
+    trust.begin(situation(TARGET, displacement=0.05))
+    assert trust.approach is Approach.FOLLOW and not trust.is_careful
+
+
+def test_a_reached_target_is_left_where_the_body_creeps_away_from_it(trust):
+    trust.begin(situation(0.9, displacement=-0.3))
+    for step in range((MOST_LOOKS + 2) * SETTLING_STEPS):
+        if not trust.is_careful:
+            trust.begin(situation(TARGET, displacement=1e-4 * step, is_balanced=False))
+    assert trust.approach is Approach.RETURN and trust.goal == [-0.3]
+
+
+@pytest.mark.parametrize("creeps", [0.0, 1e-9])
+def test_a_reached_target_is_kept_where_the_actuators_rest(trust, creeps):
+    """However the tolerance of the residual is set."""
+    trust.begin(situation(0.9, displacement=-0.3))
+    for step in range(3 * MOST_LOOKS * SETTLING_STEPS):
+        trust.begin(situation(TARGET, displacement=creeps * step, is_balanced=False))
+        assert trust.approach is Approach.FOLLOW and not trust.is_careful
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -221,15 +325,16 @@ def test_noise_of_the_target_does_not_keep_actuators_from_resting(trust):
     random = np.random.default_rng(1)
     for step in range(2 * PATIENCE):
         target = TARGET + 1e-3 * random.standard_normal()
-        trust.begin(situation(target=target, displacement=to_and_fro(step)))
-    assert trust.approach is Approach.REST
+        if trust.approach is Approach.FOLLOW and not trust.is_careful:
+            trust.begin(situation(target=target, displacement=to_and_fro(step)))
+    assert rests(trust)
 
 
 def rest(trust, **given) -> None:
     """Lets the actuators of a trust rest."""
     for step in range(PATIENCE + 1):
         trust.begin(situation(displacement=to_and_fro(step), **given))
-    assert trust.approach is Approach.REST
+    assert rests(trust, **given)
 
 
 def test_another_target_ends_the_rest(trust):
@@ -253,8 +358,8 @@ def test_a_resting_robot_that_something_else_moves_follows_again(trust, moved, a
 
 
 def test_a_resting_robot_that_settles_goes_on_resting(trust):
-    for step in range(LONG_PATIENCE + 1):
-        trust.begin(situation(displacement=to_and_fro(step), is_balanced=False))
+    rest(trust)
+    trust._resting = situation(is_balanced=False)
     trust.begin(situation(place=5 * TOLERANCE, is_balanced=False))
     trust.begin(situation(place=9 * TOLERANCE, is_balanced=True))
     assert trust.approach is Approach.REST
@@ -294,11 +399,8 @@ def test_what_was_learnt_holds_for_its_loads(trust, moved, weight):
 
 
 def test_other_loads_end_the_rest(trust):
-    for step in range(PATIENCE + 1):
-        begun = situation(displacement=to_and_fro(step))
-        trust.begin(begun._replace(loads=np.array([0.0]), load=1.0))
-    assert trust.approach is Approach.REST
-    trust.begin(begun._replace(loads=np.array([1.0]), load=2.0))
+    rest(trust, loads=0.0)
+    trust.begin(situation(loads=1.0))
     assert trust.approach is Approach.FOLLOW
 
 
@@ -404,7 +506,7 @@ def test_it_goes_back_once_for_each_target(trust):
         go_back(trust, target)
         for step in range(PATIENCE + 2):
             trust.begin(situation(-9.0, target, displacement=to_and_fro(step)))
-        assert trust.approach is Approach.REST
+        assert trust.is_careful and rests(trust, place=-9.0, target=target)
 
 
 def test_a_robot_of_which_actuators_are_commanded_does_not_go_back(trust):
