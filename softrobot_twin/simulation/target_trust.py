@@ -56,7 +56,7 @@ MOVED = 1.0e-8
 # Steps in which a body that does not move may come to balance, before a place is given up.
 MOST_WAITS = 10
 # Steps with care towards one target; those that a rate hinders do not count.
-MOST_CAREFUL_STEPS = 150
+MOST_CAREFUL_STEPS = 120
 # Places in balance that are kept. Among so many trials, T falls by such a share at least.
 MOST_PLACES, TRIALS, TRIAL_PROGRESS = 64, 12, 5.0e-3
 # Their first weight: along a valley the tracking term bends far less than on the mean.
@@ -401,8 +401,8 @@ class TargetTrust:
         is_late = self._since >= LONG_PATIENCE
         if (self._since_balanced >= PATIENCE or is_late) and self._retraces(situation, now):
             return
-        is_stuck = not situation.is_balanced and not self._path_length
-        if is_stuck or self._goes_to_and_fro() or is_late and self._path_length:
+        drifts = is_late and self._path_length
+        if self._unbalanced >= PATIENCE or self._goes_to_and_fro() or drifts:
             self._take_care(situation)
 
     def _retraces(self, situation: Situation, now: float) -> bool:
@@ -542,14 +542,15 @@ class TargetTrust:
             places: Effector coordinates in balance after it [m], shape (n,).
             is_hindered: Whether it would go further but for a rate; such a step is no trial.
         """
-        self._promised, self._expected = places, self._last.tracking(places)
-        self._is_hindered = is_hindered
+        self._promised, self._is_hindered = places, is_hindered
+        if self.is_careful:
+            self._expected = self._last.tracking(places)
 
     def tighten(self) -> None:
         """Trust the next step less; without effect where it does not follow targets."""
         if self.approach is not Approach.FOLLOW:
             return
-        self._set(max(self.weight, self._first) * TIGHTER)
+        self._set(max(self.weight, FIRST_WITH_CARE if self.is_careful else FIRST) * TIGHTER)
 
     @property
     def _has_more(self) -> bool:
@@ -558,8 +559,5 @@ class TargetTrust:
 
     def _set(self, weight: float) -> None:
         weight = max(weight, self._floor)
-        self.weight = min(weight, GREATEST) if weight >= self._first else 0.0
-
-    @property
-    def _first(self) -> float:
-        return FIRST_WITH_CARE if self.is_careful else FIRST
+        first = FIRST_WITH_CARE if self.is_careful else FIRST
+        self.weight = min(weight, GREATEST) if weight >= first else 0.0
