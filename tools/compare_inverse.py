@@ -280,9 +280,10 @@ def _missed(robot: Robot, result) -> np.ndarray:
     for place, one in enumerate(robot.scene["effectors"]):
         if one["name"] in robot.stiff:
             wanted = robot.targets[f"{one['name']}_stiffness_N_per_m"]
-            ratio = result.outcome.effector_stiffness[place] / np.array(wanted, dtype=float)
-            # What yields backwards is as wrong as what hardly yields.
-            ratio = np.maximum(ratio[np.isfinite(ratio)], LEAST_RATIO)
+            wanted, told = np.array(wanted, dtype=float), result.outcome.effector_stiffness
+            # A step that failed tells none; that is as wrong as what yields backwards.
+            ratio = np.zeros(3) if told is None else told[place] / wanted
+            ratio = np.fmax(ratio[np.isfinite(wanted)], LEAST_RATIO)
             missed.append(robot.stiff[one["name"]] * np.log(ratio))
     return np.concatenate(missed)
 
