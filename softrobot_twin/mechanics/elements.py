@@ -14,18 +14,15 @@ from softrobot_twin.mechanics.element_inversion import (
     count_folded,
     point_to_corner_weights,
     watched_corners,
-    write_corners,
 )
+from softrobot_twin.mechanics.fold_barrier import FoldBarrier
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import law_of
 from softrobot_twin.mechanics.stencil import bind_stencils
 from softrobot_twin.mechanics.strain_watch import StrainWatch, extreme_squares
 from softrobot_twin.mechanics.volume_barrier import (
-    BARRIER_VOLUME,
     add_barrier_energies,
-    add_barrier_forces,
     add_barrier_stiffness,
-    find_corners,
     largest_share_of_points,
 )
 
@@ -72,13 +69,18 @@ class Elements(ForceTerm):
         """
         self.law = law
         self.name = f"{law_of(law).name} elements"
-        self.stays_upright = not (law_of(law).turns or law_of(law).is_linear)
+        self.stays_upright = not law_of(law).is_linear
         self._mesh, self._free_index = mesh, free_index
         self._shape = mesh.shape_functions
         self._points = points_of(mesh)
         self._assembly = assembly_of(type(law))
         self._to_corners = point_to_corner_weights(self._shape)
         self._corners = watched_corners(mesh)
+        # Where F is constant, its one point tells all.
+        has_places = len(self._to_corners) > 0 or len(self._corners.edges) > 0
+        self._fold_barrier: FoldBarrier | None = None
+        if self.stays_upright and has_places:
+            self._fold_barrier = FoldBarrier(mesh.cells, self._to_corners, self._corners)
         # Displacements are relative to the positions at which the gradients were computed.
         self._reference = mesh.node_positions
         self._constant_stiffness = None
@@ -123,43 +125,27 @@ class Elements(ForceTerm):
         self._forget()
         self._constant_stiffness = None
         self._barrier_stiffness = self._stretch_stiffness()
-        self._bind_corners()
+        if self._fold_barrier is not None:
+            self._fold_barrier.bind(bound.order, self._gradients, self._weights)
         if law_of(self.law).is_linear:
             self._constant_stiffness = self._sum_stiffness_once(bound)
 
-    def _bind_corners(self) -> None:
-        """The corners and mid-edges that the barrier watches, beside the points; none of a law that
-        may turn an element inside out.
-        """
-        watched = self._to_corners if self.stays_upright else self._to_corners[:0]
-        first, second = np.triu_indices(len(watched), 1)
-        self._to_watched = np.concatenate([watched, 0.5 * (watched[first] + watched[second])])
-        count = len(self._to_watched)
-        self._has_corners = count > 0
-        self._corner_gradients = np.einsum("cq,kqi->kci", self._to_watched, self._gradients)
-        volumes = self._weights.sum(axis=1, keepdims=True) / max(count, 1)
-        self._corner_weights = np.repeat(volumes, count, axis=1)
-        self._corner_deformations = np.zeros((len(volumes), count, 9 * BATCH))
-        self._nearly_flat_corners = 0
-
-    def _add_corner_forces(self) -> None:
-        """Add the forces of the barrier at corners to those of the state that is known."""
-        self._nearly_flat_corners = 0
-        if not (self._has_corners and self._uprights.all()):
+    def _add_fold_forces(self) -> None:
+        """Add the forces of the barrier between points to those of the state that is known."""
+        barrier = self._fold_barrier
+        self.nearly_flat_count, self.crossed_count = self._nearly_flat_points, 0
+        if barrier is None:
             return
-        least = find_corners(
-            self._to_watched, self._deformations, self._corner_weights, self._corner_deformations
-        )
-        if -np.inf < least < BARRIER_VOLUME:
-            self._nearly_flat_corners = add_barrier_forces(
-                self._barrier_stiffness, self._free, self._corner_gradients, self._corner_weights,
-                self._corner_deformations, self._forces,
-            )  # fmt: skip
+        acts = barrier.take(self._known_at, self._deformations)
+        self.crossed_count = barrier.crossed_count
+        if acts and self._uprights.all():
+            barrier.add_forces(self._barrier_stiffness, self._free, self._forces)
+            self.nearly_flat_count += barrier.acting_count
 
     def _forget(self) -> None:
         """Discard the stored state."""
-        self._is_known, self.nearly_flat_count = False, 0
-        self._nearly_flat_points = self._nearly_flat_corners = 0
+        self._is_known, self.nearly_flat_count, self.crossed_count = False, 0, 0
+        self._nearly_flat_points = 0
 
     def _stretch_stiffness(self) -> float:
         """The stiffness of the law at rest against a uniaxial stretch [Pa].
@@ -194,8 +180,7 @@ class Elements(ForceTerm):
             self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
             self._deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
-        self._add_corner_forces()
-        self.nearly_flat_count = self._nearly_flat_points + self._nearly_flat_corners
+        self._add_fold_forces()
         forces += self._forces
         if len(self._corners.edges):
             return count_folded(
@@ -249,18 +234,16 @@ class Elements(ForceTerm):
         nearly_flat_count = self._add_stiffness(positions, storage, projected, is_known)
         if not is_known:
             self._nearly_flat_points = nearly_flat_count
-            self._add_corner_forces()
-            self.nearly_flat_count = self._nearly_flat_points + self._nearly_flat_corners
+            self._add_fold_forces()
         if self._nearly_flat_points:
             add_barrier_stiffness(
                 self._barrier_stiffness, self._gradients, self._weights, self._deformations,
                 projected, self._offsets, self._strides, storage,
             )  # fmt: skip
-        if self._nearly_flat_corners:
-            add_barrier_stiffness(
-                self._barrier_stiffness, self._corner_gradients, self._corner_weights,
-                self._corner_deformations, projected, self._offsets, self._strides, storage,
-            )  # fmt: skip
+        if self._fold_barrier is not None and self._fold_barrier.acting_count:
+            self._fold_barrier.add_stiffness(
+                self._barrier_stiffness, projected, self._offsets, self._strides, storage
+            )
         forces += self._forces
 
     def _add_stiffness(self, positions, storage, projected: bool, is_known: bool) -> int:
@@ -280,19 +263,14 @@ class Elements(ForceTerm):
         """
         if law_of(self.law).is_linear:
             return 1.0
-        begin, end = self._watched_deformations(before), self._watched_deformations(after)
-        return largest_share_of_points(self._weights, begin, end - begin)
-
-    def _watched_deformations(self, positions: np.ndarray) -> np.ndarray:
-        """F at the points and corners, shape (batch_count, watched_count, 9 × BATCH)."""
-        deformations = self._deformations_at(positions)
-        if len(self._corners.edges):
-            corners = np.zeros((len(deformations), len(self._corners.edges), 9 * BATCH))
-            write_corners(writable(positions), self._mesh.cells, *self._corners, corners)
-        else:
-            watched = self._to_watched if self._has_corners else self._to_corners
-            corners = np.einsum("cq,kqi->kci", watched, deformations)
-        return np.concatenate([deformations, corners], axis=1)
+        barrier = self._fold_barrier
+        begin, end = self._deformations_at(before), self._deformations_at(after)
+        share = largest_share_of_points(self._weights, begin, end - begin)
+        if barrier is None:
+            return share
+        return min(share, barrier.largest_share(
+            barrier.places_at(before, begin), barrier.places_at(after, end)
+        ))  # fmt: skip
 
     def add_force_curvature(
         self, positions: np.ndarray, direction: np.ndarray, reach: float, curvature: np.ndarray
@@ -331,17 +309,11 @@ class Elements(ForceTerm):
         if self._barrier_stiffness and is_upright:
             deformations = self._deformations_at(positions)
             energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
-            if self._has_corners:
-                energy += self._corner_energy(deformations)
+            if self._fold_barrier is not None:
+                energy += self._fold_barrier.energy(
+                    self._barrier_stiffness, positions, deformations
+                )
         return energy
-
-    def _corner_energy(self, deformations: np.ndarray) -> float:
-        """Energy of the barrier at corners of upright elements [J]."""
-        corners = np.empty_like(self._corner_deformations)
-        least = find_corners(self._to_watched, deformations, self._corner_weights, corners)
-        if not -np.inf < least < BARRIER_VOLUME:
-            return 0.0
-        return add_barrier_energies(self._barrier_stiffness, self._corner_weights, corners)
 
     def _law_energy(self, positions: np.ndarray) -> tuple[float, bool]:
         """Energy by the law alone [J], and whether all points are upright."""

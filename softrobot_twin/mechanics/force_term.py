@@ -40,13 +40,15 @@ class ForceTerm(Protocol):
         remembers_start: True for a term whose forces depend on the state at the beginning of
             the step, as those of inertia and damping do; only then `begin_step` is called.
         is_inertia: True for a term of masses that resist acceleration: it is an `InertiaTerm`.
-        stays_upright: True for a term whose material no move may turn inside out, as rubber. Laws of
-            small strains may pass a fold on the way to balance, and unfold again.
+        stays_upright: True for a term of elements that no move may turn inside out; laws of small
+            displacements do not know what is inside out.
         is_slender: True for a term of parts that are much stiffer along than across, such as
             beams. A part that turns on the straight line of a move is stretched a little on its
             way: its energy rises, and falls with the next move.
         nearly_flat_count: Points at which the barrier against flat elements acts, at the state
             whose forces were taken last.
+        crossed_count: Elements there that are beyond the barrier at a place between their points;
+            they may be upright.
         dense_rows: The part of the stiffness that is not assembled, at the state evaluated last;
             None for a term without such a part.
     """
@@ -57,6 +59,7 @@ class ForceTerm(Protocol):
     stays_upright: bool = False
     is_slender: bool = False
     nearly_flat_count: int = 0
+    crossed_count: int = 0
     dense_rows: DenseRows | None = None
 
     @property

@@ -1020,6 +1020,7 @@ class CarriedTerm(ForceTerm):
         self._forces[:] = 0.0
         inverted_count = self._term.add_forces(positions, self._forces)
         self.nearly_flat_count = self._term.nearly_flat_count
+        self.crossed_count = self._term.crossed_count
         self._fold_forces(positions, forces)
         return inverted_count
 

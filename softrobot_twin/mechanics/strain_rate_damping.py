@@ -106,7 +106,8 @@ class StrainRateDamping(Elements):
         if not 0.0 <= beta < np.inf:
             raise ValueError(f"beta must be finite and not negative, not {beta} s")
         super().__init__(mesh, free_index, Corotational(*material))
-        self._corners = no_corners()  # the elastic term watches them
+        # The elastic term watches folds.
+        self._corners, self._fold_barrier = no_corners(), None
         self.name = "strain-rate damping"
         self.beta = float(beta)
 

@@ -16,9 +16,7 @@ stretch. Elsewhere nothing is added, to the bit. With c_a = cof(F) ∇N_a, the d
 A body of which a point is flat or inside out has no barrier: to unfold, other elements may have to
 pass through flat shapes too.
 
-Quadratic tetrahedra have no quadrature point at their corners and on their edges, where they fold
-first. Those of hyperelastic laws, which are made for large strains, have the same barrier at the
-corners and at the middles of the edges, each with a tenth of the volume.
+Between its points an element has the barrier of `fold_barrier.py`.
 
 Along a move, J of a point is a cubic polynomial. `largest_share` follows it, so that a step can stop
 before an element folds.
@@ -39,7 +37,6 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import cross
 from softrobot_twin.mechanics.element_batches import BATCH, matrix_at, of_node, vector_at
-from softrobot_twin.mechanics.element_inversion import deform_corners
 from softrobot_twin.mechanics.polar import is_upright
 
 # J₀: volume of a point, as a share of that at rest, below which the barrier acts.
@@ -122,32 +119,6 @@ def add_barrier_energies(stiffness, weights, deformations):
                     if weights[k, q, e] > 0.0 and volumes[e] < BARRIER_VOLUME:
                         total += stiffness * weights[k, q, e] * barrier(volumes[e])[0]
     return total
-
-
-@njit(**KERNEL)
-def find_corners(to_corners, deformations, weights, corners):
-    """F at the corners and mid-edges of all elements, and the least J there.
-
-    Args:
-        to_corners: What gives it from F at the points, see `point_to_corner_weights`, shape
-            (corner_count, point_count).
-        deformations: F at the points, shape (batch_count, point_count, 9 × BATCH).
-        weights: Of the corners, shape (batch_count, corner_count, BATCH).
-        corners: F at the corners; written, shape (batch_count, corner_count, 9 × BATCH).
-
-    Returns:
-        The least J; -∞ where a corner is not upright.
-    """
-    upright, least = np.empty(BATCH), no_volumes_yet()
-    for k in range(len(deformations)):
-        deform_corners(to_corners, deformations[k], corners[k])
-        for c in range(len(to_corners)):
-            F = corners[k, c]
-            for e in range(BATCH):
-                known = is_upright(matrix_at(F, 0, e)) or weights[k, c, e] == 0.0
-                upright[e] = 1.0 if known else 0.0
-            take_least_volumes(F, upright, least)
-    return least.min()
 
 
 @njit(**INNER)
@@ -271,8 +242,7 @@ def largest_share_of_points(weights, deformations, changes):
 
     Args:
         weights: See `add_barrier_forces`.
-        deformations: F where the move begins, at quadrature points and wherever else it is
-            watched, shape (batch_count, watched_count, 9 × BATCH).
+        deformations: F where the move begins, shape (batch_count, point_count, 9 × BATCH).
         changes: Its change by the whole move, same shape.
     """
     share = 1.0

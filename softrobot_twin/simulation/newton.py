@@ -71,6 +71,8 @@ class Newton:
         projected_tangent: True when the last linearization had to project its tangent.
         is_augmented: True when it augmented its tangent by the rows of the actuators.
         inverted_count: Elements that were flat or inside out when the residual was taken last.
+        is_folded: True when there were some, or elements beyond the barrier that keeps them so;
+            None until forces are taken.
         is_nearly_flat: True when the barrier against flat elements acted in that residual.
         constant_load: Sum of the forces on the nodes at rest, the body's weight [N].
         factor_age: Linearizations since the factor was made; None when there is none of use.
@@ -114,9 +116,8 @@ class Newton:
         factorization = model.factorization
         self._dense = factorization if isinstance(factorization, DenseStiffness) else None
         self._augmented, self._held = self._augmented_tangent(), None
-        self._inverted_before = 0
+        self._was_folded = False
         self.projected_tangent = self.is_augmented = False
-        self.inverted_count = 0
         self.forget()
         self.gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self.forces, axis=1).sum())
@@ -219,13 +220,17 @@ class Newton:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.factor_age: int | None = None
         self.is_worn = False
-        self.inverted_count = 0
+        self.inverted_count, self.is_folded = 0, None
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
         self._is_indefinite = isinstance(self._augmented, AugmentedHinges)
         if self.merit is not None:
             self.merit.forget()
         self._rows.forget()
+
+    def forget_folds(self) -> None:
+        """Take the state where the next linearization begins for one without folds."""
+        self.inverted_count, self.is_folded = 0, False
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Allow longer moves to nodes that inertia carries on.
@@ -267,7 +272,9 @@ class Newton:
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
-        self._inverted_before = self.inverted_count
+        if self.is_folded is None:
+            self._sum_forces(positions)
+        self._was_folded = self.is_folded
         if self._rows.varies:
             self._rows.detect(positions)
             if self.merit is not None:
@@ -490,7 +497,7 @@ class Newton:
 
         To unfold, a body with folded elements may have to fold other ones.
         """
-        return self.inverted_count > 0 == self._inverted_before
+        return self.is_folded and not self._was_folded
 
     def accepts(self, positions: np.ndarray, share: float) -> bool:
         """Whether the last move folds no element and lowers the merit; asked after `residual`.
@@ -620,7 +627,7 @@ class Newton:
             return True
         # Contacts are not detected yet: rows are not evaluated here.
         self._sum_forces(positions)
-        return self.inverted_count > 0
+        return self.is_folded
 
     @property
     def last_move(self) -> float:
@@ -688,6 +695,9 @@ class Newton:
             term.add_forces(positions, self.forces) for term in self._model.forces
         )
         self.is_nearly_flat = any(term.nearly_flat_count for term in self._model.forces)
+        self.is_folded = self.inverted_count > 0 or any(
+            term.crossed_count for term in self._model.forces
+        )
 
     def assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool) -> None:
         """Sum b = p - F(q), A and the rows H, δ of all terms.

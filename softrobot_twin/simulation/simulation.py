@@ -440,7 +440,7 @@ class Simulation(Readouts):
             Whether it arrived; it goes on in the next step.
         """
         guides, newton = self.model.guides, self.newton
-        if guides is None or not guides.moved or newton.inverted_count:
+        if guides is None or not guides.moved or newton.is_folded:
             return True
         if not newton.folds(self.state.positions, positions):
             return True
@@ -456,7 +456,7 @@ class Simulation(Readouts):
                     break
                 part *= 0.5
             else:
-                newton.inverted_count = 0
+                newton.forget_folds()
                 return False
             positions[:], gone = tried, gone + part
             if gone >= 1.0:
@@ -613,7 +613,8 @@ class Simulation(Readouts):
             share, residual, done = self._move_and_settle(positions, held, clock)
             if newton.inverts:
                 # It cannot even stay: the last good state is kept.
-                share, newton.inverted_count, inverts = 0.0, 0, True
+                share, inverts = 0.0, True
+                newton.forget_folds()
         if part < 1.0:
             self.direct.remember(done.efforts)
             self.inverse.trust.tighten()
