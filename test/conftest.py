@@ -187,6 +187,7 @@ LONG = {
         "robot::test_a_picture_is_written_or_returned",
     ),
     "simulation": (
+        "beam_masses::test_the_scheme_of_second_order_is_one_for_a_tumbling_beam",
         "beams::test_the_sway_of_a_portal_has_the_frequency_of_its_dynamic_stiffness",
         "compressed::"
         "test_shortening_of_the_trunk_lies_between_that_of_its_full_section_and_its_core",
@@ -215,6 +216,8 @@ LONG = {
         "accuracy::test_choose_studies_a_refined_mesh_and_keeps_its_files",
         "accuracy::"
         "test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_asked_to",
+        "accuracy::"
+        "test_prescribed_displacements_have_smaller_errors_than_forces_on_the_coarsest_mesh",
         "accuracy::test_errors_fall_with_refinement_and_quadratic_meshes_are_better",
         "bench::test_a_reduced_model_alone_is_timed",
         "bench::test_a_reduced_model_is_compared_with_its_full_one",
@@ -225,6 +228,7 @@ LONG = {
         "cavity_files::test_a_run_of_commands_writes_pressures_and_a_picture",
         "explain::test_every_scene_of_the_package_is_explained",
         "hexahedral_accuracy",
+        "inflated_accuracy::test_choose_speaks_of_volumes_and_keeps_what_the_scene_controls",
         "inflated_accuracy::test_errors_at_given_volumes_and_pressures_fall_with_the_mesh",
         "interval_targets::test_the_trunk_is_in_contact_during_the_whole_timed_interval",
         "meshing::test_the_size_is_searched_for_a_step_time",
@@ -239,6 +243,7 @@ LONG = {
         "vertebrae_reduction::test_the_command_makes_only_what_has_changed",
         "vertebrae_reduction::test_the_fetch_is_divided_into_plates_and_accordions",
         "vertebrae_reduction::test_the_measured_error_is_saved",
+        "vertebrae_reduction::test_weight_is_that_of_the_body",
         "workspace::test_a_lost_process_costs_only_its_own_sample",
         "workspace::test_a_stopped_run_goes_on_where_it_was",
         "workspace::test_two_processes_write_the_same_bytes",
@@ -257,6 +262,7 @@ SAMPLED = {
     "simulation": (
         "collapse::test_a_collapsed_body_recovers_or_is_reported_as_inverted",
         "collapse::test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted",
+        "compressed::test_a_trunk_crushed_by_its_cables_is_reported",
         "edge_of_reach::test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached",
         "edge_of_reach::test_the_diamond_comes_to_rest_at_targets_ten_times_too_far_and_returns",
         "inverse_obstacles::test_a_beam_between_two_rods_crosses_neither",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -122,14 +124,19 @@ def test_keeping_a_state_because_every_step_inverts_is_a_failure(diamond, monkey
     simulation = diamond()
     term, before = simulation.model.forces[0], simulation.state
     add_forces = term.add_forces
-    monkeypatch.setattr(term, "add_forces", lambda *given: add_forces(*given) + 3)
+    # Upright where the step begins, and folded wherever it looks then.
+    looks = itertools.count()
+    monkeypatch.setattr(
+        term, "add_forces", lambda *given: add_forces(*given) + (3 if next(looks) else 0)
+    )
     target = simulation.effector_positions() + [[0.01, 0.0, 0.0]]
     result = simulation.step(FollowTargets(target, 0.02))
     assert result.status is Status.REFUSED and result.status.is_failure
     assert INVERSION in result.report.active_limits
     np.testing.assert_array_equal(result.state.positions, before.positions)
     np.testing.assert_array_equal(result.setpoints, before.setpoints)
-    # Without a target a step is complete, and reported as such.
+    # From a folded state a step without a target is complete, and reported as such.
+    simulation.restore(before)
     told = simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.02))
     assert told.status is Status.INVERTED and told.report.inverted_count == 3
 
