@@ -691,13 +691,13 @@ class Newton:
     def _sum_forces(self, positions: np.ndarray) -> None:
         """Sum b = p - F(q) of all terms."""
         self.forces[:] = 0.0
-        self.inverted_count = sum(
-            term.add_forces(positions, self.forces) for term in self._model.forces
-        )
-        self.is_nearly_flat = any(term.nearly_flat_count for term in self._model.forces)
-        self.is_folded = self.inverted_count > 0 or any(
-            term.crossed_count for term in self._model.forces
-        )
+        inverted_count = nearly_flat_count = crossed_count = 0
+        for term in self._model.forces:
+            inverted_count += term.add_forces(positions, self.forces)
+            nearly_flat_count += term.nearly_flat_count
+            crossed_count += term.crossed_count
+        self.inverted_count, self.is_nearly_flat = inverted_count, nearly_flat_count > 0
+        self.is_folded = inverted_count > 0 or crossed_count > 0
 
     def assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool) -> None:
         """Sum b = p - F(q), A and the rows H, δ of all terms.
