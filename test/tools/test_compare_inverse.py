@@ -5,24 +5,12 @@ of 100 drawn ones less than a tenth. The bars on the counts are such that a soun
 in less than one of ten thousand draws.
 """
 
-import importlib.util
-from pathlib import Path
-
+import compare_inverse
 import numpy as np
 import pytest
 
-PROGRAM = Path(__file__).resolve().parents[2] / "tools" / "compare_inverse.py"
 
-
-@pytest.fixture(scope="module")
-def program():
-    spec = importlib.util.spec_from_file_location("compare_inverse", PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def snapping_bar(program):
+def snapping_bar():
     """A bar whose two cables lift its tip where they should lower it, until it snaps."""
     length, width = 0.09, 0.017
     clamp = dict(box=dict(minimum=[-1e-6, -1, -1], maximum=[1e-6, 1, 1]))
@@ -43,11 +31,11 @@ def snapping_bar(program):
     )  # fmt: skip
     place = dict(tip=[length, width / 2, width / 2 - 0.355 * length])
     weights = dict(tip=np.array([0.0, 0.0, 1.0]))
-    return program.Robot(scene, place, weights, {}, {}, length, "snapping bar")
+    return compare_inverse.Robot(scene, place, weights, {}, {}, length, "snapping bar")
 
 
-def test_a_bar_that_snaps_rests_where_its_tip_is_nearest(program):
-    found = program.compare(snapping_bar(program), np.random.default_rng(1))
+def test_a_bar_that_snaps_rests_where_its_tip_is_nearest():
+    found = compare_inverse.compare(snapping_bar(), np.random.default_rng(1))
     assert found.status == "unreachable" and not found.is_restless
     assert found.best > 10.0 * found.tolerance and not found.is_worse
 
@@ -55,13 +43,11 @@ def test_a_bar_that_snaps_rests_where_its_tip_is_nearest(program):
 @pytest.mark.parametrize("count, most_worse, most_restless", [
     (4, 3, 1), pytest.param(40, 12, 3, marks=pytest.mark.slow),
 ])  # fmt: skip
-def test_random_robots_rest_near_the_best_place_or_tell_it(
-    program, drawn_rng, count, most_worse, most_restless
-):
+def test_random_robots_rest_near_the_best_place_or_tell_it(drawn_rng, count, most_worse, most_restless):
     found = []
     for _ in range(count):
-        robot = program.random_robot(drawn_rng)
-        found.append(program.compare(robot, drawn_rng))
+        robot = compare_inverse.random_robot(drawn_rng)
+        found.append(compare_inverse.compare(robot, drawn_rng))
         print(robot.kind, found[-1])
     assert all(one.is_told for one in found if one.is_worse)
     assert sum(one.is_worse for one in found) <= most_worse
