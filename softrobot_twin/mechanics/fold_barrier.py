@@ -430,18 +430,19 @@ class FoldBarrier:
         Returns:
             Whether the barrier acts, if all points are upright.
         """
-        acts = self._find(positions, deformations, self._places, self._least)
-        self.acting_count, self.crossed_count = 0, int((~(self._least > 0.0)).sum())
-        return acts
+        lowest = self._find(positions, deformations, self._places, self._least)
+        self.acting_count = self.crossed_count = 0
+        if not lowest > 0.0:
+            self.crossed_count = int((~(self._least > 0.0)).sum())
+        return 0.0 < lowest < BARRIER_VOLUME
 
-    def _find(self, positions, deformations, places, least) -> bool:
-        """Write F at the places, and the least value of each element; see `take`."""
+    def _find(self, positions, deformations, places, least) -> float:
+        """Write F at the places, and the least value of each element; the least of all."""
         if not len(self._to_places):
             self._write_corners(positions, places)
-        lowest = find_least_values(
+        return find_least_values(
             self._to_places, self._triples, self._weights, deformations, places, least
         )
-        return 0.0 < lowest < BARRIER_VOLUME
 
     def _write_corners(self, positions: np.ndarray, places: np.ndarray) -> None:
         write_corners(writable(positions), self._cells, *self._corners, places)
@@ -464,7 +465,7 @@ class FoldBarrier:
     def energy(self, stiffness: float, positions: np.ndarray, deformations: np.ndarray) -> float:
         """Energy at a state of which all points are upright [J]; see `take`."""
         places, least = np.zeros_like(self._places), np.empty_like(self._least)
-        if not self._find(positions, deformations, places, least):
+        if not 0.0 < self._find(positions, deformations, places, least) < BARRIER_VOLUME:
             return 0.0
         return add_energies(stiffness, self._triples, self._weights, places, least)
 
