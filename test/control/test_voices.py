@@ -49,27 +49,35 @@ def test_one_publisher_whose_listener_stops_again_and_again_is_never_contested(c
         assert watch.hear(heard, heard * interval) and not watch.is_contested(heard * interval)
 
 
+def of_two(draw, first, second):
+    """Times, numbers and publishers of what is heard of two that begin to count at these numbers."""
+    streams = stream(draw, 0.0, 8.0, first), stream(draw, 3.0, 8.0, second)
+    return sorted((time, number, who) for who in (0, 1) for time, number, _ in streams[who])
+
+
 @pytest.mark.parametrize("case", range(20))
-def test_two_publishers_are_contested_and_neither_is_used_by_turns(case):
+def test_two_publishers_are_contested_after_each_turn_and_neither_is_used(case):
+    """So it is at any rates and losses, where neither's numbers can be the other's next ones."""
     draw, watch = drawn(), PublisherWatch()
-    first, second = stream(draw, 0.0, 8.0), stream(draw, 3.0, 8.0, int(draw.choice((1, 40, 5000))))
-    heard = sorted([(*one, 0) for one in first] + [(*one, 1) for one in second])
-    used = [(time, who) for time, number, _, who in heard if watch.hear(number, time)]
-    late = 3.0 + 4.0 * max(first[0][2], second[0][2]) + CONTESTED_TIME
-    turns = [one for before, one in zip(used, used[1:]) if one[1] != before[1] and one[0] > late]
-    assert len(turns) <= 1
-    both = [time for time, *_ in heard if time > late]
-    slow = max(first[0][2], second[0][2]) > 0.3 * CONTESTED_TIME
-    assert slow or not both or all(watch_is_contested_at(heard, time) for time in both[5:6])
+    counts, last, turned = [0, 0], None, -np.inf
+    for time, number, who in of_two(draw, *[(10**4, 1), (10**4, 40), (1, 10**4)][case % 3]):
+        used, counts[who] = watch.hear(number, time), counts[who] + 1
+        if counts[who] > 1 and who != last:
+            turned = time
+        last, contested = who, time - turned < CONTESTED_TIME
+        assert watch.is_contested(time) == contested
+        assert not (used and contested)
 
 
-def watch_is_contested_at(heard, until):
-    """Whether a new watch finds a contest in what was heard up to a time [s]."""
-    watch = PublisherWatch()
-    for time, number, *_ in heard:
-        if time <= until:
-            watch.hear(number, time)
-    return watch.is_contested(until)
+@pytest.mark.parametrize("case", range(20))
+def test_two_publishers_whose_numbers_meet_are_noticed(case):
+    draw, watch = drawn(), PublisherWatch()
+    noticed, counts = False, [0, 0]
+    for time, number, who in of_two(draw, 1, (1, 40)[case % 2]):
+        watch.hear(number, time)
+        noticed |= watch.is_contested(time)
+        counts[who] += time >= 3.0
+    assert noticed or min(counts) < 3
 
 
 def test_the_next_publisher_is_used_once_the_one_before_is_silent():

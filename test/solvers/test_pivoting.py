@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import Stationarity
@@ -175,14 +176,16 @@ def test_duplicate_contacts_neither_cycle_nor_change_the_motion(
         np.testing.assert_allclose(motion, of_one, atol=3e-5)
 
 
-def test_contacts_on_a_rigid_face_share_the_load(robot_in_contact, complementarity_residual):
-    """Six contacts whose compliance has rank three."""
-    robot = robot_in_contact(1, contacts=3)
-    mix = np.random.default_rng(0).dirichlet(np.ones(3), 6)
-    system = robot.system
-    system = system._replace(
-        W_ec=system.W_ec @ mix.T, W_ac=system.W_ac @ mix.T, W_cc=mix @ system.W_cc @ mix.T,
-        G_c=mix @ system.G_c, gaps=mix @ (system.gaps - 5e-3),
+def test_contacts_on_a_rigid_face_share_the_load(
+    robot_in_contact, complementarity_residual, drawn_rng
+):
+    """Six contacts whose compliance has rank three: what they bear together is determined."""
+    robot = robot_in_contact(int(drawn_rng.integers(2**32)), contacts=3)
+    mix, of_face = drawn_rng.dirichlet(np.ones(3), 6), robot.system
+    of_face = of_face._replace(gaps=of_face.gaps - 5e-3)
+    system = of_face._replace(
+        W_ec=of_face.W_ec @ mix.T, W_ac=of_face.W_ac @ mix.T, W_cc=mix @ of_face.W_cc @ mix.T,
+        G_c=mix @ of_face.G_c, gaps=mix @ of_face.gaps,
     )  # fmt: skip
     limits = robot.contact_bounds._replace(force_max=np.full(6, np.inf))
     robot = robot._replace(system=system, contact_bounds=limits)
@@ -194,7 +197,12 @@ def test_contacts_on_a_rigid_face_share_the_load(robot_in_contact, complementari
     answer = solve(robot, problem)
     assert answer.solved
     assert complementarity_residual(problem, answer.unknowns) < 1e-8
-    assert answer.unknowns[9:].max() < 100.0
+    # min ½ λᵀ W λ + λᵀ δ over λ ≥ 0, with W = (L mixᵀ)ᵀ L mixᵀ.
+    L = np.linalg.cholesky(of_face.W_cc).T
+    gaps = of_face.W_ac.T @ answer.unknowns[:8] + of_face.G_c @ answer.unknowns[8:9] + of_face.gaps
+    expected, _ = nnls(L @ mix.T, -np.linalg.solve(L.T, gaps))
+    load = mix.T @ expected
+    np.testing.assert_allclose(mix.T @ answer.unknowns[9:], load, atol=1e-6 * (1.0 + load.sum()))
 
 
 @pytest.mark.parametrize("field", ["g", "P", "C", "d", "upper", "force_max"])
