@@ -328,8 +328,9 @@ class BranchSolver:
 
     def at(self, z: np.ndarray) -> Branch:
         """An admissible z as a branch without duals, shape (n,)."""
-        w, no_duals = (z / self._scale) @ self._factor / self._size, np.zeros(len(self._lower))
-        return self._branch(z, Optimum(Projection(w, no_duals), no_duals, self._lower, self._upper))
+        no_duals = np.zeros(len(self._lower))
+        start = Projection(self._whiten(z), no_duals)
+        return self._branch(z, Optimum(start, no_duals, self._lower, self._upper))
 
     def solve(self, touching: np.ndarray, undecided: np.ndarray | None = None) -> Branch | None:
         """Solve one branch, or the convex problem that contains several.
@@ -429,8 +430,7 @@ class BranchSolver:
         allowed = np.maximum(force_max, forces) + MARGIN * self._force_unit
         limits[rows] = np.minimum(upper[rows], allowed)
         lower, limits, duals = self._keep_excess(relaxed, rows, lower, limits)
-        optimum = self._solve(lower, limits)
-        return None if optimum is None else optimum._replace(duals=duals + optimum.duals)
+        return self._or_relaxed(self._solve(lower, limits), relaxed, duals, lower, limits)
 
     def _with_least_row_excess(self, lower, upper) -> Optimum | None:
         """Solve with the least excess of the rows' bounds."""
@@ -445,7 +445,18 @@ class BranchSolver:
         highest[rows] = np.maximum(upper[rows], reached + margin)
         lowest, highest, duals = self._keep_excess(relaxed, rows, lowest, highest)
         optimum = self._with_least_force_excess(lowest, highest)
-        return None if optimum is None else optimum._replace(duals=duals + optimum.duals)
+        return self._or_relaxed(optimum, relaxed, duals, lowest, highest)
+
+    def _or_relaxed(self, optimum, relaxed, duals, lower, upper) -> Optimum:
+        """The optimum with the least excess; where none is found, what has this excess.
+
+        The bounds that keep the excess may enclose a nearly empty set, or equations that leave no
+        freedom may be too nearly dependent in whitened unknowns.
+        """
+        if optimum is not None:
+            return optimum._replace(duals=duals + optimum.duals)
+        w = self._whiten(self._values(relaxed, np.arange(len(self.problem.g))))
+        return Optimum(Projection(w, duals), duals, lower, upper)
 
     def _keep_excess(
         self, relaxed: Projection, soft: np.ndarray, lower: np.ndarray, upper: np.ndarray
@@ -485,6 +496,9 @@ class BranchSolver:
 
     def _values(self, projection: Projection, rows: np.ndarray) -> np.ndarray:
         return (self._geometric.rows[rows] @ projection.w) * self._geometric.lengths[rows]
+
+    def _whiten(self, z: np.ndarray) -> np.ndarray:
+        return (z / self._scale) @ self._factor / self._size
 
     def _within_bounds(self, w: np.ndarray) -> np.ndarray:
         return np.clip(self._T @ w, self.problem.lower, self.problem.upper)
