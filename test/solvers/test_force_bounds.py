@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 from softrobot_twin.solvers.direct_problem import solve_direct
+from softrobot_twin.solvers.inverse_problem import Bounds
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 from softrobot_twin.solvers.polyhedron_projection import SLACK_COST
 from softrobot_twin.solvers.qpcc import MARGIN
@@ -190,11 +191,12 @@ def test_just_beyond_a_bound_there_is_a_solution(robot_in_contact, drawn_rng, se
         if rows == "forces":
             return robot.with_force_max((1.0 - share) * limit)
         wanted = path + share * np.array([1.0, -1.0, 1.0, -1.0])
-        bounds = robot.bounds._replace(displacement_min=wanted, displacement_max=wanted + 1e-4)
+        bounds = Bounds(wanted - 1e-4, wanted + 1e-4, *robot.bounds[2:])
         return robot._replace(bounds=bounds).with_force_max(limit)
 
     there = where_it_becomes_infeasible(
-        beyond, force_excess if rows == "forces" else lambda answer: answer.row_excess.max()
+        # Lengths of 1e-12 m are rounding.
+        beyond, force_excess if rows == "forces" else lambda answer: answer.row_excess.max() // 1e-12
     )
     assert all(solve(beyond(there + further)).solved for further in np.logspace(-7.0, -3.0, 9))
 
