@@ -15,7 +15,7 @@ from softrobot_twin.simulation.command import (
     FollowTargets,
     Hold,
 )
-from softrobot_twin.simulation.contact_forces import contact_forces
+from softrobot_twin.simulation.contact_forces import ContactForces, contact_forces
 from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
@@ -142,6 +142,13 @@ class StepResults:
         active = (*active, *dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in strains))
         if isinstance(command, CommandEfforts) and newton.projected_tangent:
             active = (*active, UNSTABLE)
+        touching = None
+        if model.contacts is not None:
+            loads = model.actuators.load(actuation.efforts) + actuation.contact.load
+            touching = contact_forces(
+                model.contacts, actuation.contact.multipliers, outcome.positions,
+                newton.constant_load + loads,
+            )
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
@@ -150,15 +157,8 @@ class StepResults:
             qp_solver=actuation.qp_solver,
             sampled_range=max(ranges.values(), default=0.0), strains=strains,
             driven_by=_DRIVEN_BY[type(command)],
-            **self._of_contacts(actuation.contact),
+            **_of_contacts(actuation.contact, touching),
         )  # fmt: skip
-        touching = None
-        if model.contacts is not None:
-            loads = model.actuators.load(actuation.efforts) + actuation.contact.load
-            touching = contact_forces(
-                model.contacts, actuation.contact.multipliers, outcome.positions,
-                newton.constant_load + loads,
-            )
         # The rows were evaluated last where the step ended.
         reached = model.rows.values[model.rows.groups.actuators]
         displacements = model.actuators.displacements_at(state.setpoints, reached)
@@ -199,18 +199,6 @@ class StepResults:
         if effectors is None or not effectors.orientations:
             return None
         return effectors.quaternions(positions)
-
-    def _of_contacts(self, loads: ContactLoads) -> dict:
-        """Contact entries of a report; empty without contact."""
-        if not len(loads.multipliers):
-            return {}
-        normal = loads.multipliers[:: self._model.contacts.rows_per_contact]
-        return {
-            "contact_count": int(np.count_nonzero(normal > 0.0)),
-            "contact_sweeps": loads.sweeps,
-            "contact_residual": loads.residual,
-            "contact_force_residual": loads.force_residual,
-        }
 
     def of_failure(
         self, command: Command, clock: StageClock, iterations: int, status: Status,
@@ -261,6 +249,16 @@ class StepResults:
             return ()
         with_weight, with_the_least = errors
         return (ENERGY,) if with_weight - with_the_least > tolerance else ()
+
+
+def _of_contacts(loads: ContactLoads, touching: ContactForces | None) -> dict:
+    """Contact entries of a report; empty without contact."""
+    if not len(loads.multipliers):
+        return {}
+    return {
+        "contact_count": len(touching.forces), "contact_sweeps": loads.sweeps,
+        "contact_residual": loads.residual, "contact_force_residual": loads.force_residual,
+    }  # fmt: skip
 
 
 def _with_stiffness(missed: np.ndarray, by_stiffness: np.ndarray) -> np.ndarray:
