@@ -435,6 +435,13 @@ class InverseActuation:
             weights = np.concatenate([weights, stiffness.weights])
             extra = stiffness.motion
         found = self._over_branches(linear, errors, weights, held, bounds, commanded, extra)
+        if self.trust.longest < np.inf:
+            still = self._still(linear, held)
+            while found is not None and self.trust.is_too_long(still, found.drives(self._by_effort)):
+                self.trust.tighten()
+                found = self._over_branches(
+                    linear, errors, weights, held, bounds, commanded, extra
+                )
         if found is None:
             return held._replace(solved=False), held
         if self._learns and self.trust.approach is Approach.FOLLOW:
@@ -447,6 +454,13 @@ class InverseActuation:
             )
             self.trust.expect(places, is_hindered)
         return found, held
+
+    def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:
+        """Drives when the actuators stay; of a slack cable, the path."""
+        drives, count = held.drives(self._by_effort).copy(), linear.groups.actuators.stop
+        path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+        drives[:count] = np.where(self._by_effort[:count], drives[:count], path)
+        return drives
 
     def _over_branches(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,

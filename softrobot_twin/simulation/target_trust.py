@@ -21,7 +21,8 @@ Or it goes to and fro without gain, because a kink, such as a contact that opens
 part that snaps, is sharper than a linearization can tell, or drifts without gain, or its body does
 not come to balance. Then it goes on with care, as a trust region method does: it goes back to the
 nearest place where it was in balance, and each further place that it tries is judged in balance, and
-left again unless it is nearer. Where none is, the actuators rest until something changes.
+left again unless it is nearer; the next one is then at most half as far. Where none is nearer, the
+actuators rest until something changes.
 """
 
 from __future__ import annotations
@@ -61,14 +62,17 @@ MOST_CAREFUL_STEPS = 120
 MOST_PLACES, TRIALS, TRIAL_PROGRESS = 64, 12, 5.0e-3
 # Their first weight: along a valley the tracking term bends far less than on the mean.
 FIRST_WITH_CARE = 1.0e-6
-# The greatest weight with which these begin.
-MOST_AT_FIRST = 1.0
+# The greatest weight with which these begin, and that they may come to.
+MOST_AT_FIRST, GREATEST_WITH_CARE = 1.0, 1.0e6
 # Where a target is reached, actuators rest soon. Each so many steps it is looked whether what targets
 # leave open goes to and fro. From then on, and after so many looks in any case, it goes by ever
 # smaller shares while its path between two looks does not get shorter by this factor.
 SETTLING_STEPS, MOST_LOOKS, SETTLING = 8, 9, 0.5
 # Actuators that move further between two looks do not rest.
 CREEPS = 1.0e-6 * SETTLING_STEPS
+# A trial goes at most this share as far as the one before it that was left again. A small weight may
+# be tightened in vain, and would try the same place many times.
+SHORTER = 0.5
 # A target that moves by more than this share of its distance is another one.
 ANOTHER_TARGET = 0.01
 # Loads that change by more than this share of all loads are other ones.
@@ -233,6 +237,7 @@ class TargetTrust:
         approach: What the actuators do.
         path: Where the actuators have been.
         is_careful: Whether places are tried with care, each until the body is in balance.
+        longest: Longest move of the next trial with care, as a share of the actuators' scales.
         goal: Displacements to which the actuators return, shape (actuator_count,).
         rest: Effector coordinates in the rest shape [m], shape (n,).
     """
@@ -277,7 +282,7 @@ class TargetTrust:
         self.approach = Approach.FOLLOW
         self._best, self._since, self._since_balanced = np.inf, 0, 0
         self._step_count = 0
-        self.is_careful, self._least = False, np.inf
+        self.is_careful, self._least, self.longest = False, np.inf, np.inf
 
     def begin(self, situation: Situation) -> None:
         """Compare what the last step promised with what came of it, and choose what to do.
@@ -447,10 +452,13 @@ class TargetTrust:
         self.approach = Approach.FOLLOW
         if has_come:
             if not (is_clear and situation.is_balanced and gain > 0.0):
+                tried = longest_move(self._nearest.displacements, self.goal, self._scales)
+                self.longest = SHORTER * tried
                 self.tighten()
                 self._return(self._nearest)
                 return
             self._learn(self._least, self._expected, now)
+            self.longest = np.inf
         elif not is_clear and self._before:
             # Not even where it was in balance before: it goes further back, and less far from there.
             self._floor, self._least_at_floor, self._judged = self.weight, self._least, np.inf
@@ -466,7 +474,7 @@ class TargetTrust:
                 self._floor = self._floor if now >= self._least_at_floor else 0.0
             self._nearest, self._least, self._back = situation, now, 1
         if not is_clear or self._is_in_vain(now):
-            self.is_careful, self.weight = False, 0.0
+            self.is_careful, self.weight, self.longest = False, 0.0, np.inf
             if not self._retraces(situation, now):
                 self.approach, self._resting = Approach.REST, situation
             return
@@ -488,7 +496,7 @@ class TargetTrust:
             if self._trial_count % TRIALS == 0:
                 is_slow, self._judged = now > (1.0 - TRIAL_PROGRESS) * self._judged, now
             self._trial_count += 1
-        return is_slow or self._careful_count > MOST_CAREFUL_STEPS or self.weight >= GREATEST
+        return is_slow or self._careful_count > MOST_CAREFUL_STEPS or self.weight >= GREATEST_WITH_CARE
 
     def _go_back(self, situation: Situation) -> None:
         """Choose how to go on along the path: by the actuators while the body is as it was."""
@@ -546,6 +554,16 @@ class TargetTrust:
         if self.is_careful:
             self._expected = self._last.tracking(places)
 
+    def is_too_long(self, before: np.ndarray, after: np.ndarray) -> bool:
+        """Whether a trial goes further than `longest`, and a greater weight may shorten it.
+
+        Args:
+            before: Displacements of the actuators before it, shape (actuator_count,).
+            after: Those after it, same shape.
+        """
+        is_longer = longest_move(before, after, self._scales) > self.longest
+        return is_longer and self.weight < GREATEST_WITH_CARE
+
     def tighten(self) -> None:
         """Trust the next step less; without effect where it does not follow targets."""
         if self.approach is not Approach.FOLLOW:
@@ -559,5 +577,7 @@ class TargetTrust:
 
     def _set(self, weight: float) -> None:
         weight = max(weight, self._floor)
-        first = FIRST_WITH_CARE if self.is_careful else FIRST
-        self.weight = min(weight, GREATEST) if weight >= first else 0.0
+        first, greatest = FIRST, GREATEST
+        if self.is_careful:
+            first, greatest = FIRST_WITH_CARE, GREATEST_WITH_CARE
+        self.weight = min(weight, greatest) if weight >= first else 0.0

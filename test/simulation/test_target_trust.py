@@ -250,6 +250,19 @@ def test_with_care_a_place_is_kept_where_it_is_nearer(trust, place, is_kept):
         assert trust.goal == [0.0]
 
 
+def test_with_care_a_trial_is_half_as_long_as_one_that_was_left_again(trust):
+    takes_care(trust)
+    begin, least = np.zeros(1), 1e-6
+    assert not trust.is_too_long(begin, np.array([9.0]))
+    tries(trust, 0.5)
+    trust.begin(situation(0.6, displacement=trust.goal[0]))
+    assert trust.approach is Approach.FOLLOW and trust.is_careful
+    assert trust.is_too_long(begin, np.array([0.025 + least]))
+    assert not trust.is_too_long(begin, np.array([0.025 - least]))
+    tries(trust, 0.65)
+    assert not trust.is_too_long(begin, np.array([9.0]))
+
+
 def test_with_care_a_place_is_judged_in_balance(trust):
     """Out of balance it seemed much nearer than it is."""
     takes_care(trust)
