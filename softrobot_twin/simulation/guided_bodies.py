@@ -40,7 +40,8 @@ class Guides:
             part.name: part for part in layout.rigid
             if not part.is_free and part.name not in sliding
         }  # fmt: skip
-        by_default = SIZES_IN_A_SECOND * layout.nodes.size
+        self._size = layout.nodes.size
+        by_default = SIZES_IN_A_SECOND * self._size
         self.limits = {
             name: (part.entry.speed or by_default, part.entry.turn_rate or TURN_RATE)
             for name, part in self._parts.items()
@@ -170,6 +171,21 @@ class Guides:
             return there
         origin, rotation = self._reached(name, start, end, time_step)
         return type(there)(origin, quaternion_from_rotation(rotation))
+
+    def points(self, positions: np.ndarray) -> np.ndarray:
+        """Origin of each guided body and points on its axes, the robot's size away [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Their coordinates, shape (12 body_count,); turns count by how far they carry the robot.
+        """
+        poses = (self._frames.pose(positions, part.index) for part in self._parts.values())
+        return np.concatenate([
+            np.concatenate([origin, (origin + self._size * rotation.T).ravel()])
+            for origin, rotation in poses
+        ])  # fmt: skip
 
     def pose(self, name: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] and quaternion (x, y, z, w) of a guided body."""

@@ -363,17 +363,19 @@ class InverseActuation:
         self.begin_step(True)
 
     def begin_step(
-        self, is_balanced: bool, loads: np.ndarray = NO_LOADS, load: float = 0.0
-    ) -> None:
+        self, is_balanced: bool, loads: np.ndarray = NO_LOADS, load: float = 0.0,
+        guided: np.ndarray = NO_LOADS,
+    ) -> None:  # fmt: skip
         """Let the next solution be the first of a step.
 
         Args:
             is_balanced: Whether the last step ended near balance.
             loads: Loads from outside, such as touches [N], shape (n,).
             load: Sum of all loads' sizes [N]; needed with these.
+            guided: Where points of the guided bodies are [m], shape (m,).
         """
         self._begins, self._is_balanced = True, is_balanced
-        self._loads, self._load = loads, load
+        self._loads, self._load, self._guided = loads, load, guided
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -406,7 +408,7 @@ class InverseActuation:
                 np.where(is_wanted, target_rows, 0.0), np.where(is_wanted, self._row_weights, 0.0),
                 linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
                 drives, np.where(commanded, most, np.nan),
-                self._is_balanced, self._loads, self._load,
+                self._is_balanced, self._loads, self._load, self._guided,
             )  # fmt: skip
             self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
         if commanded.any():

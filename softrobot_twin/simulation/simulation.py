@@ -43,6 +43,7 @@ from softrobot_twin.simulation.stiffness_targets import (
     StiffnessRows,
     StiffnessTargets,
 )
+from softrobot_twin.simulation.target_trust import NO_LOADS
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.touches import Touched, Touches, touch_term
@@ -284,7 +285,7 @@ class Simulation(Readouts):
             self._cable_friction.begin(positions, self.state.efforts, self.state.slips)
         newton, time_budget = self.newton, self._time_budget
         if self.inverse is not None:
-            self._begin_inverse()
+            self._begin_inverse(positions)
         pressed = time_budget.must_hurry(budget)
         led = self._lead(positions, efforts, command.time_step, clock)
         hurry = pressed and newton.may_keep_factor
@@ -346,14 +347,17 @@ class Simulation(Readouts):
             return True
         return are_same(command, self._kept_by)
 
-    def _begin_inverse(self) -> None:
-        """Tell the inverse what the step begins with."""
+    def _begin_inverse(self, positions: np.ndarray) -> None:
+        """Tell the inverse what the step begins with, at node positions [m]."""
+        guides, guided = self.model.guides, NO_LOADS
+        if guides is not None and guides.limits:
+            guided = guides.points(positions)
         if self._touches is None:
-            self.inverse.begin_step(self._is_balanced)
+            self.inverse.begin_step(self._is_balanced, guided=guided)
             return
         own = self._touches.load + self.actuators.load(self.state.efforts)
         self.inverse.begin_step(
-            self._is_balanced, self._touches.loads, self.newton.constant_load + own
+            self._is_balanced, self._touches.loads, self.newton.constant_load + own, guided
         )
 
     def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:

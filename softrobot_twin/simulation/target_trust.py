@@ -10,7 +10,8 @@ and Wright, Numerical Optimization, 2006, section 4.1). With the tracking term
 of the places x that the effectors have in balance at held displacements, as the linearization sees
 them. A poor gain multiplies a Levenberg-Marquardt weight on moves of the actuators, a good one
 divides it. Targets that are reached, or that move, are not affected: there the promise holds. What
-was learnt holds for the targets and loads that it was learnt with.
+was learnt holds for the targets and loads that it was learnt with, and where guided bodies were then.
+A guided body that moves counts as targets that move as far.
 
 Where a robot comes no nearer to its target, two things can be the matter. It may have been caught on
 its way, for instance behind an obstacle: then its shape at rest is much nearer. It goes back once
@@ -184,6 +185,7 @@ class Situation(NamedTuple):
         is_balanced: Whether the last step ended near balance.
         loads: Loads from outside, such as touches [N], shape (m,).
         load: Sum of all loads' sizes [N].
+        guided: Where points of the guided bodies are [m], shape (k,).
     """
 
     targets: np.ndarray
@@ -194,6 +196,7 @@ class Situation(NamedTuple):
     is_balanced: bool
     loads: np.ndarray = NO_LOADS
     load: float = 0.0
+    guided: np.ndarray = NO_LOADS
 
     def tracking(self, at: np.ndarray) -> float:
         """T [m²] of effector coordinates [m], shape (n,)."""
@@ -210,13 +213,16 @@ class Situation(NamedTuple):
         if len(self.targets) != len(other.targets):
             return False
         moved = self.targets - other.targets
+        way = 0.5 * float(self.weights @ (moved * moved))
+        if len(self.guided):
+            carried = float(np.abs(self.guided - other.guided).max())
+            way += 0.5 * float(self.weights.max(initial=0.0)) * carried**2
         return (
             are_equal(self.weights, other.weights)
             and are_equal(self.commanded, other.commanded)
             and self.bears_the_same(other)
-            and 0.5 * float(self.weights @ (moved * moved)) <= ANOTHER_TARGET**2 * now
+            and way <= ANOTHER_TARGET**2 * now
         )
-
 
     def bears_the_same(self, other: Situation) -> bool:
         """Whether the loads from outside are those of another situation."""
@@ -299,8 +305,9 @@ class TargetTrust:
         last = self._last
         if last is not None and not (
             len(last.targets) == len(situation.targets) and situation.bears_the_same(last)
+            and are_equal(situation.guided, last.guided)
         ):
-            # What came of the promise is the work of other loads too.
+            # What came of the promise is the work of other loads or of guided bodies too.
             self._promised = None
         reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
         is_free = self.approach is Approach.FOLLOW and not self.is_careful

@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
-from softrobot_twin.simulation import Hold, Status
+from softrobot_twin.simulation import FollowTargets, Hold, Status
 
 SPEED, TURN_RATE = 0.1, 2.0
 _Pose = namedtuple("_Pose", "position quaternion")
@@ -185,3 +185,25 @@ def test_the_middle_of_an_edge_between_listed_nodes_moves_with_them(simulate, bo
         x = scene.step(Hold(0.01)).state.positions
     moves = (x - scene.model.nodes.rest_positions)[nodes]
     np.testing.assert_allclose(moves, np.tile([0.0, 0.0, 0.01], (len(nodes), 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.1])
+def test_a_tip_stays_at_its_target_while_a_palm_carries_its_foot(beam, speed):
+    """Cables are pulled from the ground: the tip would go with the palm by 20 mm."""
+
+    def onto_a_palm(mapping):
+        mapping["rigid_bodies"] = [{**PALM, "speed": speed}]
+        del mapping["body"]["fixed"]
+        mapping["body"].update(attached=ON_PALM, element="quadratic")
+        mapping["effectors"][0]["directions"] = ["x", "y"]
+        for cable in mapping["cables"]:
+            cable.update(pull_point=[*cable["pull_point"][:2], -0.01], rate=0.5)
+
+    simulation = beam(onto_a_palm)
+    target = simulation.effector_positions().copy()
+    for _ in range(5):
+        simulation.step(FollowTargets(target, 0.02))
+    simulation.model.guides.aim("palm", np.array(PALM["position"]) + [0.02, 0.0, 0.0])
+    for _ in range(int(0.02 / speed / 0.02) + 5):
+        result = simulation.step(FollowTargets(target, 0.02))
+        assert result.status is Status.OK and result.effector_errors[0] < 1e-4

@@ -411,6 +411,23 @@ def test_what_was_learnt_holds_for_its_loads(trust, moved, weight):
     assert (trust.weight > 0.0) == weight
 
 
+@pytest.mark.parametrize("moved, weight", [(0.5, True), (2.0, False)])
+def test_what_was_learnt_holds_for_the_places_of_guided_bodies(trust, moved, weight):
+    """A guided body that moves counts as a target that moves as far."""
+    trust.begin(situation()._replace(guided=np.zeros(12)))
+    for _ in range(4):
+        trust.tighten()
+    trust.begin(situation()._replace(guided=np.full(12, moved * ANOTHER_TARGET * TARGET)))
+    assert (trust.weight > 0.0) == weight
+
+
+def test_a_promise_is_not_judged_where_a_guided_body_moved(trust):
+    trust.begin(situation()._replace(guided=np.zeros(12)))
+    trust.expect(np.array([0.5 * TARGET]))
+    trust.begin(situation(displacement=0.1)._replace(guided=np.full(12, 1e-4)))
+    assert trust.weight == 0.0
+
+
 def test_other_loads_end_the_rest(trust):
     rest(trust, loads=0.0)
     trust.begin(situation(loads=1.0))
