@@ -56,6 +56,9 @@ OVERSHOOT = 0.1
 # With friction along cables a move went too far where -r(1)·dq is more than this share of r(0)·dq.
 # Tries of the share where r·dq is zero, and the share of r(0)·dq that counts as zero.
 OVERSHOOT_OF_SLIP, MOST_SLIP_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
+# A move by a projected tangent was far too short where r(1)·dq is more than this share of r(0)·dq.
+# Factor by which it is lengthened, and the most tries.
+TOO_SHORT, LONGER, MOST_LENGTHENINGS = 0.9, 4.0, 8
 # Moves that a step makes after such a move at least, none longer than it: the first takes the
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
@@ -549,7 +552,11 @@ class Newton:
             settled = self._slipping_share(positions, share)
         elif self.inverts:
             settled *= self.upright_share(self.move.start, positions)
-        elif not is_judging or self.merit.trusts(self.forces):
+        elif not is_judging:
+            return share
+        elif self.merit.trusts(self.forces):
+            if self.projected_tangent and self._left_slope() > TOO_SHORT * abs(self._slope):
+                return self._lengthened_share(positions, share)
             return share
         if is_judging:
             settled = self.merit.search(positions, settled)
@@ -560,6 +567,33 @@ class Newton:
             settled = self._unfolded_share(positions, settled)
         self._last_move *= settled / share
         return settled
+
+    def _lengthened_share(self, positions: np.ndarray, share: float) -> float:
+        """Lengthen the last move while the merit falls.
+
+        Where a body just buckles, its projected tangent is too stiff by orders of magnitude along
+        the way it gives.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3); moved.
+            share: Share of the move that was made.
+
+        Returns:
+            The share that is made.
+        """
+        begin = self.merit.at_start()
+        best = self.merit.try_share(positions, share, begin)
+        for _ in range(MOST_LENGTHENINGS):
+            self.move.make(positions, LONGER * share)
+            if self.upright_share(self.move.start, positions) < 1.0:
+                break
+            tried = self.merit.try_share(positions, LONGER * share, begin)
+            if self.is_folded or not tried.change < best.change:
+                break
+            share, best = LONGER * share, tried
+        self.move.make(positions, share)
+        self._last_move *= share
+        return share
 
     def _unfolded_share(self, positions: np.ndarray, share: float) -> float:
         """Shorten the last move further, where elements of rubber fold between the points that
