@@ -56,6 +56,7 @@ class Actuation(NamedTuple):
         moves: Moves of actuators without a multiplier, as slides are [m], shape (move_count,).
         is_refused: The solution was rejected because it would invert elements; the actuators were
             held.
+        are_efforts_given: Whether efforts were asked for, and not displacements or targets.
     """
 
     efforts: np.ndarray
@@ -65,6 +66,7 @@ class Actuation(NamedTuple):
     contact: ContactLoads = NOTHING_TOUCHES
     moves: np.ndarray = NO_MOVES
     is_refused: bool = False
+    are_efforts_given: bool = False
 
     def drives(self, is_effort_driven: np.ndarray) -> np.ndarray:
         """What setpoints hold: displacements, or efforts of what is effort-driven.

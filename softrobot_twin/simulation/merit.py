@@ -5,12 +5,13 @@ contacts allow. The merit of a state is
 
     φ = E + Σ_i µ_i max(0, prescribed_i - δ_i) + Σ_p µ_p max(0, deepest overlap of pair p)
 
-(and for an actuator that stretches, the energy of its stretch in place of the penalty), with exact
-penalties µ, 1.5 times the multipliers of the linearization (Nocedal and Wright,
-Numerical Optimization, 2006, section 17.2). Overlaps are detected anew at the tried state, because
-contacts of other edges and facets are what the linearization does not know. The change of E is the
-work of the forces along the move, by Simpson's rule. A move is shortened until it lowers φ by a
-share of what the linearization promises (Armijo's condition).
+(in place of the penalty, for an actuator that stretches the energy of its stretch, and for one at
+a given effort λ the work -λ δ), with exact penalties µ, 1.5 times the multipliers of the
+linearization (Nocedal and Wright, Numerical Optimization, 2006, section 17.2). Overlaps are
+detected anew at the tried state, because contacts of other edges and facets are what the
+linearization does not know. The change of E is the work of the forces along the move, by Simpson's
+rule. A move is shortened until it lowers φ by a share of what the linearization promises (Armijo's
+condition).
 
 A slide prescribes where a base is, and an equilibrium is a minimum of E among the states with that
 base. So the base moves first, wholly, and carries its bodies as they are: no shape changes, and no
@@ -218,12 +219,13 @@ class Merit:
         """Penalties of displacements δ that are not as prescribed [J]; slack ones cost nothing."""
         count, actuators = len(values), self._model.actuators
         efforts = self._actuation.efforts[:count]
-        stretch = self._model.rows.stretch_compliance()
+        are_given = self._actuation.are_efforts_given
+        stretch = None if are_given else self._model.rows.stretch_compliance()
         missing = efforts * (self._actuation.displacements[:count] - values)
-        if stretch is None and actuators.one_sided[:count].all():
+        if stretch is None and not are_given and actuators.one_sided[:count].all():
             return PENALTY * float(np.maximum(missing, 0.0).sum())
         penalties = np.where(actuators.one_sided[:count], np.maximum(missing, 0.0), np.abs(missing))
-        by_effort = actuators.is_effort_driven[:count]
+        by_effort = actuators.is_effort_driven[:count] | are_given
         costs = np.where(by_effort, -efforts * values, PENALTY * penalties)
         if self._model.rows.is_told is not None:
             # The energy contains the work of told efforts.

@@ -477,7 +477,8 @@ class Newton:
         if self._model.is_dynamic or has_friction or (self.merit is not None and is_judged):
             self._load(actuation)
             self._slope = float(np.vdot(self.forces, self.move.displacement))
-        self._judged = actuation if has_friction and is_judged else None
+        is_searched = has_friction and is_judged and not actuation.are_efforts_given
+        self._judged = actuation if is_searched else None
         if self.merit is None:
             return
         if is_judged:

@@ -416,10 +416,7 @@ class Simulation(Readouts):
         elif isinstance(command, FollowTargets):
             share, residual, actuation = self._approach(positions, actuation, held, clock)
         else:
-            is_judged = not isinstance(command, CommandEfforts)
-            share, residual, actuation = self._move_and_settle(
-                positions, actuation, clock, is_judged
-            )
+            share, residual, actuation = self._move_and_settle(positions, actuation, clock)
         reached = None
         if rows is not None and share:
             reached = self._stiffness.reached(rows, state, positions, actuation.efforts)
@@ -553,7 +550,8 @@ class Simulation(Readouts):
             prescribed = self.actuators.limits.drives_within(wanted, bounds)
             return direct.at_drives(linear, prescribed, bounds), held
         if isinstance(command, CommandEfforts):
-            return direct.at_efforts(linear, wanted, held, bounds), held
+            found = direct.at_efforts(linear, wanted, held, bounds)
+            return found._replace(are_efforts_given=True), held
         if isinstance(command, FollowTargets):
             return self.inverse.solve(linear, wanted, held, bounds, stiffness)
         return held, held

@@ -82,21 +82,30 @@ def bar(simulate):
 @pytest.mark.parametrize("cable_count", [0, 4])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ELEMENTS)
+def test_a_bar_that_was_straight_comes_to_balance_where_it_sags_most(
+    element, law, cable_count, bar, drawn_rng
+):
+    # Below 3 kPa there may be several balances.
+    softest = np.exp(drawn_rng.uniform(np.log(1500.0), np.log(3000.0)))
+    assert balanced(bar(element, law, softest, cable_count), Hold(0.05), 25)[:, 2].min() < -0.15
+
+
+@pytest.mark.parametrize("cable_count", [0, 4])
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("element", ELEMENTS)
 def test_a_soft_bar_that_was_straight_sags_to_where_a_stiff_one_sags_as_it_softens(
     element, law, cable_count, bar, drawn_rng
 ):
-    softest = np.exp(drawn_rng.uniform(np.log(1500.0), np.log(3000.0)))
-    sagging = bar(element, law, softest, cable_count)
-    found, state = balanced(sagging, Hold(0.05), 25), None
-    for young_modulus in softest * np.geomspace(16.0, 1.0, 11):
+    softest = np.exp(drawn_rng.uniform(np.log(3000.0), np.log(6000.0)))
+    found, state = balanced(bar(element, law, softest, cable_count), Hold(0.05), 25), None
+    for young_modulus in softest * np.geomspace(8.0, 1.0, 8):
         softening = bar(element, law, young_modulus, cable_count)
         if state is not None:
             softening.restore(state)
-        # On its way to the softest, the bar is nearly indifferent to its side at some stiffness.
+        # On its way a bar with cables may be nearly indifferent to its side.
         expected = balanced(softening, Hold(0.05), 100)
         state = softening.state
-    assert found[:, 2].min() < -0.15
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("law", LAWS)
