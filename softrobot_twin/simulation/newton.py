@@ -472,7 +472,13 @@ class Newton:
         return share, actuation
 
     def _note(self, actuation: Actuation, is_judged: bool) -> None:
-        """Note a move before it is made, for `asks_for_more_moves` or for the merit."""
+        """Note a move before it is made, for `asks_for_more_moves` or for the merit.
+
+        At given efforts full moves of slender bodies converge faster than moves that lower the
+        energy, and only those of bodies that buckle or are nearly flat are judged.
+        """
+        if actuation.are_efforts_given:
+            is_judged = is_judged and (self.projected_tangent or self.is_nearly_flat)
         has_friction = self._has_cable_friction
         if self._model.is_dynamic or has_friction or (self.merit is not None and is_judged):
             self._load(actuation)
