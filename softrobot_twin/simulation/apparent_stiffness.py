@@ -79,6 +79,8 @@ class ComplianceGradient(NamedTuple):
         by_effort: ∂C/∂λ of each actuator with a row, shape (n, actuator_row_count).
         free: C at multipliers of zero, by the linearization [m/N], shape (n,).
         by_multiplier: Its change by the multipliers of the actuators, shape (n, actuator_row_count).
+        holds: Whether each actuator with a row holds where a finger pushes, same shape.
+        bearing: Change of its effort by that push, zero where it does not hold, same shape.
     """
 
     compliance: np.ndarray
@@ -86,6 +88,8 @@ class ComplianceGradient(NamedTuple):
     by_effort: np.ndarray
     free: np.ndarray
     by_multiplier: np.ndarray
+    holds: np.ndarray
+    bearing: np.ndarray
 
 
 class ApparentStiffness:
@@ -110,25 +114,30 @@ class ApparentStiffness:
         places = (3 * own.row_effector + own.row_axis)[: own.position_row_count]
         self._row_of = {place: row for row, place in enumerate(places.tolist())}
 
-    def gradient(self, state: State, directions: np.ndarray) -> ComplianceGradient:
+    def gradient(
+        self, state: State, directions: np.ndarray, holding: np.ndarray | None = None
+    ) -> ComplianceGradient:
         """Compliance along some directions, and its derivatives.
 
         Args:
             state: The linearized state.
             directions: Directions, 3 × effector + axis, shape (n,).
+            holding: Actuators with rows that hold, whatever their efforts are,
+                shape (actuator_row_count,); None for those that bear.
         """
-        found = [self._along(state, direction) for direction in directions.tolist()]
+        found = [self._along(state, direction, holding) for direction in directions.tolist()]
         count = state.linear.groups.actuators.stop
         parts = [np.array(part) for part in zip(*found, strict=True)] or [
             np.empty(0), np.empty((0, len(self._free_nodes), 3)), np.empty((0, count)),
-            np.empty(0), np.empty((0, count)),
+            np.empty(0), np.empty((0, count)), np.empty((0, count), dtype=bool),
+            np.empty((0, count)),
         ]  # fmt: skip
         return ComplianceGradient(*parts)
 
-    def _along(self, state: State, direction: int) -> tuple:
+    def _along(self, state: State, direction: int, holding: np.ndarray | None) -> tuple:
         """One entry of each field of `ComplianceGradient`."""
         load = self.load(direction)
-        x, Lambda = self._response(state, direction, load)
+        x, Lambda, held = self._response(state, direction, load, holding)
         compliance = float(np.vdot(load, x))
         by_position, by_effort = self._derivatives(state, x, Lambda)
         y = state.solver.solve(by_position)
@@ -144,7 +153,8 @@ class ApparentStiffness:
             by_multiplier += by_effort - (by_effort * found.stiffness) @ linear.W_aa
             shift = found.stiffness * (linear.actuators - found.reference) + state.efforts
             free -= float(by_effort @ shift)
-        return compliance, by_position, by_effort, free, by_multiplier
+        bearing = np.abs(Lambda) * self._push / compliance if compliance > 0.0 else 0.0 * Lambda
+        return compliance, by_position, by_effort, free, by_multiplier, held, bearing
 
     def load(self, direction: int) -> np.ndarray:
         """e of a direction of the effectors' points [-], shape (free_node_count, 3)."""
@@ -154,11 +164,13 @@ class ApparentStiffness:
         return load
 
     def _response(
-        self, state: State, direction: int, load: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """x [m/N], shape (free_node_count, 3), and Λ, shape (actuator_row_count,)."""
+        self, state: State, direction: int, load: np.ndarray, holding: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x [m/N], shape (free_node_count, 3), Λ and who holds, shape (actuator_row_count,)."""
         linear = state.linear
         W, held = linear.W_aa, self.holds(state.efforts)
+        if holding is not None:
+            held = holding
         row = self._row_of.get(direction)
         if row is None:
             moved = self._row_motion(state.solver.solve(load))
@@ -175,8 +187,8 @@ class ApparentStiffness:
             self._add_row_forces(self._model.rows.blocks, change, forces)
             x = state.solver.solve(forces)
             still = held & self._bears(state.efforts, np.where(held, change, 0.0), np.vdot(load, x))
-            if (still == held).all():
-                return x, np.where(held, change, 0.0)
+            if holding is not None or (still == held).all():
+                return x, np.where(held, change, 0.0), held
             held = still
 
     def _bears(self, efforts: np.ndarray, change: np.ndarray, compliance: float) -> np.ndarray:

@@ -12,7 +12,8 @@ The law holds for a free cable too, whose winch may choose δ_set within its lim
 shortening of a winch bounds the path of a taut cable only: either λ ≥ 0 and δ_a ≤ δ_max, or λ = 0,
 and the path may be shorter than the shortest length to which the winch can wind the cable. The
 search begins in the branch of the held actuation. Branches meet where λ = 0 and δ_a = δ_max; a cable
-that an optimum leaves there takes the other one.
+that an optimum leaves there takes the other one. Where the actuators would rest, the optimum of each
+branch is sought in which one cable changes (`_look`), and `TargetTrust` follows the most promising.
 """
 
 from __future__ import annotations
@@ -69,6 +70,9 @@ LONGEST_WAIT = 7
 NEAR_PLACE = 1.0e-6
 # The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
 AT_LIMIT = 1.0e-8
+
+# A cable that is to bear where a finger pushes bears this multiple of what the push takes from it.
+BEARS = 1.5
 
 NO_FORCES = np.empty(0)
 
@@ -395,11 +399,13 @@ class InverseActuation:
             The actuation, or the held one with `solved` False; and what a shorter step than that
             begins with: the held actuation, in which commanded actuators do as they are told.
         """
+        if stiffness is not None and not len(stiffness.directions):
+            stiffness = None
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         least, most = self._limits.drive_bounds(bounds)
         commanded, drives = least == most, held.drives(self._by_effort)
-        if self._learns and self._begins:
-            self._begins = False
+        begins, self._begins = self._learns and self._begins, False
+        if begins:
             if self._posed is not None:
                 # Coordinates of orientations are those at the present target.
                 self.trust.rest = _rest_rows(self._posed)
@@ -417,7 +423,9 @@ class InverseActuation:
         limits = self._limits_met(held.contact.multipliers)
         if limits:
             held = held._replace(contact=held.contact._replace(limits=limits))
-        if commanded.all() or self.trust.approach is Approach.REST:
+        if self.trust.approach is Approach.LOOK and begins:
+            self._look(linear, target_rows, held, bounds, commanded, stiffness)
+        if commanded.all() or self.trust.approach in (Approach.REST, Approach.LOOK):
             return held, held
         if self.trust.approach is Approach.RETURN:
             goal = self._limits.drives_within(self.trust.goal, bounds)
@@ -430,26 +438,27 @@ class InverseActuation:
             noted = self.trust.path.last_effectors
             place[: len(noted)] = noted
             asked, weights = self._steps.asked(place, linear.effectors_now)
-        errors = linear.effectors - linear.effectors_now - asked
-        extra = None
-        if stiffness is not None:
-            errors = np.concatenate([errors, stiffness.free - stiffness.now - stiffness.asked])
-            weights = np.concatenate([weights, stiffness.weights])
-            extra = stiffness.motion
-        found = self._over_branches(linear, errors, weights, held, bounds, commanded, extra)
+        branch = self.trust.branch
+        stiffness = self._in_branch(stiffness, branch)
+        errors, weights, extra = _rows_to_track(linear, asked, weights, stiffness)
+        within = self._bearing(stiffness, branch, bounds)
+        found = self._over_branches(
+            linear, errors, weights, held, within, commanded, extra, branch
+        )
         if self.trust.longest < np.inf:
             still = self._still(linear, held)
             while found is not None and self.trust.is_too_long(still, found.drives(self._by_effort)):
                 self.trust.tighten()
                 found = self._over_branches(
-                    linear, errors, weights, held, bounds, commanded, extra
+                    linear, errors, weights, held, within, commanded, extra, branch
                 )
+        if found is None and branch is not None:
+            self.trust.branch = None
+            return held, held
         if found is None:
             return held._replace(solved=False), held
         if self._learns and self.trust.approach is Approach.FOLLOW:
-            places = linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
-            if stiffness is not None:
-                places = np.concatenate([places, stiffness.places(found.efforts)])
+            places = _places(linear, found, stiffness)
             is_hindered = self.trust.is_careful and any(
                 name.endswith(RATE)
                 for name in self._limits.binding(found.displacements, found.efforts, bounds)
@@ -464,26 +473,98 @@ class InverseActuation:
         drives[:count] = np.where(self._by_effort[:count], drives[:count], path)
         return drives
 
+    def _look(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        commanded: np.ndarray, stiffness: StiffnessRows | None,
+    ) -> None:  # fmt: skip
+        """Offer the optimum of the next branch in which one cable bears, or is slack, that did not.
+
+        Stiffnesses jump there, and the program's set is not convex where a taut cable is at its
+        limit. What is remembered of the held actuation stays as it is.
+        """
+        count, trust = linear.groups.actuators.stop, self.trust
+        branch = np.zeros(count, dtype=bool) if trust.branch is None else trust.branch.copy()
+        upper = bounds.displacement_max[:count]
+        if stiffness is None:
+            loads = linear.efforts(held.efforts[:count], held.contact.multipliers)
+            bears = loads > NO_EFFORT * loads.max(initial=0.0)
+            may_change = branch | (bears & (held.displacements[:count] >= upper - self._at_limit))
+        else:
+            bears = stiffness.gradient.holds.any(axis=0)
+            branch = self._may_hang & ~bears
+            path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+            may_change = bears | (path <= upper + self._at_limit)
+        left = np.flatnonzero((may_change & self._may_hang & ~commanded[:count])[trust.kink :])
+        if not len(left):
+            trust.end_look()
+            return
+        cable = trust.kink + left[0]
+        trust.kink, branch[cable] = cable + 1, not branch[cable]
+        rows = self._in_branch(stiffness, branch)
+        if rows is not None and not (rows.gradient.compliance > 0.0).all():
+            return
+        asked, weights = self._steps.asked(target_rows, linear.effectors_now)
+        errors, weights, extra = _rows_to_track(linear, asked, weights, rows)
+        remembered = self._solver.active, self._touching, self._wait, self._next_wait
+        within = self._bearing(rows, branch, bounds)
+        found = self._over_branches(
+            linear, errors, weights, held, within, commanded, extra, branch
+        )
+        self._solver.active, self._touching, self._wait, self._next_wait = remembered
+        self._direct.remember(held.efforts)
+        if found is not None:
+            trust.offer(branch, _places(linear, found, rows))
+
+    def _in_branch(
+        self, stiffness: StiffnessRows | None, branch: np.ndarray | None
+    ) -> StiffnessRows | None:
+        """The rows of wanted stiffnesses with just these cables slack."""
+        if stiffness is None or branch is None:
+            return stiffness
+        holds = stiffness.gradient.holds
+        bears = np.where(self._may_hang, ~branch, holds.any(axis=0))
+        return stiffness if (holds == bears).all() else stiffness.with_bearing(bears)
+
+    @staticmethod
+    def _bearing(
+        stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds
+    ) -> Bounds:
+        """Bounds within which the cables of a branch bear where a finger pushes."""
+        if stiffness is None or branch is None:
+            return bounds
+        least = np.where(branch, 0.0, BEARS * stiffness.gradient.bearing.max(axis=0))
+        a = slice(0, len(least))
+        effort_min = bounds.effort_min.copy()
+        effort_min[a] = np.minimum(np.maximum(effort_min[a], least), bounds.effort_max[a])
+        return bounds._replace(effort_min=effort_min)
+
     def _over_branches(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
         bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
+        chosen: np.ndarray | None = None,
     ) -> Actuation | None:  # fmt: skip
         """The actuation, from the branch of slack cables that the held actuation is in.
 
         Each next branch contains the optimum of the branch before, hence the objective never rises.
-        A cable becomes slack at most once, and taut again at most once.
+        A cable becomes slack at most once, and taut again at most once. Cables that are `chosen`
+        are slack in any case.
         """
         count, contact = linear.groups.actuators.stop, held.contact.multipliers
         path, may_hang = linear.actuator_displacements(held.efforts, contact), self._may_hang
         if commanded.any():
             may_hang = may_hang & ~commanded[:count]
+        if chosen is not None:
+            # With wanted stiffnesses, the others bear.
+            may_hang = may_hang & ~chosen & (extra is None)
         branches, upper = np.zeros((2, count), dtype=bool), bounds.displacement_max
         slack, was_slack = branches
         loads = linear.efforts(held.efforts[:count], contact) / self._effort_scales
         some_hang = hang_beyond(path, loads, upper, self._at_limit, may_hang, slack)
+        loose = slack if some_hang else None
+        if chosen is not None:
+            loose = slack | chosen
         found, best = self._solved(
-            linear, errors, weights, held, held, path, slack if some_hang else None, bounds,
-            commanded, extra,
+            linear, errors, weights, held, held, path, loose, bounds, commanded, extra
         ), None
         while found is not None:
             best = found
@@ -493,8 +574,9 @@ class InverseActuation:
                 slack, was_slack,
             ):  # fmt: skip
                 break
+            loose = slack if chosen is None else slack | chosen
             found = self._solved(
-                linear, errors, weights, held, best, path, slack, bounds, commanded, extra
+                linear, errors, weights, held, best, path, loose, bounds, commanded, extra
             )
         return best
 
@@ -912,6 +994,36 @@ def with_effector_rows(
         W_ea=np.concatenate([system.W_ea, extra[:, ~commanded]]),
         W_ec=np.concatenate([system.W_ec, taut]), G_e=np.concatenate([system.G_e, moved]),
     )  # fmt: skip
+
+
+def _rows_to_track(
+    linear: Linearized, asked: np.ndarray, weights: np.ndarray, stiffness: StiffnessRows | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Errors of effectors, then of stiffnesses [m], their weights, and motion of the latter.
+
+    Args:
+        linear: The condensed system.
+        asked: Displacements asked of the effectors [m].
+        weights: Their weights.
+        stiffness: Rows of wanted stiffnesses, or None.
+    """
+    errors = linear.effectors - linear.effectors_now - asked
+    if stiffness is None:
+        return errors, weights, None
+    return (
+        np.concatenate([errors, stiffness.free - stiffness.now - stiffness.asked]),
+        np.concatenate([weights, stiffness.weights]), stiffness.motion,
+    )  # fmt: skip
+
+
+def _places(
+    linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
+) -> np.ndarray:
+    """Coordinates of effectors, then of stiffnesses, that an actuation promises [m]."""
+    places = linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
+    if stiffness is not None:
+        places = np.concatenate([places, stiffness.places(found.efforts)])
+    return places
 
 
 def _with_stiffness(

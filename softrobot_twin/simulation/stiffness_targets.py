@@ -13,6 +13,8 @@ effectors.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +41,7 @@ class StiffnessRows(NamedTuple):
         lengths: ℓ [m], shape (n,).
         directions: Directions, 3 × effector + axis, shape (n,).
         gradient: Compliances and their derivatives.
+        with_bearing: Gives the rows if just some actuators held, shape (actuator_row_count,).
     """
 
     wanted: np.ndarray
@@ -49,6 +52,7 @@ class StiffnessRows(NamedTuple):
     lengths: np.ndarray
     directions: np.ndarray
     gradient: ComplianceGradient
+    with_bearing: Callable[[np.ndarray], StiffnessRows]
 
     @property
     def asked(self) -> np.ndarray:
@@ -106,16 +110,19 @@ class StiffnessTargets:
         self.lengths = stiffness_lengths(model)
         self._weights = np.array([0.0 if entry is None else entry.weight for entry in entries])
 
-    def rows(self, state: State, wanted: np.ndarray) -> StiffnessRows:
+    def rows(
+        self, state: State, wanted: np.ndarray, holding: np.ndarray | None = None
+    ) -> StiffnessRows:
         """The rows around a state.
 
         Args:
             state: The linearized state.
             wanted: Stiffnesses [N/m], NaN where free, shape (effector_count, 3).
+            holding: See `ApparentStiffness.gradient`.
         """
         directions = np.flatnonzero(np.isfinite(wanted))
         targets, effectors = wanted.ravel()[directions], directions // 3
-        gradient = self._stiffness.gradient(state, directions)
+        gradient = self._stiffness.gradient(state, directions, holding)
         lengths, weights = self.lengths[effectors], self._weights[effectors]
         # Near instability a compliance has no sense, and nothing is asked of it.
         compliance = gradient.compliance
@@ -125,7 +132,7 @@ class StiffnessTargets:
         return StiffnessRows(
             lengths * np.log(targets), now, now + by_compliance * (gradient.free - compliance),
             by_compliance[:, None] * gradient.by_multiplier, np.where(is_stable, weights, 0.0),
-            lengths, directions, gradient,
+            lengths, directions, gradient, partial(self.rows, state, wanted),
         )  # fmt: skip
 
     def reached(

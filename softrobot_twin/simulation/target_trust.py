@@ -24,6 +24,11 @@ not come to balance. Then it goes on with care, as a trust region method does: i
 nearest place where it was in balance, and each further place that it tries is judged in balance, and
 left again unless it is nearer; the next one is then at most half as far. Where none is nearer, the
 actuators rest until something changes.
+
+Where the effectors miss and nothing brings them nearer, a kink may hide a nearer place, such as one
+with a cable slack that is taut at its greatest shortening. Then the inverse problem is solved beyond
+each kink, one in a step, while the actuators stay. They follow on in the most promising branch, and
+go back unless the body rests nearer there. So each such leap brings the effectors nearer.
 """
 
 from __future__ import annotations
@@ -61,6 +66,8 @@ MOST_WAITS = 10
 MOST_CAREFUL_STEPS = 120
 # Places in balance that are kept. Among so many trials, T falls by such a share at least.
 MOST_PLACES, TRIALS, TRIAL_PROGRESS = 64, 12, 5.0e-3
+# The share by which T must promise to fall beyond a kink.
+LEAST_PROMISE = 0.02
 # Their first weight: along a valley the tracking term bends far less than on the mean.
 FIRST_WITH_CARE = 1.0e-6
 # The greatest weight with which these begin, and that they may come to.
@@ -96,6 +103,7 @@ class Approach(Enum):
     RETRACE = "they go back along their path, since they were caught on the way"
     LEAD_BACK = "they lead the effectors back through the places where these were on the way"
     RETURN = "they go to a place, and stay there until the body is in balance"
+    LOOK = "they stay, while places beyond kinks are sought"
 
 
 class ActuatorPath:
@@ -246,6 +254,9 @@ class TargetTrust:
         longest: Longest move of the next trial with care, as a share of the actuators' scales.
         goal: Displacements to which the actuators return, shape (actuator_count,).
         rest: Effector coordinates in the rest shape [m], shape (n,).
+        kink: While it looks beyond kinks, the first that it did not look beyond.
+        branch: Cables that are slack in the branch beyond a kink that it chose, shape
+            (actuator_row_count,); None where it chose none.
     """
 
     def __init__(
@@ -280,6 +291,8 @@ class TargetTrust:
         self._promised: np.ndarray | None = None
         # The nearest place in balance, or the last one under way to other targets.
         self._nearest: Situation | None = None
+        # T where it looked beyond kinks last.
+        self._looked, self.branch = np.inf, None
         self._start_again()
         self._has_retraced, self._unbalanced = False, 0
         self.path.forget()
@@ -289,6 +302,8 @@ class TargetTrust:
         self._best, self._since, self._since_balanced = np.inf, 0, 0
         self._step_count = 0
         self.is_careful, self._least, self.longest = False, np.inf, np.inf
+        # Where it leaps from; None where it does not.
+        self._home: Situation | None = None
 
     def begin(self, situation: Situation) -> None:
         """Compare what the last step promised with what came of it, and choose what to do.
@@ -300,6 +315,7 @@ class TargetTrust:
         if self._asked is None or not situation.asks_the_same(self._asked, now):
             self._asked, self._has_retraced = situation, False
             self.weight = self._floor = 0.0
+            self._looked, self.branch = np.inf, None
             self._settle_anew()
             self._start_again()
         last = self._last
@@ -378,7 +394,7 @@ class TargetTrust:
             return
         gain = (before - now) / promise
         if gain < POOR:
-            if self._has_more:
+            if self._has_more and self._home is None:
                 self._floor = max(self._floor, ABOVE_POOR * max(self.weight, FIRST))
             self.tighten()
         elif gain > GOOD:
@@ -394,8 +410,13 @@ class TargetTrust:
         if self.approach is Approach.REST:
             self._watch(situation)
             return
+        if self._home is not None and self.approach is not Approach.FOLLOW:
+            self._stay_or_return(situation)
+            return
         if self.is_careful:
             self._go_carefully(situation, now)
+            return
+        if self._home is not None and self._ends_leap(situation, now):
             return
         if situation.is_balanced and now < self._least:
             self._nearest, self._least = situation, now
@@ -407,12 +428,16 @@ class TargetTrust:
             return
         self._since += 1
         self._since_balanced += situation.is_balanced
-        # A body that is not in balance is given time for it with care.
-        if self._since_balanced < PATIENCE and self._since < PATIENCE:
+        # A body that is not in balance is given time for it with care, but not beyond a kink.
+        if self._home or (self._since_balanced < PATIENCE and self._since < PATIENCE):
             return
         is_late = self._since >= LONG_PATIENCE
         if (self._since_balanced >= PATIENCE or is_late) and self._retraces(situation, now):
             return
+        if self._since_balanced >= PATIENCE and self._may_look(situation, now):
+            if not self._path_length:
+                self._look(situation, now, Approach.FOLLOW)
+                return
         drifts = is_late and self._path_length
         if self._unbalanced >= PATIENCE or self._goes_to_and_fro() or drifts:
             self._take_care(situation)
@@ -482,10 +507,79 @@ class TargetTrust:
             self._nearest, self._least, self._back = situation, now, 1
         if not is_clear or self._is_in_vain(now):
             self.is_careful, self.weight, self.longest = False, 0.0, np.inf
-            if not self._retraces(situation, now):
-                self.approach, self._resting = Approach.REST, situation
+            if self._retraces(situation, now):
+                return
+            self.approach, self._resting = Approach.REST, situation
+            if self._may_look(situation, now):
+                self._look(situation, now, Approach.REST)
+        elif self._careful_count <= 1 and self._may_look(situation, now):
+            self._look(situation, now, Approach.FOLLOW)
+        else:
+            self._is_trial = True
+
+    def _may_look(self, situation: Situation, now: float) -> bool:
+        """Whether it did not yet look beyond kinks from where it is in balance; `now` is T [m²]."""
+        return situation.is_balanced and now <= (1.0 - TRIAL_PROGRESS) * self._looked
+
+    def _look(self, situation: Situation, now: float, otherwise: Approach) -> None:
+        """Begin to look beyond kinks, where nothing brings the effectors nearer.
+
+        Args:
+            situation: What the step begins with.
+            now: T [m²].
+            otherwise: What is done where that is in vain.
+        """
+        self._looked, self._home, self._otherwise = now, situation, otherwise
+        self._was_careful = self.is_careful
+        self._promising = (1.0 - LEAST_PROMISE) * now
+        self._chosen = self._before_leap = self.branch
+        self.approach, self.kink, self._is_trial = Approach.LOOK, 0, False
+
+    def offer(self, branch: np.ndarray, places: np.ndarray) -> None:
+        """Take a branch beyond a kink, where it is more promising than all before.
+
+        Args:
+            branch: Cables that are slack in it, shape (actuator_row_count,).
+            places: Effector coordinates at its optimum, by the linearization [m], shape (n,).
+        """
+        promised = self._home.tracking(places)
+        if promised < self._promising:
+            self._promising, self._chosen = promised, branch
+
+    def end_look(self) -> None:
+        """Follow on in the most promising branch, if there is one."""
+        home, self._home, self.approach = self._home, None, self._otherwise
+        self._resting, self._is_trial = home, self.is_careful
+        if self._chosen is not self._before_leap:
+            self._start_again()
+            self._home, self.branch = home, self._chosen
+            self.weight = self._floor = 0.0
+
+    def _ends_leap(self, situation: Situation, now: float) -> bool:
+        """Stay beyond a kink only where it is nearer in balance; whether it goes back.
+
+        Args:
+            situation: What the step begins with.
+            now: T [m²].
+        """
+        if situation.is_balanced and now < (1.0 - TRIAL_PROGRESS) * self._looked:
+            self._start_again()
+        elif self._since >= PATIENCE or now > self._looked / CAUGHT**2:
+            self.branch = self._before_leap
+            self._return(self._home)
+            return True
+        return False
+
+    def _stay_or_return(self, situation: Situation) -> None:
+        """Stay while the inverse looks beyond kinks, or go back to where it leapt from."""
+        if self.approach is Approach.LOOK:
             return
-        self._is_trial = True
+        distance = longest_move(self.goal, situation.displacements, self._scales)
+        if (distance <= MOVED and situation.is_balanced) or not self._waits(situation, distance):
+            self._nearest, self._resting = self._home, situation
+            self._home, self.approach = None, self._otherwise
+            if self._was_careful:
+                self._take_care(situation)
 
     def _waits(self, situation: Situation, distance: float) -> bool:
         """Whether the actuators are on their way to the goal, or the body to balance."""

@@ -9,8 +9,14 @@ LENGTH, WIDTH = 0.1, 0.02
 LIMITED, RATE = 0.002, 0.01
 
 
-def bar(**of_other):
-    """A bar with two cables on the same side; the second may be limited."""
+def bar(places=(0.4, 0.6), effector=None, **of_other):
+    """A bar with two cables on the same side, at these shares of its width.
+
+    Args:
+        places: Where the cables are.
+        effector: Further entries of the effector.
+        **of_other: Limits of the second cable.
+    """
     def cable(name, y, **limits):
         points = [[share * LENGTH, y, 0.9 * WIDTH] for share in (0.25, 0.5, 0.75, 1.0)]
         return dict(name=name, pull_point=[0, y, 0.9 * WIDTH], points=points, **limits)
@@ -24,11 +30,12 @@ def bar(**of_other):
             material=dict(young_modulus=3e5, poisson_ratio=0.4, density=1000.0),
         ),
         cables=[
-            cable("long", 0.4 * WIDTH, shortening=[0, 0.02]),
-            cable("other", 0.6 * WIDTH, **of_other),
+            cable("long", places[0] * WIDTH, shortening=[0, 0.02]),
+            cable("other", places[1] * WIDTH, **of_other),
         ],
         effectors=[
-            dict(name="tip", points=[[LENGTH, WIDTH / 2, WIDTH / 2]], directions=["z"])
+            dict(name="tip", points=[[LENGTH, WIDTH / 2, WIDTH / 2]])
+            | dict(directions=["z"]) | (effector or {})
         ],
         solver=dict(newton_iterations=20, residual_tolerance=1e-8),
     )  # fmt: skip
@@ -109,3 +116,40 @@ def test_results_tell_the_winch_and_the_path_apart(limited):
         assert result["other_path_m"] < result["other_length_m"] - 0.001
         assert result["long_path_m"] == pytest.approx(result["long_length_m"], abs=1e-7)
     assert found["other_path_m"] == pytest.approx(commanded["other_path_m"], abs=1e-6)
+
+
+def test_a_nearer_place_with_a_cable_slack_is_found_where_it_rests_taut_at_its_limit():
+    """Between both it is further away: the other cable alone leads aside at the same height."""
+    robot = bar((0.75, 0.5), dict(directions=["y", "z"]), shortening=[0, LIMITED])
+    goal = np.array([LENGTH, WIDTH / 2, 0.03])
+
+    def missed(command):
+        robot.reset()
+        for _ in range(150):
+            result = robot.step(command)
+        return np.linalg.norm((result.tip - goal)[1:]), tensions(result)
+
+    own, pulling = missed(st.targets(tip=goal.tolist()))
+    taut, _ = missed(st.setpoints(long_shortening_m=0.00225, other_shortening_m=LIMITED))
+    slack, _ = missed(st.setpoints(long_shortening_m=0.0049, other_shortening_m=LIMITED))
+    assert slack < 0.9 * taut
+    assert own <= 1.001 * slack and pulling[1] == 0.0
+
+
+def test_a_stiffness_is_reached_that_only_a_slack_cable_gives(drawn_rng):
+    """Both cables share the load, until one alone is found to be as soft as wanted."""
+    wanted = dict(stiffness=dict(weight=1.0, length=0.01, target=[None] * 3))
+    robot, long = bar((0.1, 0.9), wanted, shortening=[0, 0.02]), drawn_rng.uniform(0.004, 0.008)
+    given = dict(long_shortening_m=long, other_shortening_m=0.0)
+    goal = robot.settle(st.setpoints(**given)).tip.tolist()
+    told = robot.step(
+        st.targets(tip=goal, tip_stiffness_N_per_m=[None, 5.0, None], **given)
+    ).outcome.effector_stiffness[0, 1]
+    robot.reset()
+    for step in range(300):
+        result = robot.step(st.targets(tip=goal, tip_stiffness_N_per_m=[None, float(told), None]))
+        if step == 20:
+            assert result.outcome.effector_stiffness[0, 1] > 1.5 * told
+    assert result.status.value == "ok"
+    assert result.outcome.effector_stiffness[0, 1] == pytest.approx(told, rel=0.01)
+    assert tensions(result).min() <= 1e-9 * tensions(result).max()

@@ -42,10 +42,19 @@ def situation(
     )  # fmt: skip
 
 
+class WithoutKinks(TargetTrust):
+    """Of a robot without kinks, which looks beyond none."""
+
+    def begin(self, situation):
+        super().begin(situation)
+        if self.approach is Approach.LOOK:
+            self.end_look()
+
+
 @pytest.fixture
 def trust() -> TargetTrust:
     """Of one actuator, for which 1 m is large, and of an effector that is at zero at rest."""
-    return TargetTrust(np.ones(1), np.zeros(1), TOLERANCE, SIZE, 1)
+    return WithoutKinks(np.ones(1), np.zeros(1), TOLERANCE, SIZE, 1)
 
 
 def learns(trust, promised, came) -> float:
@@ -655,3 +664,54 @@ def test_what_is_learnt_is_forgotten_by_a_reset(beam, rod):
     (first, weights), (again, _) = follow(), follow()
     assert max(weights) > 0.0
     np.testing.assert_array_equal(first, again)
+
+
+@pytest.fixture
+def looking() -> TargetTrust:
+    """Of a robot that rests 0.5 m away, and looks beyond kinks."""
+    trust = TargetTrust(np.ones(1), np.zeros(1), TOLERANCE, SIZE, 1)
+    for _ in range(PATIENCE + 2):
+        trust.begin(situation(0.5, displacement=0.3))
+    assert trust.approach is Approach.LOOK
+    return trust
+
+
+def leaps(trust, promised=0.6) -> None:
+    """Follow in a branch that promises to come to this place."""
+    trust.offer(np.array([True]), np.array([promised]))
+    trust.end_look()
+
+
+@pytest.mark.parametrize("promised, is_chosen", [(0.6, True), (0.501, False), (0.4, False)])
+def test_only_a_branch_that_promises_a_nearer_place_is_followed(looking, promised, is_chosen):
+    leaps(looking, promised)
+    assert looking.approach is Approach.FOLLOW
+    assert (looking.branch is not None) is is_chosen
+
+
+def test_beyond_a_kink_it_stays_where_it_is_nearer_in_balance(looking):
+    leaps(looking)
+    looking.begin(situation(0.45, displacement=0.35, is_balanced=False))
+    looking.begin(situation(0.55, displacement=0.4))
+    for _ in range(PATIENCE - 2):
+        looking.begin(situation(0.55, displacement=0.4))
+        assert looking.approach is Approach.FOLLOW and looking.branch is not None
+
+
+@pytest.mark.parametrize("place, steps", [(0.45, PATIENCE + 2), (-1.0, 1)])
+def test_from_beyond_a_kink_it_returns_where_it_is_no_nearer(looking, place, steps):
+    leaps(looking)
+    for _ in range(steps):
+        assert looking.approach is Approach.FOLLOW
+        looking.begin(situation(place, displacement=0.4))
+    assert looking.approach is Approach.RETURN and looking.goal[0] == 0.3
+    assert looking.branch is None
+    for _ in range(2 * LONG_PATIENCE):
+        looking.begin(situation(0.5, displacement=0.3))
+        assert looking.approach is Approach.FOLLOW
+
+
+def test_another_target_ends_what_was_chosen_beyond_a_kink(looking):
+    leaps(looking)
+    looking.begin(situation(0.5, target=2.0 * TARGET, displacement=0.3))
+    assert looking.approach is Approach.FOLLOW and looking.branch is None
