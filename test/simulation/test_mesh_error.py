@@ -343,3 +343,19 @@ def test_the_error_of_an_inflated_state_is_estimated(inflated_column, control):
         assert kept == pytest.approx(by_pressure, rel=1e-2)
     else:
         assert kept > 0.0 and abs(kept - by_pressure) > 0.01 * by_pressure
+
+
+@pytest.mark.parametrize("asks", [
+    {"orientation": {"points": [[0.1, 0, 0], [0.1, 0.02, 0], [0.1, 0, 0.02]]}, "directions": []},
+    {"stiffness": {"weight": 0.5}},
+], ids=["orientation", "stiffness"])  # fmt: skip
+def test_of_effectors_that_ask_for_more_than_a_place_the_place_is_judged(bar, asks):
+    scene = bar((10, 2, 2))
+    effector = {**scene.model_dump(mode="json")["effectors"][0], **asks}
+    other = scene_from_mapping({**scene.model_dump(mode="json"), "effectors": [effector]})
+    errors = []
+    for each in (scene, other):
+        simulation = Simulation(each)
+        simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.002, 10.0))
+        errors.append(discretization_error(simulation))
+    assert errors[1] == pytest.approx(errors[0], rel=1e-6) and errors[0] > 0.0
