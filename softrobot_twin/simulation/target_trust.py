@@ -18,6 +18,7 @@ its way, for instance behind an obstacle: then its shape at rest is much nearer.
 along the path of its actuators, as far as the last target that it reached, and tries again from
 there. At the same displacements the body may have another shape than on its way, for instance where
 it slipped around an obstacle: then its effectors are led back through the places where they were.
+Where they come near none of these, the actuators go where they were at the begin of the path.
 Or it goes to and fro without gain, because a kink, such as a contact that opens and closes or a
 part that snaps, is sharper than a linearization can tell, or drifts without gain, or its body does
 not come to balance. Then it goes on with care, as a trust region method does: it goes back to the
@@ -157,6 +158,10 @@ class ActuatorPath:
     def go_back(self) -> None:
         """Forget the place noted last."""
         self._count = max(0, self._count - 1)
+
+    def go_to_begin(self) -> None:
+        """Forget all places but the first."""
+        self._count = min(1, self._count)
 
 
 @njit(**KERNEL)
@@ -447,7 +452,7 @@ class TargetTrust:
         is_free = bool(np.isnan(situation.commanded).all())
         if self._has_retraced or not (is_free and self._is_caught(situation, now)):
             return False
-        self.approach, self._has_retraced = Approach.RETRACE, True
+        self.approach, self._has_retraced, self._has_led = Approach.RETRACE, True, False
         return True
 
     def _return(self, situation: Situation) -> None:
@@ -606,8 +611,14 @@ class TargetTrust:
         missed = situation.places[self._positions] - self.path.last_effectors
         is_near = float(np.abs(missed).max(initial=0.0)) <= self._elsewhere
         if self.approach is Approach.RETRACE:
-            if not is_near:
-                self.approach, self._steps_to_place = Approach.LEAD_BACK, 0
+            if not (is_near or self._has_led):
+                self.approach, self._steps_to_place, self._led_count = Approach.LEAD_BACK, 0, 0
+            return
+        self._led_count = 0 if is_near else self._led_count + 1
+        if self._led_count >= PATIENCE:
+            # What keeps another shape may let go of it at the displacements of the begin.
+            self.path.go_to_begin()
+            self.approach, self._has_led = Approach.RETRACE, True
             return
         self._steps_to_place += 1
         if is_near or self._steps_to_place >= STEPS_TO_A_PLACE:

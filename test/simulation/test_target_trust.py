@@ -531,6 +531,21 @@ def test_in_another_shape_than_on_the_way_the_effectors_are_led_back_where_they_
     assert trust.approach is Approach.FOLLOW
 
 
+def test_where_leading_back_comes_near_no_place_the_actuators_go_where_they_began(trust):
+    trust.begin(situation(-14.0))
+    caught(trust, PATIENCE + 1)
+    far = situation(-12.0 - 1.1 * ELSEWHERE * SIZE, displacement=0.45)
+    trust.begin(far)
+    assert trust.approach is Approach.LEAD_BACK
+    for _ in range(PATIENCE):
+        assert trust.approach is Approach.LEAD_BACK
+        trust.begin(far)
+    np.testing.assert_allclose(trust.path.last, [0.0])
+    for _ in range(PATIENCE):
+        trust.begin(far)
+        assert trust.approach is Approach.RETRACE
+
+
 def test_on_its_way_back_it_follows_as_soon_as_it_is_much_nearer(trust):
     caught(trust, PATIENCE + 1)
     trust.begin(situation(-0.1, displacement=0.1))
