@@ -18,6 +18,7 @@ branch is sought in which one cable changes (`_look`), and `TargetTrust` follows
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +42,7 @@ from softrobot_twin.solvers.inverse_problem import (
     with_effort_rows,
 )
 from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
-from softrobot_twin.solvers.pivoting import WARM_START
+from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
@@ -52,6 +53,10 @@ LONGEST_REACH = 0.05
 LONGEST_TURN = 0.1
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
+# Contacts hold effectors in some directions, in which the same energy moves them far less, and would
+# keep them off their targets. There the energy weighs the less the nearer the targets are, as a
+# Levenberg-Marquardt weight does (Yamashita and Fukushima 2001), down to this share.
+LEAST_ENERGY_SHARE_IN_CONTACT = 1.0 / 64.0
 # In contact, what the targets leave open goes at most a tenth of the displacement to the least
 # energy in one linearization: a whole one overshoots, and the next takes it back.
 LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
@@ -323,6 +328,7 @@ class InverseActuation:
         self._direct, self._contacts = direct, model.contacts
         self._steps, self._row_weights = TargetSteps(model), model.effectors.row_weights
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
+        self._energy_now, self._longest = self._energy_weight, LONGEST_REACH * model.nodes.size
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self.force_limit = np.inf if limit is None else limit
         actuators = model.actuators
@@ -438,6 +444,8 @@ class InverseActuation:
             noted = self.trust.path.last_effectors
             place[: len(noted)] = noted
             asked, weights = self._steps.asked(place, linear.effectors_now)
+        if not self._alone:
+            self._energy_now = self._weight_of_energy(linear, asked)
         branch = self.trust.branch
         stiffness = self._in_branch(stiffness, branch)
         errors, weights, extra = _rows_to_track(linear, asked, weights, stiffness)
@@ -628,7 +636,7 @@ class InverseActuation:
             W = np.concatenate([W[: effectors.stop, : effectors.start], extra])
             effectors = slice(effectors.start, len(W))
         efforts = self._solver.efforts_by_guess(
-            W, effectors, errors, weights, self._energy_weight,
+            W, effectors, errors, weights, self._energy_now,
             self._proximal_weight(), self._centre(linear, held, self._all_free),
             linear.actuators, within,
         )  # fmt: skip
@@ -644,10 +652,12 @@ class InverseActuation:
         """The actuation of any inverse problem; None where it has no solution."""
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
         unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
-        problem = self._problem(
-            linear, errors, weights, held, within, bounds, unknowns, extra
-        )
-        solution = self._solution(linear, problem, start, unknowns, errors, weights)
+
+        def pose(errors: np.ndarray) -> QPCC:
+            return self._problem(linear, errors, weights, held, within, bounds, unknowns, extra)
+
+        problem = pose(errors)
+        solution = self._solution(linear, problem, start, unknowns, errors, weights, pose)
         if not solution.solved:
             return None
         efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
@@ -697,15 +707,22 @@ class InverseActuation:
         if extra is not None:
             system = with_effector_rows(system, extra, commanded)
         problem = build_inverse_problem(
-            system, weights, self._energy_weight, within, contact_bounds,
+            system, weights, self._energy_now, within, contact_bounds,
             self._centre(linear, held, unknowns),
             self._proximal_weight(),
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
 
+    def _weight_of_energy(self, linear: Linearized, asked: np.ndarray) -> float:
+        """ε of a linearization, by the displacements asked of the effectors [m]."""
+        if not linear.contact_row_count:
+            return self._energy_weight
+        share = max(LEAST_ENERGY_SHARE_IN_CONTACT, float(np.linalg.norm(asked)) / self._longest)
+        return max(min(share, 1.0) * self._energy_weight, LEAST_ENERGY_WEIGHT)
+
     def _proximal_weight(self) -> float:
         """p: what holds the targets' open directions, and what the trust restrains."""
-        restraint = self.trust.weight / self._energy_weight
+        restraint = self.trust.weight / self._energy_now
         return self._least_weight + self.trust.open_weight + restraint
 
     def _centre(self, linear: Linearized, held: Actuation, unknowns: Unknowns) -> np.ndarray:
@@ -722,7 +739,7 @@ class InverseActuation:
             held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
         )
         # Both terms as one, with the sum of their weights.
-        restraint = self.trust.weight / self._energy_weight
+        restraint = self.trust.weight / self._energy_now
         share = restraint / self._proximal_weight()
         return (1.0 - share) * last + share * still
 
@@ -745,12 +762,13 @@ class InverseActuation:
 
     def _solution(
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns,
-        errors: np.ndarray, weights: np.ndarray,
+        errors: np.ndarray, weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
     ) -> QPCCSolution:  # fmt: skip
         """Solve the problem, from an admissible actuation and from what touched in the last step.
 
         Where contacts press and effectors miss what is asked of them, from the branch too in which
-        all contacts with bodies are open.
+        all contacts with bodies are open; and where that is in vain, against the energy. `pose`
+        gives the problem of other errors.
         """
         efforts, forces = held.efforts[linear.groups.actuators], held.contact.multipliers
         if not problem.contact_count:
@@ -782,6 +800,11 @@ class InverseActuation:
             second_start=second_start if len(forces) else None,
         )  # fmt: skip
         if first_missed:
+            # What the trust holds back is not the energy's doing.
+            if solution.unknowns is first_missed[0] and self.trust.weight == 0.0:
+                solution = self._against_energy(
+                    linear, unknowns, solution, errors, weights, pose
+                )
             is_in_vain = solution.unknowns is first_missed[0]
             self._next_wait = min(2 * self._next_wait + 1, LONGEST_WAIT) if is_in_vain else 0
             self._wait = self._next_wait
@@ -795,17 +818,36 @@ class InverseActuation:
         weights: np.ndarray,
     ) -> bool:  # fmt: skip
         """Whether a solution presses and misses, and the search is to begin a second time."""
-        efforts, moves, forces = unknowns.split(z, linear.contact_row_count)
-        if not (forces > 0.0).any():
+        if not (unknowns.split(z, linear.contact_row_count)[2] > 0.0).any():
             return False
-        now = linear.effector_places(efforts, forces, moves)
-        missed = np.where(weights > 0.0, errors, 0.0)[: len(now)]
-        missed += np.where(weights[: len(now)] > 0.0, now - linear.effectors, 0.0)
-        if np.linalg.norm(missed) <= self._tolerance:
+        if np.linalg.norm(_missed(linear, unknowns, z, errors, weights)) <= self._tolerance:
             self._wait = self._next_wait = 0
             return False
         self._wait -= 1
         return self._wait < 0
+
+    def _against_energy(
+        self, linear: Linearized, unknowns: Unknowns, first: QPCCSolution, errors: np.ndarray,
+        weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
+    ) -> QPCCSolution:  # fmt: skip
+        """The solution where twice the miss is asked for, if it misses much less; else the first.
+
+        What the energy keeps from a target is met so, as a multiplier does (Bregman's method). A
+        target that the bounds keep out of reach stays the same: of the nearest point in a convex
+        set, further away in the same direction, the nearest one is the same point.
+        """
+        missed = _missed(linear, unknowns, first.unknowns, errors, weights)
+        shifted = errors.copy()
+        shifted[: len(missed)] += missed
+        second = self._solver.solve(
+            pose(shifted), first.unknowns, first.touching, first.touching
+        )
+        if second.solved:
+            left = _missed(linear, unknowns, second.unknowns, errors, weights)
+            if np.linalg.norm(left) < MUCH_LOWER * np.linalg.norm(missed):
+                return second
+        self._solver.active = first.active
+        return first
 
     def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
         """Pair and key of each contact, by which it is recognised in the next step."""
@@ -885,6 +927,7 @@ class InverseActuation:
         W, free = _with_contacts_closed(linear, held.contact.multipliers)
         now, efforts = linear.effectors_now, held.efforts[:count]
         asked, weights = self._steps.asked(target_rows, now)
+        energy_weight = self._weight_of_energy(linear, asked)
         system = InverseSystem.without_contacts(
             W[count:, :count], W[:count, :count], free[count:] - now - asked, free[:count]
         )
@@ -896,7 +939,7 @@ class InverseActuation:
         )  # fmt: skip
         errors = [
             self._largest_error(linear, system, weights, weight, within)
-            for weight in (self._energy_weight, LEAST_ENERGY_WEIGHT)
+            for weight in (energy_weight, LEAST_ENERGY_WEIGHT)
         ]
         return None if None in errors else (errors[0], errors[1])
 
@@ -938,6 +981,16 @@ def build_inverse(
             f"{LEAST_ENERGY_WEIGHT:.2g} is used"
         )
     return InverseActuation(model, direct, qp_solvers)
+
+
+def _missed(
+    linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """What a solution leaves of the errors of effectors [m], shape (effector_row_count,)."""
+    efforts, moves, forces = unknowns.split(z, linear.contact_row_count)
+    now = linear.effector_places(efforts, forces, moves)
+    left = errors[: len(now)] + now - linear.effectors
+    return np.where(weights[: len(now)] > 0.0, left, 0.0)
 
 
 def _rest_rows(model: Model) -> np.ndarray:
