@@ -56,7 +56,7 @@ MOST_PROGRAMS = 30
 # Contacts hold effectors in some directions, in which the same energy moves them far less, and would
 # keep them off their targets. There the energy weighs the less the nearer the targets are, as a
 # Levenberg-Marquardt weight does (Yamashita and Fukushima 2001), down to this share.
-LEAST_ENERGY_SHARE_IN_CONTACT = 1.0 / 64.0
+LEAST_ENERGY_SHARE_IN_CONTACT = 1.0 / 512.0
 # In contact, what the targets leave open goes at most a tenth of the displacement to the least
 # energy in one linearization: a whole one overshoots, and the next takes it back.
 LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0

@@ -8,14 +8,12 @@ from softrobot_twin.simulation import FollowTargets
 STEP, RAMP, TURN = 0.02, 2.0, 10.0  # s
 RUNS = 4
 MEAN, LARGEST = 2.0e-6, 1.0e-4  # m
-# Centre, radius [m] and second axis of each circle. On a ball that stands nearer to the tip, or on a
-# circle that stretches the body more, a Trunk in motion swings where no tensions hold it back.
+BALL = [-0.022, 0.0, 0.150]  # m
+# Centre, radius [m] and second axis of each circle.
 CIRCLES = {
     "between cylinders": ([0.020, 0.0, 0.215], 0.005, 2),
     "on a ball": ([0.0, 0.0, 0.188], 0.020, 1),
-    "on a ball, in motion": ([0.0, 0.0, 0.1885], 0.012, 1),
 }
-BALLS = {"on a ball": [-0.022, 0.0, 0.150], "on a ball, in motion": [-0.026, 0.0, 0.130]}
 
 
 def moved(random) -> np.ndarray:
@@ -28,17 +26,14 @@ def leaning(name, random):
     """Changes the Trunk between cylinders into one that leans on something at a random place."""
 
     def change(mapping):
-        if name in BALLS:
-            centre = (BALLS[name] + moved(random)).tolist()
+        if name == "on a ball":
+            centre = (BALL + moved(random)).tolist()
             mapping["obstacles"] = [{"name": "ball", "sphere": {"centre": centre, "radius": 0.015}}]
             mapping["contact"]["between"] = [{"pair": ["trunk", "ball"]}]
         else:
             for obstacle in mapping["obstacles"]:
                 ends = obstacle["cylinder"]["ends"]
                 obstacle["cylinder"]["ends"] = (np.array(ends) + moved(random)).tolist()
-        if name.endswith("in motion"):
-            mapping["integration"] = "dynamic"
-            del mapping["slides"]
 
     return change
 
