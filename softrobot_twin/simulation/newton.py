@@ -562,7 +562,8 @@ class Newton:
         elif not is_judging:
             return share
         elif self.merit.trusts(self.forces):
-            if self.projected_tangent and self._left_slope() > TOO_SHORT * abs(self._slope):
+            may_lengthen = self.projected_tangent and not self._was_folded
+            if may_lengthen and self._left_slope() > TOO_SHORT * abs(self._slope):
                 return self._lengthened_share(positions, share)
             return share
         if is_judging:
@@ -576,10 +577,10 @@ class Newton:
         return settled
 
     def _lengthened_share(self, positions: np.ndarray, share: float) -> float:
-        """Lengthen the last move while the merit falls.
+        """Lengthen the last move while the merit falls, and no row forbids it.
 
         Where a body just buckles, its projected tangent is too stiff by orders of magnitude along
-        the way it gives.
+        the way it gives. Bodies with folded elements unfold by short moves: long ones end elsewhere.
 
         Args:
             positions: Node positions after the move [m], shape (node_count, 3); moved.
@@ -591,8 +592,11 @@ class Newton:
         begin = self.merit.at_start()
         best = self.merit.try_share(positions, share, begin)
         for _ in range(MOST_LENGTHENINGS):
+            start, longer = self.move.start, LONGER * share * self.move.displacement
+            if self._rows.largest_share(start, longer) < 1.0:
+                break
             self.move.make(positions, LONGER * share)
-            if self.upright_share(self.move.start, positions) < 1.0:
+            if self.upright_share(start, positions) < 1.0:
                 break
             tried = self.merit.try_share(positions, LONGER * share, begin)
             if self.is_folded or not tried.change < best.change:
