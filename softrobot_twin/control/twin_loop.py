@@ -84,7 +84,7 @@ CALLS = (
 """All calls by which anything reaches a loop from outside, but `tick`."""
 MOST_REPEATS = 99
 """Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
-_MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED)
+_MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED, Activity.FOLLOWING)
 
 
 def owner_of(loop: TwinLoop, name: str) -> tuple[object, str]:

@@ -61,6 +61,12 @@ MOST_PARTS, MOST_HALVINGS, MOST_MOVES_OF_PART, NEAR_AFTER_PART = 100, 20, 12, 0.
 # A step in balance that moves no node by more than this share of the body's size, and changes no
 # effort by more than this share of its scale, keeps the state: at rest round-off leaves 1e-14.
 KEPT_SHARE = 1.0e-12
+# The same of a step towards targets, which moves setpoints too: where they come from an inverse
+# problem, round-off leaves 1e-11.
+KEPT_SHARE_TOWARDS_TARGETS = 1.0e-10
+# Steps towards the same targets that keep the state before further ones need not be made. Within
+# fewer the inverse tries all that it will try from there, but one step for each actuator.
+STEPS_UNTIL_REST = 120
 
 
 class Correction(NamedTuple):
@@ -214,6 +220,7 @@ class Simulation(Readouts):
         """Lets the solvers begin from the state alone."""
         self._kept_by: Command | None = None
         self._rest: StepResult | None = None
+        self._kept_count = 0
         self._is_balanced = True
         self.newton.forget()
         self.direct.remember(self.state.efforts)
@@ -321,7 +328,8 @@ class Simulation(Readouts):
 
         A step depends on the state, the command and what the solvers remember. A step that kept the
         state left them beginning from the state alone; when one that began so kept it again, each
-        further one with the same command does the same.
+        further one with the same command does the same. Only what was learnt of targets stays: where
+        `STEPS_UNTIL_REST` steps towards the same ones kept the state, nothing else is tried.
 
         Args:
             command: What is asked.
@@ -660,12 +668,12 @@ class Simulation(Readouts):
         """Whether a step changed nothing but by round-off: then the state before it is kept.
 
         Args:
-            command: What was asked; steps towards targets always move.
+            command: What was asked.
             outcome: What the linearizations came to.
             state: The state after them.
         """
         before, size = self.state, self.model.nodes.size
-        if not self.may_rest or self.fallback is not None or isinstance(command, FollowTargets):
+        if not self.may_rest or self.fallback is not None:
             return False
         if outcome.balance is not Balance.REACHED or not math.isfinite(size):
             return False
@@ -673,11 +681,15 @@ class Simulation(Readouts):
             return False
         if state.touches is not None and state.touches.is_touched.any():
             return False
-        slack = KEPT_SHARE * self.limits.effort_scale
+        share, moved = KEPT_SHARE, np.abs(state.setpoints - before.setpoints)
+        is_commanded = bool((moved == 0.0).all())
+        if isinstance(command, FollowTargets):
+            share = KEPT_SHARE_TOWARDS_TARGETS
+            is_commanded = bool((moved <= share * self.limits.drive_scale).all())
         return (
-            bool((np.abs(state.positions - before.positions) <= KEPT_SHARE * size).all())
-            and bool((np.abs(state.efforts - before.efforts) <= slack).all())
-            and np.array_equal(state.setpoints, before.setpoints)
+            is_commanded
+            and bool((np.abs(state.positions - before.positions) <= share * size).all())
+            and bool((np.abs(state.efforts - before.efforts) <= share * self.limits.effort_scale).all())
             and np.array_equal(state.history, before.history)
         )
 
@@ -691,14 +703,20 @@ class Simulation(Readouts):
         """
         newton = self.newton
         is_again = is_kept and self._kept_by is not None and self._asks_for_kept(command)
+        kept_count = self._kept_count + 1 if is_again else 0
         if not is_kept:
             self._kept_by = self._rest = None
             return
         age = newton.factor_age
-        self._begin_anew()
+        if isinstance(command, FollowTargets):
+            newton.forget()
+            self.direct.remember(self.state.efforts)
+            is_again = kept_count >= STEPS_UNTIL_REST + len(self.state.setpoints)
+        else:
+            self._begin_anew()
         # The factor is that of the kept state, for whoever asks for compliances there.
         newton.factor_age = 0 if age == 0 else None
-        self._kept_by = command
+        self._kept_by, self._kept_count, self._rest = command, kept_count, None
         if is_again:
             report = replace(
                 result.report, stage_times=dict.fromkeys(result.report.stage_times, 0.0),

@@ -147,6 +147,16 @@ def test_the_first_target_moves_the_robot_in_the_same_tick(clocked):
     assert outcome.result.effector_errors[0] < 0.003
 
 
+def test_a_loop_rests_on_its_target_and_follows_the_next_in_the_same_tick(clocked):
+    twin = clocked(target_timeout=0.0)
+    place = twin.simulation.effector_positions()[0]
+    twin.loop.targets.accept_point(0, place + [0.003, 0.0, 0.0], twin.arrival())
+    outcome = twin.until_repeating()
+    assert outcome.activity is Activity.FOLLOWING and outcome.result.status.is_success
+    twin.loop.targets.accept_point(0, place, twin.arrival())
+    assert not twin.tick().result.report.is_resting and not twin.loop.is_repeating
+
+
 def test_all_work_of_a_tick_is_done_from_time_to_time(clocked):
     twin = clocked()
     twin.until_repeating()

@@ -51,7 +51,8 @@ def test_a_run_with_rests_and_one_that_steps_are_the_same_to_the_bit(diamond):
     stepping, resting = diamond(), diamond()
     for _ in range(12):
         command = draw_command(draw, stepping)
-        for _ in range(draw.integers(1, 40)):
+        most = 200 if isinstance(command, FollowTargets) else 40
+        for _ in range(draw.integers(1, most)):
             stepped, stayed = stepping.step(command), resting.stay(command)
             assert same(stepped, stayed or resting.step(command))
     assert rests(resting).status.is_success
@@ -85,10 +86,15 @@ def test_another_command_a_restored_state_and_a_reset_end_the_rest(diamond):
     assert simulation.stay(Hold(STEP)) is None
 
 
-def test_steps_towards_targets_are_always_made(diamond):
+@pytest.mark.parametrize("away", [0.001, 0.5])
+def test_a_robot_that_reached_its_target_or_cannot_come_nearer_rests(diamond, away):
     simulation = diamond()
-    command = FollowTargets(simulation.effector_positions() + 0.001, STEP)
-    assert rests(simulation, command) is None
+    command = FollowTargets(simulation.effector_positions() + [[0.0, 0.0, -away]], STEP)
+    told = rests(simulation, command, 600)
+    assert told.report.is_resting and told.status.is_success == (away < 0.1)
+    assert simulation.step(command).status is told.status
+    further = FollowTargets(command.targets + 1e-6, STEP)
+    assert simulation.stay(further) is None and not simulation.step(further).report.is_resting
 
 
 def test_a_kept_state_is_in_balance_to_round_off(diamond):
