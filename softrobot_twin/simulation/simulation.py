@@ -653,7 +653,7 @@ class Simulation(Readouts):
             None if self._touches is None else self._touches.end(outcome.positions),
             self._history(outcome.positions),
         )  # fmt: skip
-        is_kept = self._is_kept(command, outcome, state)
+        is_kept = self._is_kept(command, asked, outcome, state)
         self.state = before.kept_through(command.time_step) if is_kept else state
         result = self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
@@ -664,11 +664,14 @@ class Simulation(Readouts):
         limits = (*result.report.active_limits, *self.fallback.limits)
         return replace(result, report=replace(result.report, active_limits=limits))
 
-    def _is_kept(self, command: Command, outcome: Outcome, state: State) -> bool:
+    def _is_kept(
+        self, command: Command, asked: Asked, outcome: Outcome, state: State
+    ) -> bool:
         """Whether a step changed nothing but by round-off: then the state before it is kept.
 
         Args:
             command: What was asked.
+            asked: The same, read.
             outcome: What the linearizations came to.
             state: The state after them.
         """
@@ -685,7 +688,11 @@ class Simulation(Readouts):
         is_commanded = bool((moved == 0.0).all())
         if isinstance(command, FollowTargets):
             share = KEPT_SHARE_TOWARDS_TARGETS
-            is_commanded = bool((moved <= share * self.limits.drive_scale).all())
+            slack = share * self.limits.drive_scale
+            least, most = self.limits.drive_bounds(asked.bounds)
+            # At so small a rate that a step looks like round-off, it is on its way.
+            is_slow = (least < most) & (most - least <= 4.0 * slack)
+            is_commanded = bool((moved <= slack).all()) and not is_slow.any()
         return (
             is_commanded
             and bool((np.abs(state.positions - before.positions) <= share * size).all())

@@ -97,6 +97,16 @@ def test_a_robot_that_reached_its_target_or_cannot_come_nearer_rests(diamond, aw
     assert simulation.stay(further) is None and not simulation.step(further).report.is_resting
 
 
+def test_a_robot_that_is_slow_is_not_taken_for_one_at_rest(diamond):
+    simulation = diamond()
+    command = FollowTargets(simulation.effector_positions() + 0.001, STEP, reach_time=1e-13)
+    before = simulation.state.setpoints
+    for _ in range(300):
+        assert simulation.stay(command) is None
+        simulation.step(command)
+    assert 0.0 < np.abs(simulation.state.setpoints - before).max() < 1e-10
+
+
 def test_a_kept_state_is_in_balance_to_round_off(diamond):
     simulation = diamond()
     command = CommandSetpoints(simulation.rest_setpoints - [0.008, 0.001, 0.0, 0.004], STEP)
