@@ -91,9 +91,11 @@ def are_same(first: Command, second: Command) -> bool:
         return False
     for field in fields(first):
         one, other = getattr(first, field.name), getattr(second, field.name)
-        if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-            if one.shape != other.shape or one.tobytes() != other.tobytes():
-                return False
-        elif one is not other and (isinstance(other, np.ndarray) or one != other):
+        if one is other:
+            continue
+        if one is None or other is None:
+            return False
+        one, other = np.asarray(one), np.asarray(other)
+        if one.shape != other.shape or one.tobytes() != other.tobytes():
             return False
     return True

@@ -136,6 +136,10 @@ def test_a_body_in_motion_and_one_in_contact_are_never_at_rest(scene_of):
     (CommandSetpoints(np.zeros(2), 0.1), CommandSetpoints(np.array([0.0, 1e-300]), 0.1), False),
     (FollowTargets(np.zeros((1, 3)), 0.1), FollowTargets(np.zeros((1, 3)), 0.1, np.zeros(2)),
      False),
+    (FollowTargets(np.zeros((1, 3)), 0.1, np.zeros(2)), FollowTargets(np.zeros((1, 3)), 0.1), False),
+    (FollowTargets([[0.0, 0.0, 0.0]], 0.1), FollowTargets(np.zeros((1, 3)), 0.1), True),
+    (FollowTargets(np.zeros((1, 3)), 0.1, None, None, [[0.0, 1.0, 2.0]]),
+     FollowTargets(np.zeros((1, 3)), 0.1, None, None, np.zeros((1, 3))), False),
 ])  # fmt: skip
 def test_commands_are_compared_to_the_bit(first, second, are):
     assert are_same(first, second) is are
