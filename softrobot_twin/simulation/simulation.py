@@ -149,8 +149,9 @@ class Simulation(Readouts):
         self.fallback: Fallback | None = None
         # Dynamic scenes, contacts, friction along cables and guided bodies remember more than a
         # state that is kept tells of.
+        guides = self.model.guides
         self.may_rest = not (
-            self.model.is_dynamic or self.model.rows.varies or self.model.guides is not None
+            self.model.is_dynamic or self.model.rows.varies or (guides is not None and guides.limits)
             or self._cable_friction is not None
         )
         self.reset()
