@@ -34,7 +34,7 @@ it is stretched by θ²/2, and this force, which the next move takes away again,
 stiffness: the tangent becomes far too stiff, or indefinite. The geometric stiffness is therefore taken
 at the strain that the last linearization predicted, t + dt and ψ + dψ, as for a beam whose stresses are
 unknowns too (Magisano, Leonetti and Garcea 2017). Forces are always those of the state. The first
-linearization of a step has the tangent of the state.
+linearization of a step has the tangent of the state, unless the last step ended out of balance.
 
 Damping in proportion to stiffness adds β K times the rates of t and ψ, by backward Euler.
 """
@@ -548,6 +548,10 @@ class Beams(ForceTerm):
         rate = (e.damping / time_step)[:, None]
         np.multiply(e.stiffness, 1.0 + rate, out=self._k)
         np.multiply(e.stiffness, e.rest + rate * self._start, out=self._pulls)
+
+    def follow_move(self, start: np.ndarray) -> None:
+        """Predict t and ψ in the first linearization of a step too; see `ForceTerm.follow_move`."""
+        self._linearized_at = start.copy()
 
     def deformations(self, positions: np.ndarray) -> np.ndarray:
         """t [m] and ψ [rad] of every element, in the axes of its first end.

@@ -92,6 +92,13 @@ class ForceTerm(Protocol):
             time_step: h [s]; infinite in statics.
         """
 
+    def follow_move(self, start: np.ndarray) -> None:
+        """Take the last move of the step before for one of this step.
+
+        Args:
+            start: Node positions where it began [m], shape (node_count, 3).
+        """
+
     def begin_rates(
         self, positions: np.ndarray, reference: np.ndarray, velocities: np.ndarray, span: float
     ) -> None:

@@ -59,6 +59,10 @@ OVERSHOOT_OF_SLIP, MOST_SLIP_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
 # A move by a projected tangent was far too short where r(1)·dq is more than this share of r(0)·dq.
 # Factor by which it is lengthened, and the most tries.
 TOO_SHORT, LONGER, MOST_LENGTHENINGS = 0.9, 4.0, 8
+# Where slender bodies have no merit, the next tangent is projected by so much less after such a move,
+# and by as much more where -r(1)·dq is more than r(0)·dq; by no less than the second share. The
+# share grows by the third until the tangent is definite.
+LESS_PROJECTION, LEAST_PROJECTION, MORE_PROJECTION = 8.0, 2.0**-16, 2.0
 # Moves that a step makes after such a move at least, none longer than it: the first takes the
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
@@ -113,22 +117,31 @@ class Newton:
         self._moves_to_make = 0
         self._has_cable_friction = model.cable_friction is not None
         self._judged: Actuation | None = None
+        self._judges_projection = False
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
         factorization = model.factorization
         self._dense = factorization if isinstance(factorization, DenseStiffness) else None
         self._augmented, self._held = self._augmented_tangent(), None
+        self._projects_in_part = (
+            any(term.is_slender for term in model.forces) and self._dense is None
+            and not (model.is_dynamic or self._has_cable_friction)
+        )  # fmt: skip
         self._was_folded = False
         self.projected_tangent = self.is_augmented = False
         self.forget()
         self.gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self.forces, axis=1).sum())
+        if self._projects_in_part and self._augmented is not None:
+            # Later, slender parts would take the rest shape for where their last move began.
+            if not self._measure_stiffness(StageClock()):
+                self._augmented = None
 
     def _augmented_tangent(
         self,
     ) -> AugmentedTangent | AugmentedLU | AugmentedHinges | AugmentedDense | None:
-        """The augmented tangent of a scene with cables on free nodes, given volumes or angles.
+        """The augmented tangent of a scene with cables, given volumes or angles.
 
         None with friction along cables: at held lengths equilibria are not minima of an energy.
         """
@@ -137,15 +150,20 @@ class Newton:
             return self._augmented_hinges()
         if isinstance(self._model.factorization, DenseCholesky):
             return self._augmented_dense()
-        if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
+        is_held = ~actuators.is_effort_driven[: actuators.row_count]
+        needs_lu = bool((is_held & ~actuators.one_sided[: actuators.row_count]).any())
+        if rows.reaches_carried_points:
+            # The rows of cables at points of frames are not those that cables write.
+            needs_lu = needs_lu or not self._model.is_dynamic and self._model.cable_friction is None
+            if not (needs_lu and is_held.any()):
+                return None
+        if needs_lu:
             if self._dense is not None:
                 return None
-            by_effort = actuators.is_effort_driven[: actuators.row_count]
             stretch = rows.stretch_compliance()
             stretches = None if stretch is None else stretch > 0.0
-            return AugmentedLU(self._model.factorization, by_effort, stretches)
-        # The rows of cables at points of free rigid bodies are not those that cables write.
-        if not rows.terms or rows.reaches_carried_points:
+            return AugmentedLU(self._model.factorization, ~is_held, stretches)
+        if not rows.terms:
             return None
         first = rows.terms[0]
         if not isinstance(first, Cables) or self._model.cable_friction is not None:
@@ -224,6 +242,8 @@ class Newton:
         self.factor_age: int | None = None
         self.is_worn = False
         self.inverted_count, self.is_folded = 0, None
+        # Share of its projection in a tangent that is projected.
+        self._projection = 1.0
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
         self._is_indefinite = isinstance(self._augmented, AugmentedHinges)
@@ -250,6 +270,15 @@ class Newton:
         self._moves_to_make = 0
         if time_step != self._time_step:
             self._time_step, self.factor_age = time_step, None
+
+    def go_on(self) -> None:
+        """Let a step of statics go on where the one before ended out of balance.
+
+        Else few linearizations a step would do the same in each step, and never come to balance.
+        """
+        for term in self._model.forces:
+            if term.is_slender:
+                term.on_points.follow_move(self.move.start)
 
     def linearize(
         self,
@@ -311,7 +340,9 @@ class Newton:
                 self._is_indefinite = False
                 return self._condense(positions, multipliers)
         self._rows.limit_stiffness(True)
-        if may_augment and self._measure_stiffness(clock) and self._augmented.choose(efforts, held):
+        may_augment = may_augment and self._measure_stiffness(clock)
+        may_augment = may_augment and self._augmented.choose(efforts, held)
+        if may_augment:
             self.is_augmented, self._held = True, held
             for is_limited in (False, True) if self._rows.may_be_negative else (True,):
                 self._rows.limit_stiffness(is_limited)
@@ -327,9 +358,51 @@ class Newton:
                     )
                     return linear
         self.is_augmented, self.projected_tangent, self._is_indefinite = False, True, False
+        if self._projects_in_part:
+            linear = self._least_projected(positions, multipliers, may_augment, clock)
+            if linear is not None:
+                return linear
         if not self._factor(positions, multipliers, clock):
             return None
         return self._condense(positions, multipliers)
+
+    def _least_projected(
+        self, positions: np.ndarray, multipliers: np.ndarray, augments: bool, clock: StageClock
+    ) -> Linearized | None:
+        """See the bodies by a weighted mean of the exact and the projected tangent.
+
+        Where a slender body just buckles, the projected tangent is too stiff by orders of magnitude
+        along the way it gives, and the body would creep.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            multipliers: λ of all rows there, shape (row_count,).
+            augments: Whether the mean is augmented by the rows of held actuators.
+            clock: Books the stages.
+
+        Returns:
+            The condensed system; None where no mean was found definite.
+        """
+        factorization = self._model.factorization
+        self.is_augmented, storage = augments, factorization.storage
+        self.assemble(positions, multipliers, True)
+        projected = storage.copy()
+        self.assemble(positions, multipliers, False)
+        exact = storage.copy()
+        clock.mark("assemble")
+        share = self._projection
+        while share <= 1.0:
+            storage[:] = (1.0 - share) * exact + share * projected
+            try:
+                if self._augmented.factor(positions) if augments else factorization.factor():
+                    clock.mark("factor")
+                    self._projection = share
+                    return self._condense(positions, multipliers)
+            except np.linalg.LinAlgError:
+                pass  # Held actuators do not stabilise the bodies by it.
+            share *= MORE_PROJECTION
+        self.is_augmented = False
+        return None
 
     def _measure_stiffness(self, clock: StageClock) -> bool:
         """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""
@@ -480,10 +553,12 @@ class Newton:
         if actuation.are_efforts_given:
             is_judged = is_judged and (self.projected_tangent or self.is_nearly_flat)
         has_friction = self._has_cable_friction
-        if self._model.is_dynamic or has_friction or (self.merit is not None and is_judged):
+        is_searched = has_friction and is_judged and not actuation.are_efforts_given
+        self._judges_projection = self._projects_in_part and self.projected_tangent
+        needs_slope = self._model.is_dynamic or has_friction or self._judges_projection
+        if needs_slope or (self.merit is not None and is_judged):
             self._load(actuation)
             self._slope = float(np.vdot(self.forces, self.move.displacement))
-        is_searched = has_friction and is_judged and not actuation.are_efforts_given
         self._judged = actuation if is_searched else None
         if self.merit is None:
             return
@@ -698,7 +773,22 @@ class Newton:
         self._rows.tell_efforts(actuation.efforts)
         self.gather_forces(positions)
         self._load(actuation)
+        if self._judges_projection:
+            self._judge_projection(self._last_move < self._step_limit)
         return self._model.nodes.largest_force(self.forces)
+
+    def _judge_projection(self, is_whole: bool) -> None:
+        """Choose by the last move how much the next tangent is projected.
+
+        Args:
+            is_whole: Whether the move was not too long for a linearization.
+        """
+        self._judges_projection = False
+        left, slope = self._left_slope(), abs(self._slope)
+        if is_whole and left > TOO_SHORT * slope:
+            self._projection = max(LEAST_PROJECTION, self._projection / LESS_PROJECTION)
+        elif not is_whole or left < -slope:
+            self._projection = min(1.0, self._projection * LESS_PROJECTION)
 
     def _load(self, actuation: Actuation) -> None:
         """Add Hᵀλ to the forces gathered last."""

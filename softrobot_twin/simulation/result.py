@@ -80,7 +80,7 @@ class StepReport:
             status.
         contact_count: Contacts that carry force.
         projected_tangent: True when the exact tangent was not positive definite and its
-            element-wise projection was used in its place.
+            element-wise projection was used in its place, or a mean of both.
         inverted_count: Number of elements that are flat or inverted at the new state.
         linearization_error: Distance of the effectors from equilibrium before this step, at held
             lengths, by its first linearization [m]; NaN without effectors.

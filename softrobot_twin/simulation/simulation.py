@@ -222,7 +222,7 @@ class Simulation(Readouts):
         self._kept_by: Command | None = None
         self._rest: StepResult | None = None
         self._kept_count = 0
-        self._is_balanced = True
+        self._is_balanced, self._goes_on = True, False
         self.newton.forget()
         self.direct.remember(self.state.efforts)
         if self.inverse is not None:
@@ -294,6 +294,8 @@ class Simulation(Readouts):
         newton, time_budget = self.newton, self._time_budget
         if self.inverse is not None:
             self._begin_inverse(positions)
+        if self._goes_on and not newton.projected_tangent:
+            newton.go_on()
         pressed = time_budget.must_hurry(budget)
         led = self._lead(positions, efforts, command.time_step, clock)
         hurry = pressed and newton.may_keep_factor
@@ -318,6 +320,7 @@ class Simulation(Readouts):
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
         reached = self._balance(done, budget) if led else Balance.MISSED
         self._is_balanced = reached is not Balance.MISSED
+        self._goes_on = not (self._is_balanced or self.model.is_dynamic)
         outcome = Outcome(
             positions, done.actuation, done.held, done.linear, reached,
             done.residual, iterations, error, pressed, done.stiffness,
@@ -748,6 +751,7 @@ class Simulation(Readouts):
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
+        self._goes_on = False
         self._kept_by = self._rest = None
         self.state = self.state.kept_through(command.time_step)
         self.model.rows.tell_efforts(self.state.efforts)

@@ -164,21 +164,24 @@ def test_a_column_above_eulers_load_settles_on_the_bent_branch(simulate):
     assert column(simulate, 1.1, 0.02)[0] == pytest.approx(aside, rel=0.02)
 
 
-def toggle(simulate, rise=0.006, **entries):
-    """Two clamped rods that meet at an angle so shallow that they do not buckle to the side, with a
-    cable that pulls their middle down.
-    """
-    points = ((-0.5, 0, 0), (0, 0, rise), (0.5, 0, 0))
+# A strip as stiff as the rod along and in bending down, four times as stiff in bending to the side.
+STRIP = {"rectangle": {"thickness": np.sqrt(3.0) * RADIUS, "width": np.sqrt(12.0) * RADIUS}}
+
+
+def toggle(simulate, rise=0.006, aside=0.0, **entries):
+    """Two clamped rods that meet at a shallow angle, with a cable that pulls their middle down."""
+    points = ((-0.5, 0, 0), (0, aside, rise), (0.5, 0, 0))
     return simulate(
         gravity=[0, 0, 0], beams=[rod(points=points, fixed=["start", "end"], elements=16,
                                       **entries.pop("beam", {}))],
         cables=[{"name": "pull", "body": "rod", "pull_point": [0, 0, -1.0],
-                 "points": [[0, 0, rise]]}], **entries,
+                 "points": [[0, aside, rise]]}], **entries,
     )  # fmt: skip
 
 
 def test_at_prescribed_lengths_a_toggle_is_followed_through_its_limit_point(simulate):
-    simulation = toggle(simulate)
+    # A round rod of this rise would buckle to the side.
+    simulation = toggle(simulate, beam={"section": STRIP, "thickness_direction": [0, 0, 1]})
     rest, tensions, heights = simulation.state.setpoints[0], [], []
     for travel in np.linspace(0.0, 0.0072, 13):
         result = simulation.step(CommandSetpoints(np.array([rest - travel]), 1.0))
@@ -189,6 +192,56 @@ def test_at_prescribed_lengths_a_toggle_is_followed_through_its_limit_point(simu
     peak = int(np.argmax(tensions))
     assert 3 < peak < 8
     assert min(tensions[peak:]) < 0.9 * tensions[peak]
+
+
+def test_a_toggle_of_round_rods_buckles_to_the_side_in_a_few_steps(simulate):
+    # Flat, its middle is pressed by 1.8 times Euler's load of a clamped rod.
+    simulation = toggle(simulate, aside=1e-6)
+    rest = simulation.state.setpoints[0]
+    for _ in range(20):
+        result = simulation.step(CommandSetpoints(np.array([rest - 0.006]), 1.0))
+    assert result.status is Status.OK
+    assert abs(nodes_of(simulation)[8, 1]) > 1e-3
+
+
+def pulled_along(rng, simulate):
+    """A beam that is straight but for a bend of 1e-6 to 1e-4 of its length, with some cables along it."""
+    length, radius, young = rng.uniform(0.08, 0.2), rng.uniform(0.002, 0.004), 10 ** rng.uniform(6, 7)
+    count, bend = int(rng.integers(2, 5)), 10 ** rng.uniform(-6, -4)
+    shares = np.linspace(0.0, 1.0, 9)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    aside = np.array([np.cos(angle), np.sin(angle)]) * bend * length
+    beam = rod(
+        elements=8, points=np.column_stack([length * shares, np.outer(shares**2, aside)]),
+        section={"circle": {"radius": radius}},
+        material={"young_modulus": young, "poisson_ratio": 0.4, "density": 1100.0},
+    )  # fmt: skip
+    around = 2.0 * np.pi * np.arange(count) / count
+    circle = 2.0 * radius * np.column_stack([np.cos(around), np.sin(around)])
+    cables = [
+        {"name": f"c{i}", "body": "rod", "pull_point": [0.0, *place],
+         "points": [[share * length, *place] for share in (1 / 3, 2 / 3, 1.0)]}
+        for i, place in enumerate(circle)
+    ]  # fmt: skip
+    tension = young * np.pi * radius**3 / 8.0 / length
+    return length, simulate(
+        gravity=[0, 0, 0], beams=[beam], cables=cables,
+        solver={"newton_iterations": 5, "residual_tolerance": 1e-5 * tension},
+    )  # fmt: skip
+
+
+def test_a_nearly_straight_beam_pulled_along_its_axis_past_buckling_does_not_creep(
+    simulate, drawn_rng
+):
+    for _ in range(4):
+        length, simulation = pulled_along(drawn_rng, simulate)
+        share = drawn_rng.uniform(0.02, 0.3)
+        asked = CommandSetpoints(simulation.state.setpoints - share * length, 1.0)
+        for step in range(1, 101):
+            if simulation.step(asked).status is Status.OK:
+                break
+        print(share, step)
+        assert step < 100
 
 
 def test_at_a_tension_above_the_limit_a_dynamic_toggle_passes_through(simulate):

@@ -40,6 +40,12 @@ def test_a_bar_that_snaps_rests_where_its_tip_is_nearest():
     assert found.best > 10.0 * found.tolerance and not found.is_worse
 
 
+@pytest.mark.parametrize("seed", [(52, 8), (61, 9)], ids=["creeps", "repeats a cycle of moves"])
+def test_a_beam_that_kept_out_of_balance_for_ever_comes_to_rest(seed):
+    _, found = compare_inverse.follow(compare_inverse.random_robot(np.random.default_rng(seed)))
+    assert found.status in compare_inverse.RESTING and not found.is_restless
+
+
 @pytest.mark.parametrize("count, most_worse, most_restless", [
     (4, 3, 1), pytest.param(40, 12, 3, marks=pytest.mark.slow),
 ])  # fmt: skip
