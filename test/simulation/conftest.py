@@ -121,7 +121,7 @@ def coarse_trunk():
             change(mapping)
         simulation = Simulation(scene_from_mapping(mapping, TRUNK_FILE))
         for _ in range(20):
-            simulation.step(Hold())
+            simulation.step(Hold(0.02))
         return simulation
 
     return make
