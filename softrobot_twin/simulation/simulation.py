@@ -332,8 +332,8 @@ class Simulation(Readouts):
 
         A step depends on the state, the command and what the solvers remember. A step that kept the
         state left them beginning from the state alone; when one that began so kept it again, each
-        further one with the same command does the same. Only what was learnt of targets stays: where
-        `STEPS_UNTIL_REST` steps towards the same ones kept the state, nothing else is tried.
+        further one with the same command does the same. Of targets, what was learnt and the factor
+        stay: where `STEPS_UNTIL_REST` steps towards the same ones kept the state, nothing else is tried.
 
         Args:
             command: What is asked.
@@ -718,15 +718,14 @@ class Simulation(Readouts):
         if not is_kept:
             self._kept_by = self._rest = None
             return
-        age = newton.factor_age
         if isinstance(command, FollowTargets):
-            newton.forget()
             self.direct.remember(self.state.efforts)
             is_again = kept_count >= STEPS_UNTIL_REST + len(self.state.setpoints)
         else:
+            age = newton.factor_age
             self._begin_anew()
-        # The factor is that of the kept state, for whoever asks for compliances there.
-        newton.factor_age = 0 if age == 0 else None
+            # The factor is that of the kept state, for whoever asks for compliances there.
+            newton.factor_age = 0 if age == 0 else None
         self._kept_by, self._kept_count, self._rest = command, kept_count, None
         if is_again:
             report = replace(
