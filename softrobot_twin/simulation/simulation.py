@@ -688,18 +688,19 @@ class Simulation(Readouts):
             return False
         if state.touches is not None and state.touches.is_touched.any():
             return False
-        share, moved = KEPT_SHARE, np.abs(state.setpoints - before.setpoints)
-        is_commanded = bool((moved == 0.0).all())
+        share, slack = KEPT_SHARE, 0.0
         if isinstance(command, FollowTargets):
             share = KEPT_SHARE_TOWARDS_TARGETS
             slack = share * self.limits.drive_scale
+        if (np.abs(state.setpoints - before.setpoints) > slack).any():
+            return False
+        if isinstance(command, FollowTargets):
             least, most = self.limits.drive_bounds(asked.bounds)
             # At so small a rate that a step looks like round-off, it is on its way.
-            is_slow = (least < most) & (most - least <= 4.0 * slack)
-            is_commanded = bool((moved <= slack).all()) and not is_slow.any()
+            if ((least < most) & (most - least <= 4.0 * slack)).any():
+                return False
         return (
-            is_commanded
-            and bool((np.abs(state.positions - before.positions) <= share * size).all())
+            bool((np.abs(state.positions - before.positions) <= share * size).all())
             and bool((np.abs(state.efforts - before.efforts) <= share * self.limits.effort_scale).all())
             and np.array_equal(state.history, before.history)
         )
