@@ -568,7 +568,7 @@ class TwinLoop:
         if isinstance(command, Hold):
             command = command if command.time_step == time.step else Hold(time.step)
         elif time != (command.time_step, command.reach_time):
-            return None
+            command = replace(command, time_step=time.step, reach_time=time.reach)
         result = self.simulation.stay(command)
         if result is None or not _commands_same(result, before.result):
             return None

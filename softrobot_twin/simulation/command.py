@@ -85,11 +85,28 @@ class Hold:
 Command = FollowTargets | CommandSetpoints | CommandEfforts | Hold
 
 
-def are_same(first: Command, second: Command) -> bool:
-    """Whether two commands ask for the same, to the bit."""
+TIMES = ("time_step", "reach_time")
+
+
+def may_move(command: Command) -> bool:
+    """Whether a command leaves the actuators time to move at their rates."""
+    reach_time = getattr(command, "reach_time", None)
+    return (command.time_step if reach_time is None else reach_time) > 0.0
+
+
+def are_same(first: Command, second: Command, besides: tuple[str, ...] = ()) -> bool:
+    """Whether two commands ask for the same, to the bit.
+
+    Args:
+        first: One command.
+        second: Another one.
+        besides: Names of entries that may differ.
+    """
     if type(first) is not type(second):
         return False
     for field in fields(first):
+        if field.name in besides:
+            continue
         one, other = getattr(first, field.name), getattr(second, field.name)
         if one is other:
             continue

@@ -18,12 +18,14 @@ from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.command import (
+    TIMES,
     Command,
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
     Hold,
     are_same,
+    may_move,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.fallback import Fallback, build_fallback
@@ -353,11 +355,12 @@ class Simulation(Readouts):
 
     def _asks_for_kept(self, command: Command) -> bool:
         """Whether a command asks for the same as the one that kept the state."""
-        # Without memory of materials it is the same how long actuators are held.
-        both_hold = isinstance(command, Hold) and isinstance(self._kept_by, Hold)
-        if both_hold and not self._remembering:
-            return True
-        return are_same(command, self._kept_by)
+        kept_by = self._kept_by
+        # Where materials have no memory, it is the same how long actuators are held, and how long
+        # a step is that would have had time to move them.
+        is_held = isinstance(command, Hold) or (may_move(command) and may_move(kept_by))
+        is_any_time = is_held and not self._remembering
+        return are_same(command, kept_by, TIMES if is_any_time else ())
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""

@@ -111,6 +111,18 @@ def test_a_robot_that_reached_its_target_or_cannot_come_nearer_rests(diamond, aw
     assert simulation.stay(further) is None and not simulation.step(further).report.is_resting
 
 
+def test_it_is_the_same_how_long_a_step_is_but_for_one_without_time_to_move(diamond):
+    simulation = diamond()
+    targets = simulation.effector_positions() + 0.001
+    for step in range(600):
+        command = FollowTargets(targets, STEP, reach_time=STEP * (0.9 + 0.01 * (step % 10)))
+        if simulation.stay(command) is not None:
+            break
+        simulation.step(command)
+    assert simulation.stay(FollowTargets(targets, STEP, reach_time=0.3 * STEP)) is not None
+    assert simulation.stay(FollowTargets(targets, STEP, reach_time=0.0)) is None
+
+
 def test_a_robot_that_is_slow_is_not_taken_for_one_at_rest(diamond):
     simulation = diamond()
     command = FollowTargets(simulation.effector_positions() + 0.001, STEP, reach_time=1e-13)
