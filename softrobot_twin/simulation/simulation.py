@@ -691,22 +691,21 @@ class Simulation(Readouts):
             return False
         if state.touches is not None and state.touches.is_touched.any():
             return False
-        share, slack = KEPT_SHARE, 0.0
-        if isinstance(command, FollowTargets):
-            share = KEPT_SHARE_TOWARDS_TARGETS
-            slack = share * self.limits.drive_scale
-        if (np.abs(state.setpoints - before.setpoints) > slack).any():
-            return False
-        if isinstance(command, FollowTargets):
-            least, most = self.limits.drive_bounds(asked.bounds)
-            # At so small a rate that a step looks like round-off, it is on its way.
-            if ((least < most) & (most - least <= 4.0 * slack)).any():
-                return False
+        follows = isinstance(command, FollowTargets)
+        share = KEPT_SHARE_TOWARDS_TARGETS if follows else KEPT_SHARE
+        slack = share * self.limits.drive_scale if follows else 0.0
         return (
-            bool((np.abs(state.positions - before.positions) <= share * size).all())
+            bool((np.abs(state.setpoints - before.setpoints) <= slack).all())
+            and not (follows and self._is_slow(asked, slack))
+            and bool((np.abs(state.positions - before.positions) <= share * size).all())
             and bool((np.abs(state.efforts - before.efforts) <= share * self.limits.effort_scale).all())
             and np.array_equal(state.history, before.history)
         )
+
+    def _is_slow(self, asked: Asked, slack: np.ndarray) -> bool:
+        """Whether rates are so small that a robot under way looks like one at rest."""
+        least, most = self.limits.drive_bounds(asked.bounds)
+        return bool(((least < most) & (most - least <= 4.0 * slack)).any())
 
     def _note_rest(self, command: Command, result: StepResult, is_kept: bool) -> None:
         """Note whether a step left a state at which `stay` can answer.
