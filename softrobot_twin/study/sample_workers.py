@@ -253,11 +253,12 @@ class DaskWorkers:
         try:
             for future in self._distributed.as_completed(futures):
                 index = futures[future]
-                if future.status == "finished":
-                    yield SampleOutcome(index, future.result())
-                else:
-                    cause = future.exception() if future.status == "error" else future.status
-                    yield SampleOutcome(index, None, " ".join(str(cause).split()))
+                try:
+                    # A worker that was lost with it since is replaced: this waits for it.
+                    outcome = SampleOutcome(index, future.result())
+                except Exception as error:  # whatever a job raises
+                    outcome = SampleOutcome(index, None, " ".join(str(error).split()))
+                yield outcome
                 future.release()
         finally:
             client.cancel(list(futures))
