@@ -51,6 +51,8 @@ from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 LONGEST_REACH = 0.05
 # The same for an orientation [rad].
 LONGEST_TURN = 0.1
+# No linearization moves what is driven by its displacement further than this share of its scale.
+LONGEST_MOVE = 0.25
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
 # Contacts hold effectors in some directions, in which the same energy moves them far less, and would
@@ -218,6 +220,24 @@ def change_slack(displacements, loads, upper, margins, may_hang, slack, was_slac
     return is_changed
 
 
+@njit(**KERNEL)
+def narrow(drives, reach, is_left, least, most):
+    """Narrow bounds to what is near; where they lie further away, to their nearer end.
+
+    Args:
+        drives: Displacements now, shape (n,).
+        reach: How far is near; infinite for what is not narrowed, shape (n,).
+        is_left: Which bounds are left as they are, shape (n,).
+        least: Least displacements, shape (n,); changed.
+        most: Greatest displacements, shape (n,); changed.
+    """
+    for i in range(len(drives)):
+        if not is_left[i]:
+            low, high = least[i], most[i]
+            least[i] = max(low, min(drives[i] - reach[i], high))
+            most[i] = min(high, max(drives[i] + reach[i], low))
+
+
 class TargetSteps:
     """What one step asks of the effectors: no displacement that is too long for a linearization.
 
@@ -342,6 +362,7 @@ class InverseActuation:
         self._effort_scales = actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None and model.cable_friction is None
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
+        self._longest_moves = np.where(self._by_effort, np.inf, LONGEST_MOVE * self._scales)
         self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if model.cable_friction is not None:
@@ -410,6 +431,7 @@ class InverseActuation:
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         least, most = self._limits.drive_bounds(bounds)
         commanded, drives = least == most, held.drives(self._by_effort)
+        bounds = self._near(drives, commanded, bounds)
         begins, self._begins = self._learns and self._begins, False
         if begins:
             if self._posed is not None:
@@ -433,7 +455,7 @@ class InverseActuation:
             self._look(linear, target_rows, held, bounds, commanded, stiffness)
         if commanded.all() or self.trust.approach in (Approach.REST, Approach.LOOK):
             return held, held
-        if self.trust.approach is Approach.RETURN:
+        if self.trust.approach in (Approach.RETURN, Approach.DEPART):
             goal = self._limits.drives_within(self.trust.goal, bounds)
             return self._direct.at_drives(linear, goal, bounds), held
         if self.trust.approach is Approach.RETRACE:
@@ -467,12 +489,19 @@ class InverseActuation:
             return held._replace(solved=False), held
         if self._learns and self.trust.approach is Approach.FOLLOW:
             places = _places(linear, found, stiffness)
-            is_hindered = self.trust.is_careful and any(
+            is_watched = self.trust.is_careful or self.trust.is_late
+            is_hindered = is_watched and any(
                 name.endswith(RATE)
                 for name in self._limits.binding(found.displacements, found.efforts, bounds)
             )
             self.trust.expect(places, is_hindered)
         return found, held
+
+    def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
+        """Bounds in which no linearization moves a winch, slide or motor further than it tells of."""
+        least, most = bounds.displacement_min.copy(), bounds.displacement_max.copy()
+        narrow(drives, self._longest_moves, commanded, least, most)
+        return Bounds(least, most, bounds.effort_min, bounds.effort_max)
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:
         """Drives when the actuators stay; of a slack cable, the path."""

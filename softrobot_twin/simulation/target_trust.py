@@ -30,10 +30,15 @@ Where the effectors miss and nothing brings them nearer, a kink may hide a neare
 with a cable slack that is taut at its greatest shortening. Then the inverse problem is solved beyond
 each kink, one in a step, while the actuators stay. They follow on in the most promising branch, and
 go back unless the body rests nearer there. So each such leap brings the effectors nearer.
+
+Where targets are reached, or T falls no more to speak of, the actuators rest once they are calm: where the
+body is nearly unstable, further linearizations might lead away. Where one did, and the actuators came to
+rest elsewhere, they go back to where the targets were reached.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from enum import Enum
 from typing import NamedTuple
@@ -82,6 +87,17 @@ CREEPS = 1.0e-6 * SETTLING_STEPS
 # A trial goes at most this share as far as the one before it that was left again. A small weight may
 # be tightened in vain, and would try the same place many times.
 SHORTER = 0.5
+# Actuators are calm after so many steps in balance, none of which moved one by more than a share of its
+# scale; whoever rests on targets follows again where its effectors move by a share of the tolerance.
+CALM_STEPS, CALM, STIRRED = 10, 1.0e-7, 0.01
+# On targets they must not come nearer by more than this share of T in a step, unless T is below the same
+# share of what counts as reached.
+EXACT = 1.0e-4
+# The same share where a nearer pose was found by simulation.
+NEARLY_CALM = 1.0e-5
+# After so many steps towards the same targets, actuators rest which creep by less than a share of their
+# scales in a step, while T falls by less than a share in `PATIENCE` steps.
+LATE, CREEPING, NO_GAIN = 6 * PATIENCE, 2.0e-4, 4.0e-4
 # A target that moves by more than this share of its distance is another one.
 ANOTHER_TARGET = 0.01
 # Loads that change by more than this share of all loads are other ones.
@@ -104,6 +120,7 @@ class Approach(Enum):
     RETRACE = "they go back along their path, since they were caught on the way"
     LEAD_BACK = "they lead the effectors back through the places where these were on the way"
     RETURN = "they go to a place, and stay there until the body is in balance"
+    DEPART = "they go to a place, and stay there or follow from there"
     LOOK = "they stay, while places beyond kinks are sought"
 
 
@@ -300,12 +317,31 @@ class TargetTrust:
         self._looked, self.branch = np.inf, None
         self._start_again()
         self._has_retraced, self._unbalanced = False, 0
+        # Where to go first, T up to which to stay there, and T below which to rest later [m²].
+        self._departure: tuple[np.ndarray, float, float] | None = None
         self.path.forget()
+
+    @property
+    def misses(self) -> np.ndarray:
+        """Distances from targets where the last step began, times the roots of their weights [m]."""
+        last = self._last
+        return np.sqrt(last.weights) * (last.places - last.targets)
+
+    def depart(self, goal: np.ndarray, follows: bool, near: float) -> None:
+        """Forget all targets, and let the actuators go to a place first.
+
+        Args:
+            goal: Their displacements there, shape (actuator_count,).
+            follows: Whether they follow targets from there; else they stay.
+            near: T below which they stay where they come to rest [m²].
+        """
+        self.forget()
+        self._departure = goal, -math.inf if follows else math.inf, near
 
     def _start_again(self) -> None:
         self.approach = Approach.FOLLOW
         self._best, self._since, self._since_balanced = np.inf, 0, 0
-        self._step_count = 0
+        self._step_count, self._creeping_from, self._is_hindered = 0, np.inf, False
         self.is_careful, self._least, self.longest = False, np.inf, np.inf
         # Where it leaps from; None where it does not.
         self._home: Situation | None = None
@@ -323,6 +359,10 @@ class TargetTrust:
             self._looked, self.branch = np.inf, None
             self._settle_anew()
             self._start_again()
+        if self._departure is not None:
+            goal, holds_until, self._rests_below = self._departure
+            self._go_to(goal, holds_until)
+            self._departure = None
         last = self._last
         if last is not None and not (
             len(last.targets) == len(situation.targets) and situation.bears_the_same(last)
@@ -341,7 +381,14 @@ class TargetTrust:
                 self._set(self.weight * LOOSER)
         self._has_reached = self._has_reached or now <= reached
         self._unbalanced = 0 if situation.is_balanced else self._unbalanced + 1
-        if now <= reached and not (self.is_careful and self._unbalanced):
+        if is_free and reached > 0.0:
+            self._note_reached(situation, now, reached)
+        if is_free and now < self._rests_below:
+            self._note_calm(situation)
+        holds = self.approach is Approach.DEPART and self._holds_until > 0.0
+        if now <= reached and self.approach is Approach.REST:
+            self._watch(situation)
+        elif now <= reached and not (self.is_careful and self._unbalanced) and not holds:
             self._set(self.weight * LOOSER)
             self._start_again()
             self.path.forget()
@@ -354,7 +401,63 @@ class TargetTrust:
             self.path.add(situation.displacements, situation.places[self._positions])
         self._last, self._promised = situation, None
 
+    def _go_to(self, goal: np.ndarray, holds_until: float) -> None:
+        """Go to a place, and stay there where T is no more than `holds_until` [m²]; else follow."""
+        self.approach, self.goal, self._holds_until = Approach.DEPART, goal, holds_until
+        self._wait_count, self._distance, self._is_trial = 0, np.inf, True
+
+    def _note_reached(self, situation: Situation, now: float, reached: float) -> None:
+        """Rest where the targets are reached; go back there where it came to rest elsewhere since.
+
+        Where the body is nearly unstable, each further linearization may lead away.
+
+        Args:
+            situation: What the step begins with.
+            now: T [m²].
+            reached: T up to which the targets are reached [m²].
+        """
+        is_within, was_within, last = now <= reached, self._is_within, self._last
+        is_calm = situation.is_balanced and last is not None and is_within == was_within
+        is_calm = is_calm and (not is_within or self._nears_no_more(now, reached))
+        is_calm = is_calm and longest_move(
+            last.displacements, situation.displacements, self._scales
+        ) <= CALM
+        self._calm_count = self._calm_count + 1 if is_calm else 0
+        self._is_within = is_within
+        if is_within and situation.is_balanced:
+            if self._reached is None or now <= situation.tracking(self._reached.places):
+                self._reached = situation
+        if self._calm_count < CALM_STEPS:
+            return
+        if is_within:
+            self._rest_at(situation)
+        elif self._reached is not None:
+            self._go_to(self._reached.displacements, reached)
+            self._reached = None
+
+    def _nears_no_more(self, now: float, reached: float) -> bool:
+        """Whether targets are met as exactly as they will be; `now` and `reached` are T [m²]."""
+        before = self._last.tracking(self._last.places)
+        is_exact = now <= EXACT * reached or now >= (1.0 - EXACT) * before
+        return is_exact and self.weight == 0.0
+
+    def _note_calm(self, situation: Situation) -> None:
+        """Rest where the actuators went for its own sake, once they are calm there."""
+        moved = longest_move(self._last.displacements, situation.displacements, self._scales)
+        is_calm = situation.is_balanced and moved <= NEARLY_CALM
+        self._near_count = self._near_count + 1 if is_calm else 0
+        if self._near_count >= CALM_STEPS:
+            self._rest_at(situation)
+
+    def _rest_at(self, situation: Situation) -> None:
+        self.approach, self._resting = Approach.REST, situation
+
     def _settle_anew(self) -> None:
+        # Where the targets were reached best; whether they were in the last step, and for how many
+        # steps it is calm.
+        self._reached: Situation | None = None
+        self._is_within, self._calm_count = False, 0
+        self._rests_below, self._near_count = 0.0, 0
         self.open_weight, self._has_reached = 0.0, False
         self._settling: np.ndarray | None = None
         self._settled_path, self._settling_path = np.inf, 0.0
@@ -415,6 +518,13 @@ class TargetTrust:
         if self.approach is Approach.REST:
             self._watch(situation)
             return
+        if self.approach is Approach.DEPART:
+            if self._has_come(situation):
+                holds = situation.is_balanced and now <= self._holds_until
+                self._start_again()
+                if holds:
+                    self._rest_at(situation)
+            return
         if self._home is not None and self.approach is not Approach.FOLLOW:
             self._stay_or_return(situation)
             return
@@ -428,6 +538,9 @@ class TargetTrust:
         self._recent[:-1] = self._recent[1:]
         self._recent[-1] = situation.displacements / self._scales
         self._step_count += 1
+        if self._creeps_on(now) and situation.is_balanced:
+            self._rest_at(situation)
+            return
         if now < (1.0 - PROGRESS) * self._best:
             self._best, self._since, self._since_balanced = now, 0, 0
             return
@@ -446,6 +559,20 @@ class TargetTrust:
         drifts = is_late and self._path_length
         if self._unbalanced >= PATIENCE or self._goes_to_and_fro() or drifts:
             self._take_care(situation)
+
+    def _creeps_on(self, now: float) -> bool:
+        """Whether the actuators creep for long, with a gain that is not worth it; `now` is T [m²]."""
+        if self._step_count % PATIENCE:
+            return False
+        before, self._creeping_from = self._creeping_from, now
+        is_free, self._is_hindered = not self._is_hindered, False
+        creeps = 0.0 < self._path_length < CREEPING * PATIENCE
+        return self.is_late and is_free and creeps and now > (1.0 - NO_GAIN) * before
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the same targets have been followed for long."""
+        return self._step_count >= LATE
 
     def _retraces(self, situation: Situation, now: float) -> bool:
         """Go back along the path where it was caught on the way, once; whether it does."""
@@ -514,7 +641,7 @@ class TargetTrust:
             self.is_careful, self.weight, self.longest = False, 0.0, np.inf
             if self._retraces(situation, now):
                 return
-            self.approach, self._resting = Approach.REST, situation
+            self._rest_at(situation)
             if self._may_look(situation, now):
                 self._look(situation, now, Approach.REST)
         elif self._careful_count <= 1 and self._may_look(situation, now):
@@ -579,12 +706,17 @@ class TargetTrust:
         """Stay while the inverse looks beyond kinks, or go back to where it leapt from."""
         if self.approach is Approach.LOOK:
             return
-        distance = longest_move(self.goal, situation.displacements, self._scales)
-        if (distance <= MOVED and situation.is_balanced) or not self._waits(situation, distance):
+        if self._has_come(situation):
             self._nearest, self._resting = self._home, situation
             self._home, self.approach = None, self._otherwise
             if self._was_careful:
                 self._take_care(situation)
+
+    def _has_come(self, situation: Situation) -> bool:
+        """Whether the actuators are at their goal in balance, or come no nearer to it."""
+        distance = longest_move(self.goal, situation.displacements, self._scales)
+        is_there = distance <= MOVED and situation.is_balanced
+        return is_there or not self._waits(situation, distance)
 
     def _waits(self, situation: Situation, distance: float) -> bool:
         """Whether the actuators are on their way to the goal, or the body to balance."""
@@ -652,8 +784,10 @@ class TargetTrust:
             self._resting = situation
             return
         moved = situation.places - self._resting.places
-        if float(np.abs(moved).max(initial=0.0)) > self._tolerance:
+        share = STIRRED if self._is_within else 1.0
+        if float(np.abs(moved).max(initial=0.0)) > share * self._tolerance:
             self._start_again()
+            self._calm_count = 0
 
     def expect(self, places: np.ndarray, is_hindered: bool = False) -> None:
         """Note what a step promises.
@@ -662,7 +796,8 @@ class TargetTrust:
             places: Effector coordinates in balance after it [m], shape (n,).
             is_hindered: Whether it would go further but for a rate; such a step is no trial.
         """
-        self._promised, self._is_hindered = places, is_hindered
+        self._promised = places
+        self._is_hindered = is_hindered or (self._is_hindered and not self.is_careful)
         if self.is_careful:
             self._expected = self._last.tracking(places)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation.contact_forces import find_carrying
-from softrobot_twin.simulation.inverse_actuation import keep_within, write_steps
+from softrobot_twin.simulation.inverse_actuation import keep_within, narrow, write_steps
 from softrobot_twin.simulation.limits import find_limits, write_bounds
 from softrobot_twin.simulation.step_status import DISPLACEMENT_MET, are_near
 from softrobot_twin.simulation.target_trust import are_equal, longest_move
@@ -76,6 +76,15 @@ def test_displacements_within_bounds(seed):
     expected = np.minimum(np.maximum(path, lower), upper)
     np.testing.assert_array_equal(within, expected)
     assert are_kept == (np.abs(expected - path) <= 1e-12).all()
+
+
+def test_bounds_are_narrowed_to_what_is_near_and_never_cross():
+    drives, reach = np.array([0.0, 0.0, 0.0, 2.0, 0.0]), np.array([1.0, np.inf, 1.0, 1.0, 1.0])
+    least, most = np.array([-3.0, -3.0, 2.0, -3.0, 0.7]), np.array([0.5, np.inf, 3.0, 0.5, 0.7])
+    left = np.array([False, False, False, False, True])
+    narrow(drives, reach, left, least, most)
+    np.testing.assert_array_equal(least, [-1.0, -3.0, 2.0, 0.5, 0.7])
+    np.testing.assert_array_equal(most, [0.5, np.inf, 2.0, 0.5, 0.7])
 
 
 def test_displacements_are_near_what_is_asked_where_nan_asks_nothing():

@@ -6,9 +6,11 @@ import pytest
 from softrobot_twin.simulation import FollowTargets, Status
 from softrobot_twin.simulation.target_trust import (
     ANOTHER_TARGET,
+    CALM_STEPS,
     ELSEWHERE,
     FIRST,
     GREATEST,
+    LATE,
     LONG_PATIENCE,
     LONGEST_PATH,
     LOOSER,
@@ -730,3 +732,66 @@ def test_another_target_ends_what_was_chosen_beyond_a_kink(looking):
     leaps(looking)
     looking.begin(situation(0.5, target=2.0 * TARGET, displacement=0.3))
     assert looking.approach is Approach.FOLLOW and looking.branch is None
+
+
+def test_actuators_rest_on_targets_once_they_are_calm(trust):
+    for _ in range(CALM_STEPS + 1):
+        assert trust.approach is Approach.FOLLOW
+        trust.begin(situation(TARGET + 1e-9, displacement=0.3))
+    assert trust.approach is Approach.REST
+    for _ in range(5):
+        trust.begin(situation(TARGET + 2e-9, displacement=0.3))
+        assert trust.approach is Approach.REST
+    trust.begin(situation(TARGET + 0.05 * TOLERANCE, displacement=0.3))
+    assert trust.approach is Approach.FOLLOW
+
+
+@pytest.mark.parametrize("share, move", [(0.97, 0.0), (1.0, 1e-5)], ids=["nearer", "moving"])
+def test_who_comes_nearer_to_reached_targets_or_moves_is_not_calm(trust, share, move):
+    for step in range(4 * CALM_STEPS):
+        trust.begin(situation(TARGET + 0.9 * TOLERANCE * share**step, displacement=0.3 + move * step))
+        assert trust.approach is Approach.FOLLOW
+
+
+def test_who_rests_beside_targets_that_were_reached_goes_back_and_stays(trust):
+    for displacement in (0.2, 0.3):
+        trust.begin(situation(TARGET + 1e-6, displacement=displacement))
+    for _ in range(CALM_STEPS + 1):
+        assert trust.approach is Approach.FOLLOW
+        trust.begin(situation(TARGET + 3.0 * TOLERANCE, displacement=0.4))
+    assert trust.approach is Approach.DEPART and trust.goal[0] == 0.3
+    for displacement in (0.35, 0.3, 0.3):
+        trust.begin(situation(TARGET + 1e-6, displacement=displacement))
+    assert trust.approach is Approach.REST
+    trust.begin(situation(2.0 * TARGET, displacement=0.3, target=2.0 * TARGET))
+    assert trust.approach is Approach.FOLLOW
+
+
+@pytest.mark.parametrize("is_hindered", [False, True])
+def test_actuators_that_creep_for_long_rest_unless_a_rate_hinders_them(trust, is_hindered):
+    for step in range(LATE + 3 * PATIENCE):
+        trust.begin(situation(1e-6 * step, displacement=1e-5 * step))
+        assert step >= LATE - 1 or trust.approach is Approach.FOLLOW
+        trust.expect(np.array([1e-6 * (step + 1)]), is_hindered)
+    assert trust.approach is (Approach.FOLLOW if is_hindered else Approach.REST)
+
+
+def test_who_departs_goes_to_the_goal_and_follows_or_stays(trust):
+    for follows in (True, False):
+        trust.depart(np.array([0.5]), follows, 0.0)
+        for displacement in (0.0, 0.25, 0.5):
+            trust.begin(situation(0.1, displacement=displacement))
+            if displacement < 0.5:
+                assert trust.approach is Approach.DEPART and trust.goal[0] == 0.5
+        assert trust.approach is (Approach.FOLLOW if follows else Approach.REST)
+        assert trust.misses[0] == pytest.approx(0.1 - TARGET)
+
+
+def test_who_departed_rests_where_it_is_calm_and_near_enough(trust):
+    trust.depart(np.array([0.0]), True, 0.5 * 0.6**2)
+    for _ in range(CALM_STEPS + 5):
+        trust.begin(situation(0.1))
+    assert trust.approach is Approach.FOLLOW
+    for _ in range(CALM_STEPS + 5):
+        trust.begin(situation(0.5))
+    assert trust.approach is Approach.REST
