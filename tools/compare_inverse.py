@@ -5,13 +5,14 @@
 Each robot is a bar of hexahedra or a beam with random cables, and one or two effectors with random
 directions and weights; some cables are limited. Some effectors ask for an orientation, or on bars
 for a stiffness, too. Targets are within reach or far out. The robot follows its targets for 300
-steps. Then the weighted distance is minimised over the lengths of the cables by
-`scipy.optimize.least_squares` on direct steps: near where the robot is, and from lengths at random.
+steps, and on until it has been resting or `ok` for 60, or has made 3000. Then the weighted distance
+is minimised over the lengths of the cables by `scipy.optimize.least_squares` on direct steps: near
+where the robot is, and from lengths at random.
 Direct steps begin where the robot is; where its body is not in balance, they begin at rest. A pose
 counts where direct steps come to balance with all tensions within their limits. A robot is worse
 where it is left more than 1 % further away than that, told where its status is not `ok`, and restless
-where a command still moves by more than 1e-6 of the size in the last 60 steps, or where these end as
-neither ok, saturated nor unreachable.
+where in the last 60 of the 300 steps, or of all, a command still moves by more than 1e-6 of the size,
+or where these end as neither ok, saturated nor unreachable.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 import softrobot_twin as st
 
-STEPS, LATE, RESTED = 300, 60, 1.0e-6
+STEPS, LATE, MOST_STEPS, RESTED = 300, 60, 3000, 1.0e-6
 # Direct steps at each commanded pose; starts of the optimiser beside the robot's own pose.
 DIRECT_STEPS, STARTS, EVALUATIONS = 6, 2, 25
 WORSE = 1.01
@@ -203,18 +204,28 @@ def _bar(rng, length: float):
 def follow(robot: Robot) -> tuple[st.Robot, Finding]:
     """Lets a robot follow its targets; it is as near to them as the best that is known."""
     twin = st.build(**robot.scene)
-    asked, commands, late = st.targets(robot.targets), [], set()
-    for step in range(STEPS):
-        result = twin.step(asked)
-        if step >= STEPS - LATE:
-            commands.append(_setpoints(result, _names(robot)))
-            late.add(result.status.value)
-    late_move = float(np.abs(np.diff(commands, axis=0)).max()) / robot.size
+    asked, commands, late, count = st.targets(robot.targets), [], [], 0
+    moves, words, result = [], set(), None
+    rested = 0
+    while count < STEPS or (count < MOST_STEPS and rested < LATE):
+        result, count = twin.step(asked), count + 1
+        commands = [*commands[-LATE:], _setpoints(result, _names(robot))]
+        late = [*late[1 - LATE :], result.status.value]
+        is_at_rest = result.status.value == "ok" or result.outcome.report.is_resting
+        has_moved = max(_moves(commands[-2:]), default=np.inf) > RESTED * robot.size
+        rested = rested + 1 if is_at_rest and not has_moved else 0
+        if count == STEPS:
+            moves, words = _moves(commands), set(late)
+    late_move = max(moves + _moves(commands)) / robot.size
     ours = float(np.linalg.norm(_missed(robot, result)))
     return twin, Finding(
-        result.status.value, result.limits, ours, ours, late_move, frozenset(late),
+        result.status.value, result.limits, ours, ours, late_move, frozenset(words.union(late)),
         twin.simulation.scene.solver.reach_tolerance,
     )  # fmt: skip
+
+
+def _moves(commands: list[np.ndarray]) -> list[float]:
+    return [float(np.abs(after - before).max()) for before, after in zip(commands, commands[1:])]
 
 
 def compare(robot: Robot, rng: np.random.Generator) -> Finding:

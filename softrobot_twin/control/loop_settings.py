@@ -143,9 +143,13 @@ class LoopSettings:
         """Time from tick to tick [s]."""
         return 1.0 / self.rate
 
-    def reach(self, time_step: float) -> float:
-        """Greatest distance that an effector may be sent in a tick's time [s], in m."""
-        return self.approach_speed * time_step if self.approach_speed > 0.0 else math.inf
+    @property
+    def reach(self) -> float:
+        """Greatest distance that an effector may be sent in a tick [m].
+
+        It is that of a tick on time, so that a robot may rest where some ticks come late.
+        """
+        return self.approach_speed * self.period if self.approach_speed > 0.0 else math.inf
 
 
 SETTING_NAMES = tuple(field.name for field in fields(LoopSettings))

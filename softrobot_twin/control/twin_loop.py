@@ -630,7 +630,7 @@ class TwinLoop:
         reading = self.targets.read(now, time_step, positions)
         corrected = reading.targets + self.correction.offsets
         wanted = self.measurement.controlled(corrected, positions)
-        reach = self.settings.reach(time_step)
+        reach = self.settings.reach
         if reading.orientations is None:
             return Aims(reading, wanted, approach(positions, wanted, reach))
         aims, turns = approach_poses(
@@ -704,7 +704,7 @@ class TwinLoop:
         if activity is Activity.FOLLOWING:
             return FollowTargets(
                 aims.aims, time.step, self.selected.setpoints, aims.turns, self.stiffness.wanted,
-                time.reach,
+                time.reach, aims.is_approaching,
             )
         if activity is Activity.COMMANDED:
             return self._direct_command(time)

@@ -37,7 +37,8 @@ class StatusOutput:
         """
         result = outcome.result
         found = (outcome.activity, outcome.cause, result.status, result.report.active_limits,
-                 outcome.violated, self._loop.why_given_up, result.report.is_resting)  # fmt: skip
+                 outcome.violated, self._loop.why_given_up, result.report.is_resting,
+                 result.report.is_exploring)  # fmt: skip
         # With simulated time the clock may be set back.
         if found == self._sent or (now < self._due and self._due - now <= LEAST_PERIOD):
             return
@@ -77,12 +78,15 @@ class StatusOutput:
             level = DiagnosticStatus.ERROR
         message = f"{outcome.activity.value}: {result.status.value}"
         cause = loop.why_given_up or outcome.cause
+        if not cause and result.report.is_exploring:
+            cause = "looks for a nearer pose"
         values = {
             "activity": outcome.activity.value,
             "cause": cause,
             "status": result.status.value,
             "active_limits": " ".join(result.report.active_limits),
             "resting": str(result.report.is_resting).lower(),
+            "exploring": str(result.report.is_exploring).lower(),
             "kept_back": " ".join(outcome.violated),
             **self._fixed_values(),
         }

@@ -28,6 +28,8 @@ class FollowTargets:
             is free, as for effectors that ask for no stiffness, shape (effector_count, 3). None:
             those of the scene.
         reach_time: Time in which the actuators may move at their rates [s]; None: `time_step`.
+        is_on_way: Whether the targets lie on the way to others, which are further away: where they are
+            missed, no nearer pose is sought.
     """
 
     targets: np.ndarray
@@ -36,6 +38,7 @@ class FollowTargets:
     orientations: np.ndarray | None = None
     stiffness: np.ndarray | None = None
     reach_time: float | None = None
+    is_on_way: bool = False
 
 
 @dataclass(frozen=True)

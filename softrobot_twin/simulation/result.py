@@ -97,6 +97,7 @@ class StepReport:
         strains: Materials that are strained beyond the range of their law.
         driven_by: What drove the step: ``targets``, ``setpoints``, ``efforts`` or ``hold``.
         is_resting: True when the step was not made, because it would have changed nothing.
+        is_exploring: True when the same step was made elsewhere in place, to look for a nearer pose.
     """
 
     stage_times: dict[str, float]
@@ -118,6 +119,7 @@ class StepReport:
     strains: tuple[StrainOutside, ...] = ()
     driven_by: str = ""
     is_resting: bool = False
+    is_exploring: bool = False
 
     @property
     def is_overloaded(self) -> bool:

@@ -28,6 +28,7 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
+from softrobot_twin.simulation.exploration import CALM, NEARER, Exploration
 from softrobot_twin.simulation.fallback import Fallback, build_fallback
 from softrobot_twin.simulation.generalized_alpha import GeneralizedAlpha
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
@@ -45,7 +46,7 @@ from softrobot_twin.simulation.stiffness_targets import (
     StiffnessRows,
     StiffnessTargets,
 )
-from softrobot_twin.simulation.target_trust import NO_LOADS
+from softrobot_twin.simulation.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.touches import Touched, Touches, touch_term
@@ -66,9 +67,13 @@ KEPT_SHARE = 1.0e-12
 # The same of a step towards targets, which moves setpoints too: where they come from an inverse
 # problem, round-off leaves 1e-11.
 KEPT_SHARE_TOWARDS_TARGETS = 1.0e-10
+# And where the inverse lets the actuators stay: a soft, stable body turns round-off into so much.
+KEPT_SHARE_WHILE_STAYING = 1.0e-6
 # Steps towards the same targets that keep the state before further ones need not be made. Within
 # fewer the inverse tries all that it will try from there, but one step for each actuator.
 STEPS_UNTIL_REST = 120
+# The same where they are missed, before nearer poses are sought.
+STEPS_UNTIL_EXPLORATION = 300
 
 
 class Correction(NamedTuple):
@@ -156,6 +161,7 @@ class Simulation(Readouts):
             self.model.is_dynamic or self.model.rows.varies or (guides is not None and guides.limits)
             or self._cable_friction is not None
         )
+        self._explores = self.model.scene.solver.exploration
         self.reset()
         self.fallback = build_fallback(self)
 
@@ -224,6 +230,10 @@ class Simulation(Readouts):
         self._kept_by: Command | None = None
         self._rest: StepResult | None = None
         self._kept_count = 0
+        self._exploration: Exploration | None = None
+        self._forget_solvers()
+
+    def _forget_solvers(self) -> None:
         self._is_balanced, self._goes_on = True, False
         self.newton.forget()
         self.direct.remember(self.state.efforts)
@@ -278,6 +288,13 @@ class Simulation(Readouts):
             CommandError: The command or the touch does not fit this scene, or is not finite.
         """
         clock = StageClock(self.now)
+        if self._exploration is not None:
+            if not self._goes_on_exploring(command, touched):
+                self._end_exploration()
+            elif self._exploration.trial is None:
+                return self._stay(command, self._exploration.result)
+            elif not self._exploration.is_found:
+                return self._explore(command, budget, touched)
         if self.fallback is not None:
             self.fallback.choose(self)
             clock.mark("fallback")
@@ -344,23 +361,96 @@ class Simulation(Readouts):
         Returns:
             The result, at which `report.is_resting`; None where the step must be made.
         """
-        if self._rest is None or not self._asks_for_kept(command):
+        if self._rest is None or not self._asks_as(self._kept_by, command):
             return None
         if touched is not None and touched.is_any:
             return None
+        if self._exploration is not None and self._exploration.trial is not None:
+            return None
+        return self._stay(command, self._rest)
+
+    def _stay(self, command: Command, rest: StepResult) -> StepResult:
+        """A result at rest, after the time of one more step."""
         self.state = self.state.kept_through(command.time_step)
         result = object.__new__(StepResult)
-        result.__dict__.update(self._rest.__dict__, state=self.state)
+        result.__dict__.update(rest.__dict__, state=self.state)
         return result
 
-    def _asks_for_kept(self, command: Command) -> bool:
-        """Whether a command asks for the same as the one that kept the state."""
-        kept_by = self._kept_by
+    def _asks_as(self, before: Command, command: Command) -> bool:
+        """Whether a command asks for the same as one before, of a state that is kept."""
         # Where materials have no memory, it is the same how long actuators are held, and how long
         # a step is that would have had time to move them.
-        is_held = isinstance(command, Hold) or (may_move(command) and may_move(kept_by))
+        is_held = isinstance(command, Hold) or (may_move(command) and may_move(before))
         is_any_time = is_held and not self._remembering
-        return are_same(command, kept_by, TIMES if is_any_time else ())
+        return are_same(command, before, TIMES if is_any_time else ())
+
+    def _goes_on_exploring(self, command: Command, touched: Touched | None) -> bool:
+        """Whether a command asks for the targets from which nearer poses are sought."""
+        is_touched = touched is not None and touched.is_any
+        return not is_touched and self._asks_as(self._exploration.command, command)
+
+    def _end_exploration(self) -> None:
+        if not self._exploration.is_found:
+            self._forget_solvers()
+        self._exploration = None
+
+    def _may_explore(self, command: Command, rest: StepResult) -> None:
+        """Begin to look for nearer poses where a robot rests away from its targets.
+
+        From where an exploration led, the next one begins, if that is nearer indeed.
+        """
+        before, misses = self._exploration, self.inverse.trust.misses
+        is_nearer = before is None or misses @ misses < NEARER * before.missed
+        if rest.status is not Status.OK and is_nearer:
+            self._exploration = Exploration(command, rest, misses, self.actuators)
+            self._begin_trial()
+        elif before is not None:
+            before.end(rest)
+
+    def _begin_trial(self) -> None:
+        self._forget_solvers()
+        if self._exploration.trial is not None:
+            near, trial = 0.5 * NEARER * self._exploration.missed, self._exploration.trial
+            self.inverse.trust.depart(trial.goal, trial.follows, near)
+
+    def _explore(
+        self, command: Command, budget: float | None, touched: Touched | None
+    ) -> StepResult:
+        """Make a step of a trial in place of one of the robot, which would keep its state."""
+        exploration, newton, trust = self._exploration, self.newton, self.inverse.trust
+        stays = self.state, self._kept_by, self._kept_count, self._rest
+        self.state, newton.factor_age = exploration.state, exploration.factor_age
+        self._exploration = self._kept_by = None
+        try:
+            tried = self.step(command, budget, touched)
+            moved = np.abs(self.state.setpoints - exploration.state.setpoints)
+            exploration.state = self.state
+        except Exception:
+            self._forget_solvers()
+            raise
+        finally:
+            self.state, self._kept_by, self._kept_count, self._rest = stays
+            # The factor is that of another state.
+            exploration.factor_age, newton.factor_age = newton.factor_age, None
+        self._exploration = exploration
+        has_gone = trust.approach is not Approach.DEPART
+        is_stable = self._is_balanced and not newton.projected_tangent
+        is_calm = bool((moved <= CALM * self.limits.drive_scale).all())
+        trial = exploration.trial
+        if tried.status.is_failure:
+            exploration.next_trial()
+        else:
+            exploration.judge(trust.misses, has_gone, is_stable, is_calm)
+        if exploration.is_found or exploration.trial is not trial:
+            self._begin_trial()
+        self.state = self.state.kept_through(command.time_step)
+        report = replace(
+            exploration.result.report, stage_times=tried.report.stage_times,
+            compute_time=tried.report.compute_time, iterations=tried.report.iterations,
+            factor_age=tried.report.factor_age, is_late=tried.report.is_late, is_exploring=True,
+            is_resting=False,
+        )  # fmt: skip
+        return replace(exploration.result, state=self.state, report=report)
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
@@ -694,6 +784,9 @@ class Simulation(Readouts):
         follows = isinstance(command, FollowTargets)
         share = KEPT_SHARE_TOWARDS_TARGETS if follows else KEPT_SHARE
         slack = share * self.limits.drive_scale if follows else 0.0
+        stays = follows and self.inverse.trust.approach is Approach.REST
+        if stays and not self.newton.projected_tangent:
+            share = KEPT_SHARE_WHILE_STAYING
         return (
             bool((np.abs(state.setpoints - before.setpoints) <= slack).all())
             and not (follows and self._is_slow(asked, slack))
@@ -716,14 +809,17 @@ class Simulation(Readouts):
             is_kept: Whether the step kept the state.
         """
         newton = self.newton
-        is_again = is_kept and self._kept_by is not None and self._asks_for_kept(command)
+        is_again = is_kept and self._kept_by is not None and self._asks_as(self._kept_by, command)
         kept_count = self._kept_count + 1 if is_again else 0
         if not is_kept:
             self._kept_by = self._rest = None
             return
         if isinstance(command, FollowTargets):
             self.direct.remember(self.state.efforts)
-            is_again = kept_count >= STEPS_UNTIL_REST + len(self.state.setpoints)
+            explores = self._explores and not command.is_on_way
+            is_first = explores and self._exploration is None and result.status is not Status.OK
+            steps = STEPS_UNTIL_EXPLORATION if is_first else STEPS_UNTIL_REST
+            is_again = kept_count >= steps + len(self.state.setpoints)
         else:
             age = newton.factor_age
             self._begin_anew()
@@ -736,6 +832,8 @@ class Simulation(Readouts):
                 compute_time=0.0, iterations=0, factor_age=0, is_late=False, is_resting=True,
             )  # fmt: skip
             self._rest = replace(result, report=report)
+            if isinstance(command, FollowTargets) and explores:
+                self._may_explore(command, self._rest)
 
     def _slips(self, outcome: Outcome) -> np.ndarray:
         """Shares of friction along cables where a step ended; see `State`."""

@@ -182,3 +182,35 @@ def test_every_call_that_reaches_a_loop_ends_its_rest(clocked):
             pass  # Without its arguments: it was reached.
         twin.tick()
         assert not twin.loop.is_repeating, name
+
+
+FAR = [0.5, 0.0, 0.0]
+
+
+def states_of(twin, far, most=4000):
+    """What a loop says of a target out of reach until it repeats its ticks, without repetitions."""
+    twin.loop.targets.accept_point(0, far, twin.arrival())
+    said, before = [], None
+    for _ in range(most):
+        outcome = twin.tick()
+        report, setpoints = outcome.result.report, outcome.command.setpoints
+        state = "rests" if report.is_resting else "explores" if report.is_exploring else "steps"
+        assert state == "steps" or np.array_equal(setpoints, before)
+        said += [state] if said[-1:] != [state] else []
+        before = setpoints
+        if twin.loop.is_repeating:
+            break
+    return said
+
+
+def test_a_loop_looks_for_nearer_poses_before_it_rests_away_from_its_target(clocked):
+    said = states_of(clocked(target_timeout=0.0), FAR)
+    assert said[:2] == ["steps", "explores"] and said[-1] == "rests"
+
+
+def test_a_target_that_is_approached_at_a_speed_is_rested_before_without_looking(clocked):
+    twin = clocked(target_timeout=0.0, approach_speed=0.05)
+    assert states_of(twin, FAR) == ["steps", "rests"]
+    for share in (0.9, 1.3, 0.4, 1.0):
+        # What lies on the way is the same, however late or early a tick comes.
+        assert twin.tick(share / RATE).result.report.is_resting

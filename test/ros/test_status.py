@@ -1,5 +1,7 @@
 """The latched status: who comes late receives it, and it is sent only when it changes."""
 
+from dataclasses import replace
+
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
@@ -97,3 +99,16 @@ def test_a_command_that_is_kept_back_is_an_error(make_twin):
     twin.status.offer(outcome, twin.monotonic() + 1.0)
     assert recorded.messages[0].level == DiagnosticStatus.ERROR
     assert values_of(recorded.messages[0])["kept_back"] == "north.tension_max"
+
+
+def test_a_twin_that_looks_for_a_nearer_pose_says_so(make_twin):
+    twin = make_twin()
+    twin.stop()
+    twin.tick()
+    twin.status.publisher = recorded = Recorded()
+    outcome = twin.window.newest
+    report = replace(outcome.result.report, is_exploring=True)
+    outcome = outcome._replace(cause="", result=replace(outcome.result, report=report))
+    twin.status.offer(outcome, twin.monotonic() + 1.0)
+    assert values_of(recorded.messages[0])["exploring"] == "true"
+    assert "looks for a nearer pose" in recorded.messages[0].message

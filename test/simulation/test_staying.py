@@ -104,7 +104,7 @@ def test_another_command_a_restored_state_and_a_reset_end_the_rest(diamond):
 def test_a_robot_that_reached_its_target_or_cannot_come_nearer_rests(diamond, away):
     simulation = diamond()
     command = FollowTargets(simulation.effector_positions() + [[0.0, 0.0, -away]], STEP)
-    told = rests(simulation, command, 600)
+    told = rests(simulation, command, 2000)
     assert told.report.is_resting and told.status.is_success == (away < 0.1)
     assert simulation.step(command).status is told.status
     further = FollowTargets(command.targets + 1e-6, STEP)
