@@ -156,7 +156,7 @@ def random_robot(rng: np.random.Generator) -> Robot:
     kind = "beam" if is_beam else "bar"
     scene = dict(
         name=kind, gravity=[0.0, 0.0, 0.0], cables=cables, effectors=effectors,
-        solver=dict(newton_iterations=5, residual_tolerance=1e-5 * max(float(tension), 1e-3)),
+        solver=dict(newton_iterations=5, exploration=True, residual_tolerance=1e-5 * max(float(tension), 1e-3)),
         **body,
     )  # fmt: skip
     limits = "" if limit is None else f" limited to {limit:g} L"

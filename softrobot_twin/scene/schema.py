@@ -223,7 +223,7 @@ class Solver(Entry):
     """Newton's method stops when the residual force of every node is at most this."""
     reach_tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-4
     """A target is reached when the effector is within this distance."""
-    exploration: bool = True
+    exploration: bool = False
     """Whether a robot that rests away from its targets looks for a nearer pose by simulation, and
     goes there."""
 

@@ -53,8 +53,12 @@ class Clocked:
 
 @pytest.fixture
 def clocked(small_scene_mapping):
-    scene = scene_from_mapping(copy.deepcopy(small_scene_mapping))
-    return lambda **options: Clocked(scene, **options)
+    def make(explores=False, **options):
+        mapping = copy.deepcopy(small_scene_mapping)
+        mapping.setdefault("solver", {})["exploration"] = explores
+        return Clocked(scene_from_mapping(mapping), **options)
+
+    return make
 
 
 def equal(one, other):
@@ -204,12 +208,12 @@ def states_of(twin, far, most=4000):
 
 
 def test_a_loop_looks_for_nearer_poses_before_it_rests_away_from_its_target(clocked):
-    said = states_of(clocked(target_timeout=0.0), FAR)
+    said = states_of(clocked(explores=True, target_timeout=0.0), FAR)
     assert said[:2] == ["steps", "explores"] and said[-1] == "rests"
 
 
 def test_a_target_that_is_approached_at_a_speed_is_rested_before_without_looking(clocked):
-    twin = clocked(target_timeout=0.0, approach_speed=0.05)
+    twin = clocked(explores=True, target_timeout=0.0, approach_speed=0.05)
     assert states_of(twin, FAR) == ["steps", "rests"]
     for share in (0.9, 1.3, 0.4, 1.0):
         # What lies on the way is the same, however late or early a tick comes.

@@ -19,6 +19,7 @@ def limited():
     robot = compare_inverse.random_robot(np.random.default_rng([33, 33]))
 
     def make(**solver):
+        solver = dict(exploration=True) | solver
         scene = robot.scene | dict(solver=robot.scene["solver"] | solver)
         return st.build(**scene), st.targets(robot.targets)
 
