@@ -30,9 +30,8 @@ RANDOM_MOVES, RANDOM_MOVE = 8, 0.1
 # A pose is nearer where the weighted sum of squared distances is below this share.
 NEARER = 0.985
 # Steps of one trial; steps in which it comes no nearer than so far by `PROGRESS`, before it is given up
-# where it is not nearer. Where it is, it goes on until so many steps in balance moved no actuator by more
-# than a share of its scale.
-MOST_STEPS, PATIENCE, PROGRESS, CALM_STEPS, CALM = 300, 12, 5.0e-3, 40, 1.0e-5
+# where it is not nearer. Where it is, it goes on until so many steps in balance were calm.
+MOST_STEPS, PATIENCE, PROGRESS, CALM_STEPS = 300, 12, 5.0e-3, 40
 # The descent by measured moves: their length and the first and least radius of its steps, as shares of
 # the actuators' scales; how often it measures; the share by which T must fall to go on.
 MEASURED_MOVE, FIRST_RADIUS, LEAST_RADIUS, MOST_DESCENTS, DESCENT = 1.0e-3, 0.02, 2.0e-4, 12, 2.0e-3

@@ -93,7 +93,7 @@ CALM_STEPS, CALM, STIRRED = 10, 1.0e-7, 0.01
 # On targets they must not come nearer by more than this share of T in a step, unless T is below the same
 # share of what counts as reached.
 EXACT = 1.0e-4
-# The same share where a nearer pose was found by simulation.
+# Where a nearer pose is sought by simulation, moves below this share of the scales are calm.
 NEARLY_CALM = 1.0e-5
 # After so many steps towards the same targets, actuators rest which creep by less than a share of their
 # scales in a step, while T falls by less than a share in `PATIENCE` steps.
