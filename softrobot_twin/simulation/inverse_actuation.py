@@ -51,8 +51,6 @@ from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 LONGEST_REACH = 0.05
 # The same for an orientation [rad].
 LONGEST_TURN = 0.1
-# No linearization moves what is driven by its displacement further than this share of its scale.
-LONGEST_MOVE = 0.25
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
 # Contacts hold effectors in some directions, in which the same energy moves them far less, and would
@@ -362,7 +360,7 @@ class InverseActuation:
         self._effort_scales = actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None and model.cable_friction is None
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
-        self._longest_moves = np.where(self._by_effort, np.inf, LONGEST_MOVE * self._scales)
+        self._narrowed_scales = np.where(self._by_effort, np.inf, self._scales)
         self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if model.cable_friction is not None:
@@ -431,7 +429,6 @@ class InverseActuation:
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         least, most = self._limits.drive_bounds(bounds)
         commanded, drives = least == most, held.drives(self._by_effort)
-        bounds = self._near(drives, commanded, bounds)
         begins, self._begins = self._learns and self._begins, False
         if begins:
             if self._posed is not None:
@@ -445,6 +442,7 @@ class InverseActuation:
                 self._is_balanced, self._loads, self._load, self._guided,
             )  # fmt: skip
             self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
+        bounds = self._near(drives, commanded, bounds)
         if commanded.any():
             held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
@@ -498,9 +496,10 @@ class InverseActuation:
         return found, held
 
     def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
-        """Bounds in which no linearization moves a winch, slide or motor further than it tells of."""
+        """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
         least, most = bounds.displacement_min.copy(), bounds.displacement_max.copy()
-        narrow(drives, self._longest_moves, commanded, least, most)
+        reach = self.trust.longest_move * self._narrowed_scales
+        narrow(drives, reach, commanded, least, most)
         return Bounds(least, most, bounds.effort_min, bounds.effort_max)
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:

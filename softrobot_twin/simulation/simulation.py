@@ -46,7 +46,7 @@ from softrobot_twin.simulation.stiffness_targets import (
     StiffnessRows,
     StiffnessTargets,
 )
-from softrobot_twin.simulation.target_trust import NEARLY_CALM, NO_LOADS, Approach
+from softrobot_twin.simulation.target_trust import CALM, NO_LOADS, Approach
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.touches import Touched, Touches, touch_term
@@ -435,7 +435,7 @@ class Simulation(Readouts):
         self._exploration = exploration
         has_gone = trust.approach is not Approach.DEPART
         is_stable = self._is_balanced and not newton.projected_tangent
-        is_calm = bool((moved <= NEARLY_CALM * self.limits.drive_scale).all())
+        is_calm = bool((moved <= CALM * self.limits.drive_scale).all())
         trial = exploration.trial
         if tried.status.is_failure:
             exploration.next_trial()

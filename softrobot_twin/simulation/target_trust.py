@@ -31,9 +31,10 @@ with a cable slack that is taut at its greatest shortening. Then the inverse pro
 each kink, one in a step, while the actuators stay. They follow on in the most promising branch, and
 go back unless the body rests nearer there. So each such leap brings the effectors nearer.
 
-Where targets are reached, or T falls no more to speak of, the actuators rest once they are calm: where the
-body is nearly unstable, further linearizations might lead away. Where one did, and the actuators came to
-rest elsewhere, they go back to where the targets were reached.
+Where targets are reached, what they leave open goes to where its energy is least, and where the body is
+nearly unstable, a linearization may lead far away from there. Each time that a move led away from reached
+targets, or from balance, further ones at the targets are much shorter. Where T falls no more to speak of,
+the actuators rest.
 """
 
 from __future__ import annotations
@@ -87,14 +88,14 @@ CREEPS = 1.0e-6 * SETTLING_STEPS
 # A trial goes at most this share as far as the one before it that was left again. A small weight may
 # be tightened in vain, and would try the same place many times.
 SHORTER = 0.5
-# Actuators are calm after so many steps in balance, none of which moved one by more than a share of its
-# scale; whoever rests on targets follows again where its effectors move by a share of the tolerance.
-CALM_STEPS, CALM, STIRRED = 10, 1.0e-7, 0.01
-# On targets they must not come nearer by more than this share of T in a step, unless T is below the same
-# share of what counts as reached.
-EXACT = 1.0e-4
-# Where a nearer pose is sought by simulation, moves below this share of the scales are calm.
-NEARLY_CALM = 1.0e-5
+# No linearization moves an actuator further than this share of its scale.
+LONGEST_MOVE = 0.25
+# Where a move at reached targets led away from them or from balance, the next ones there are at most this
+# share as long, but not shorter than a share of the scales that is nearly at rest.
+AFTER_LEAVING, LEAST_AT_TARGETS = 0.25, 1.0e-7
+# Where a nearer pose is sought by simulation, actuators are calm after so many steps in balance, none of
+# which moved one by more than a share of its scale.
+CALM_STEPS, CALM = 10, 1.0e-5
 # After so many steps towards the same targets, actuators rest which creep by less than a share of their
 # scales in a step, while T falls by less than a share in `PATIENCE` steps.
 LATE, CREEPING, NO_GAIN = 6 * PATIENCE, 2.0e-4, 4.0e-4
@@ -273,6 +274,7 @@ class TargetTrust:
         approach: What the actuators do.
         path: Where the actuators have been.
         is_careful: Whether places are tried with care, each until the body is in balance.
+        is_at_targets: Whether it follows targets that are reached.
         longest: Longest move of the next trial with care, as a share of the actuators' scales.
         goal: Displacements to which the actuators return, shape (actuator_count,).
         rest: Effector coordinates in the rest shape [m], shape (n,).
@@ -381,8 +383,8 @@ class TargetTrust:
                 self._set(self.weight * LOOSER)
         self._has_reached = self._has_reached or now <= reached
         self._unbalanced = 0 if situation.is_balanced else self._unbalanced + 1
-        if is_free and reached > 0.0:
-            self._note_reached(situation, now, reached)
+        if is_free:
+            self._restrain(situation, now <= reached)
         if is_free and now < self._rests_below:
             self._note_calm(situation)
         holds = self.approach is Approach.DEPART and self._holds_until > 0.0
@@ -397,7 +399,9 @@ class TargetTrust:
             self._choose(situation, self._asked.tracking(situation.places))
         if self._has_reached and is_free:
             self._settle(situation)
-        if self.approach is Approach.FOLLOW:
+        follows = self.approach is Approach.FOLLOW
+        self.is_at_targets = follows and not self.is_careful and now <= reached
+        if follows:
             self.path.add(situation.displacements, situation.places[self._positions])
         self._last, self._promised = situation, None
 
@@ -406,58 +410,39 @@ class TargetTrust:
         self.approach, self.goal, self._holds_until = Approach.DEPART, goal, holds_until
         self._wait_count, self._distance, self._is_trial = 0, np.inf, True
 
-    def _note_reached(self, situation: Situation, now: float, reached: float) -> None:
-        """Rest where the targets are reached; go back there where it came to rest elsewhere since.
-
-        Where the body is nearly unstable, each further linearization may lead away.
+    def _restrain(self, situation: Situation, is_within: bool) -> None:
+        """Shorten moves at reached targets, where such a move led away from them or from balance.
 
         Args:
             situation: What the step begins with.
-            now: T [m²].
-            reached: T up to which the targets are reached [m²].
+            is_within: Whether the targets are reached.
         """
-        is_within, was_within, last = now <= reached, self._is_within, self._last
-        is_calm = situation.is_balanced and last is not None and is_within == was_within
-        is_calm = is_calm and (not is_within or self._nears_no_more(now, reached))
-        is_calm = is_calm and longest_move(
-            last.displacements, situation.displacements, self._scales
-        ) <= CALM
-        self._calm_count = self._calm_count + 1 if is_calm else 0
-        self._is_within = is_within
-        if is_within and situation.is_balanced:
-            if self._reached is None or now <= situation.tracking(self._reached.places):
-                self._reached = situation
-        if self._calm_count < CALM_STEPS:
-            return
-        if is_within:
-            self._rest_at(situation)
-        elif self._reached is not None:
-            self._go_to(self._reached.displacements, reached)
-            self._reached = None
+        last = self._last
+        if self.is_at_targets and not (is_within and situation.is_balanced):
+            moved = longest_move(last.displacements, situation.displacements, self._scales)
+            self._longest_at_targets = max(
+                min(self._longest_at_targets, AFTER_LEAVING * moved), LEAST_AT_TARGETS
+            )
 
-    def _nears_no_more(self, now: float, reached: float) -> bool:
-        """Whether targets are met as exactly as they will be; `now` and `reached` are T [m²]."""
-        before = self._last.tracking(self._last.places)
-        is_exact = now <= EXACT * reached or now >= (1.0 - EXACT) * before
-        return is_exact and self.weight == 0.0
+    @property
+    def longest_move(self) -> float:
+        """Longest move of the next linearization, as a share of the actuators' scales."""
+        return self._longest_at_targets if self.is_at_targets else LONGEST_MOVE
 
     def _note_calm(self, situation: Situation) -> None:
         """Rest where the actuators went for its own sake, once they are calm there."""
         moved = longest_move(self._last.displacements, situation.displacements, self._scales)
-        is_calm = situation.is_balanced and moved <= NEARLY_CALM
-        self._near_count = self._near_count + 1 if is_calm else 0
-        if self._near_count >= CALM_STEPS:
+        is_calm = situation.is_balanced and moved <= CALM
+        self._calm_count = self._calm_count + 1 if is_calm else 0
+        if self._calm_count >= CALM_STEPS:
             self._rest_at(situation)
 
     def _rest_at(self, situation: Situation) -> None:
         self.approach, self._resting = Approach.REST, situation
 
     def _settle_anew(self) -> None:
-        # Where the targets were reached best; whether they were in the last step, and for how many
-        # steps it is calm.
-        self._reached: Situation | None = None
-        self._is_within, self._calm_count = False, 0
-        self._rests_below, self._near_count = 0.0, 0
+        self.is_at_targets, self._longest_at_targets = False, LONGEST_MOVE
+        self._rests_below, self._calm_count = 0.0, 0
         self.open_weight, self._has_reached = 0.0, False
         self._settling: np.ndarray | None = None
         self._settled_path, self._settling_path = np.inf, 0.0
@@ -784,10 +769,8 @@ class TargetTrust:
             self._resting = situation
             return
         moved = situation.places - self._resting.places
-        share = STIRRED if self._is_within else 1.0
-        if float(np.abs(moved).max(initial=0.0)) > share * self._tolerance:
+        if float(np.abs(moved).max(initial=0.0)) > self._tolerance:
             self._start_again()
-            self._calm_count = 0
 
     def expect(self, places: np.ndarray, is_hindered: bool = False) -> None:
         """Note what a step promises.

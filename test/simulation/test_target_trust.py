@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.simulation import FollowTargets, Status
 from softrobot_twin.simulation.target_trust import (
+    AFTER_LEAVING,
     ANOTHER_TARGET,
     CALM_STEPS,
     ELSEWHERE,
@@ -12,6 +13,7 @@ from softrobot_twin.simulation.target_trust import (
     GREATEST,
     LATE,
     LONG_PATIENCE,
+    LONGEST_MOVE,
     LONGEST_PATH,
     LOOSER,
     MOST_CAREFUL_STEPS,
@@ -734,37 +736,26 @@ def test_another_target_ends_what_was_chosen_beyond_a_kink(looking):
     assert looking.approach is Approach.FOLLOW and looking.branch is None
 
 
-def test_actuators_rest_on_targets_once_they_are_calm(trust):
-    for _ in range(CALM_STEPS + 1):
-        assert trust.approach is Approach.FOLLOW
-        trust.begin(situation(TARGET + 1e-9, displacement=0.3))
-    assert trust.approach is Approach.REST
-    for _ in range(5):
-        trust.begin(situation(TARGET + 2e-9, displacement=0.3))
-        assert trust.approach is Approach.REST
-    trust.begin(situation(TARGET + 0.05 * TOLERANCE, displacement=0.3))
-    assert trust.approach is Approach.FOLLOW
+@pytest.mark.parametrize("end", [TARGET + 3.0 * TOLERANCE, TARGET], ids=["missed", "unbalanced"])
+def test_moves_at_reached_targets_get_shorter_each_time_that_one_leads_away(trust, end):
+    trust.begin(situation(0.0))
+    assert trust.longest_move == LONGEST_MOVE and not trust.is_at_targets
+    for time in range(3):
+        trust.begin(situation(TARGET, displacement=0.0))
+        assert trust.is_at_targets
+        trust.begin(situation(end, displacement=0.1 * AFTER_LEAVING**time, is_balanced=end != TARGET))
+        trust.begin(situation(TARGET, displacement=0.0))
+        assert trust.longest_move == pytest.approx(0.1 * AFTER_LEAVING ** (time + 1))
+    trust.begin(situation(0.0))
+    assert trust.longest_move == LONGEST_MOVE
+    trust.begin(situation(2.0 * TARGET, target=2.0 * TARGET))
+    assert trust.is_at_targets and trust.longest_move == LONGEST_MOVE
 
 
-@pytest.mark.parametrize("share, move", [(0.97, 0.0), (1.0, 1e-5)], ids=["nearer", "moving"])
-def test_who_comes_nearer_to_reached_targets_or_moves_is_not_calm(trust, share, move):
-    for step in range(4 * CALM_STEPS):
-        trust.begin(situation(TARGET + 0.9 * TOLERANCE * share**step, displacement=0.3 + move * step))
-        assert trust.approach is Approach.FOLLOW
-
-
-def test_who_rests_beside_targets_that_were_reached_goes_back_and_stays(trust):
-    for displacement in (0.2, 0.3):
-        trust.begin(situation(TARGET + 1e-6, displacement=displacement))
-    for _ in range(CALM_STEPS + 1):
-        assert trust.approach is Approach.FOLLOW
-        trust.begin(situation(TARGET + 3.0 * TOLERANCE, displacement=0.4))
-    assert trust.approach is Approach.DEPART and trust.goal[0] == 0.3
-    for displacement in (0.35, 0.3, 0.3):
-        trust.begin(situation(TARGET + 1e-6, displacement=displacement))
-    assert trust.approach is Approach.REST
-    trust.begin(situation(2.0 * TARGET, displacement=0.3, target=2.0 * TARGET))
-    assert trust.approach is Approach.FOLLOW
+def test_moves_that_keep_reached_targets_in_balance_are_not_shortened(trust):
+    for step in range(5):
+        trust.begin(situation(TARGET + 0.1 * TOLERANCE, displacement=0.1 * step))
+        assert trust.longest_move == LONGEST_MOVE
 
 
 @pytest.mark.parametrize("is_hindered", [False, True])
