@@ -360,7 +360,6 @@ class InverseActuation:
         self._effort_scales = actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None and model.cable_friction is None
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
-        self._narrowed_scales = np.where(self._by_effort, np.inf, self._scales)
         self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if model.cable_friction is not None:
@@ -498,7 +497,7 @@ class InverseActuation:
     def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
         """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
         least, most = bounds.displacement_min.copy(), bounds.displacement_max.copy()
-        reach = self.trust.longest_move * self._narrowed_scales
+        reach = np.where(self._by_effort, np.inf, self.trust.longest_move * self._scales)
         narrow(drives, reach, commanded, least, most)
         return Bounds(least, most, bounds.effort_min, bounds.effort_max)
 

@@ -81,7 +81,8 @@ FIRST_WITH_CARE = 1.0e-6
 MOST_AT_FIRST, GREATEST_WITH_CARE = 1.0, 1.0e6
 # Where a target is reached, actuators rest soon. Each so many steps it is looked whether what targets
 # leave open goes to and fro. From then on, and after so many looks in any case, it goes by ever
-# smaller shares while its path between two looks does not get shorter by this factor.
+# smaller shares, and by ever shorter moves, while its path between two looks does not get shorter by
+# this factor.
 SETTLING_STEPS, MOST_LOOKS, SETTLING = 8, 9, 0.5
 # Actuators that move further between two looks do not rest.
 CREEPS = 1.0e-6 * SETTLING_STEPS
@@ -90,9 +91,11 @@ CREEPS = 1.0e-6 * SETTLING_STEPS
 SHORTER = 0.5
 # No linearization moves an actuator further than this share of its scale.
 LONGEST_MOVE = 0.25
+# Effectors are at targets where T is at most this share of what counts as reached: further ones come nearer.
+EXACT = 1.0e-4
 # Where a move at reached targets led away from them or from balance, the next ones there are at most this
-# share as long, but not shorter than a share of the scales that is nearly at rest.
-AFTER_LEAVING, LEAST_AT_TARGETS = 0.25, 1.0e-7
+# share as long.
+MUCH_SHORTER = 0.25
 # Where a nearer pose is sought by simulation, actuators are calm after so many steps in balance, none of
 # which moved one by more than a share of its scale.
 CALM_STEPS, CALM = 10, 1.0e-5
@@ -274,7 +277,7 @@ class TargetTrust:
         approach: What the actuators do.
         path: Where the actuators have been.
         is_careful: Whether places are tried with care, each until the body is in balance.
-        is_at_targets: Whether it follows targets that are reached.
+        is_at_targets: Whether effectors are at the targets that it follows.
         longest: Longest move of the next trial with care, as a share of the actuators' scales.
         goal: Displacements to which the actuators return, shape (actuator_count,).
         rest: Effector coordinates in the rest shape [m], shape (n,).
@@ -383,8 +386,9 @@ class TargetTrust:
                 self._set(self.weight * LOOSER)
         self._has_reached = self._has_reached or now <= reached
         self._unbalanced = 0 if situation.is_balanced else self._unbalanced + 1
+        is_exact = now <= EXACT * reached
         if is_free:
-            self._restrain(situation, now <= reached)
+            self._restrain(situation, is_exact)
         if is_free and now < self._rests_below:
             self._note_calm(situation)
         holds = self.approach is Approach.DEPART and self._holds_until > 0.0
@@ -400,7 +404,7 @@ class TargetTrust:
         if self._has_reached and is_free:
             self._settle(situation)
         follows = self.approach is Approach.FOLLOW
-        self.is_at_targets = follows and not self.is_careful and now <= reached
+        self.is_at_targets = follows and not self.is_careful and is_exact
         if follows:
             self.path.add(situation.displacements, situation.places[self._positions])
         self._last, self._promised = situation, None
@@ -410,19 +414,22 @@ class TargetTrust:
         self.approach, self.goal, self._holds_until = Approach.DEPART, goal, holds_until
         self._wait_count, self._distance, self._is_trial = 0, np.inf, True
 
-    def _restrain(self, situation: Situation, is_within: bool) -> None:
+    def _restrain(self, situation: Situation, is_exact: bool) -> None:
         """Shorten moves at reached targets, where such a move led away from them or from balance.
 
         Args:
             situation: What the step begins with.
-            is_within: Whether the targets are reached.
+            is_exact: Whether the effectors are at the targets.
         """
         last = self._last
-        if self.is_at_targets and not (is_within and situation.is_balanced):
+        if self.is_at_targets and not (is_exact and situation.is_balanced):
             moved = longest_move(last.displacements, situation.displacements, self._scales)
-            self._longest_at_targets = max(
-                min(self._longest_at_targets, AFTER_LEAVING * moved), LEAST_AT_TARGETS
-            )
+            self._shorten(MUCH_SHORTER * moved)
+
+    def _shorten(self, longest: float) -> None:
+        """Make moves at reached targets no longer than a share of the actuators' scales."""
+        shorter = min(self._longest_at_targets, longest)
+        self._longest_at_targets = shorter if shorter > MOVED else 0.0
 
     @property
     def longest_move(self) -> float:
@@ -469,6 +476,7 @@ class TargetTrust:
         goes_on = is_late and path > SETTLING * self._settled_path
         if path > MOVED and (distance < TO_AND_FRO * path or goes_on):
             self.open_weight = 2.0 * self.open_weight + 1.0
+            self._shorten(MUCH_SHORTER * path / SETTLING_STEPS)
         if is_late and path > CREEPS and self._unbalanced >= SETTLING_STEPS:
             # Where the body creeps away, the target is held by actuators that never rest.
             self._take_care(situation)

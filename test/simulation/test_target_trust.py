@@ -5,7 +5,6 @@ import pytest
 
 from softrobot_twin.simulation import FollowTargets, Status
 from softrobot_twin.simulation.target_trust import (
-    AFTER_LEAVING,
     ANOTHER_TARGET,
     CALM_STEPS,
     ELSEWHERE,
@@ -19,6 +18,7 @@ from softrobot_twin.simulation.target_trust import (
     MOST_CAREFUL_STEPS,
     PATH_SPACING,
     MOST_LOOKS,
+    MUCH_SHORTER,
     OTHER_LOADS,
     PATIENCE,
     SETTLING_STEPS,
@@ -743,9 +743,9 @@ def test_moves_at_reached_targets_get_shorter_each_time_that_one_leads_away(trus
     for time in range(3):
         trust.begin(situation(TARGET, displacement=0.0))
         assert trust.is_at_targets
-        trust.begin(situation(end, displacement=0.1 * AFTER_LEAVING**time, is_balanced=end != TARGET))
+        trust.begin(situation(end, displacement=0.1 * MUCH_SHORTER**time, is_balanced=end != TARGET))
         trust.begin(situation(TARGET, displacement=0.0))
-        assert trust.longest_move == pytest.approx(0.1 * AFTER_LEAVING ** (time + 1))
+        assert trust.longest_move == pytest.approx(0.1 * MUCH_SHORTER ** (time + 1))
     trust.begin(situation(0.0))
     assert trust.longest_move == LONGEST_MOVE
     trust.begin(situation(2.0 * TARGET, target=2.0 * TARGET))
@@ -754,8 +754,15 @@ def test_moves_at_reached_targets_get_shorter_each_time_that_one_leads_away(trus
 
 def test_moves_that_keep_reached_targets_in_balance_are_not_shortened(trust):
     for step in range(5):
-        trust.begin(situation(TARGET + 0.1 * TOLERANCE, displacement=0.1 * step))
+        trust.begin(situation(TARGET + 0.005 * TOLERANCE, displacement=0.1 * step))
+        assert trust.is_at_targets
         assert trust.longest_move == LONGEST_MOVE
+
+
+def test_moves_that_may_come_nearer_to_reached_targets_are_not_shortened(trust):
+    for step in range(5):
+        trust.begin(situation(TARGET + 0.02 * TOLERANCE, displacement=0.1 * step, is_balanced=False))
+        assert not trust.is_at_targets and trust.longest_move == LONGEST_MOVE
 
 
 @pytest.mark.parametrize("is_hindered", [False, True])
