@@ -386,9 +386,8 @@ class TargetTrust:
                 self._set(self.weight * LOOSER)
         self._has_reached = self._has_reached or now <= reached
         self._unbalanced = 0 if situation.is_balanced else self._unbalanced + 1
-        is_exact = now <= EXACT * reached
         if is_free:
-            self._restrain(situation, is_exact)
+            self._restrain(situation, now <= reached)
         if is_free and now < self._rests_below:
             self._note_calm(situation)
         holds = self.approach is Approach.DEPART and self._holds_until > 0.0
@@ -404,7 +403,8 @@ class TargetTrust:
         if self._has_reached and is_free:
             self._settle(situation)
         follows = self.approach is Approach.FOLLOW
-        self.is_at_targets = follows and not self.is_careful and is_exact
+        self._is_within = follows and not self.is_careful and now <= reached
+        self.is_at_targets = self._is_within and now <= EXACT * reached
         if follows:
             self.path.add(situation.displacements, situation.places[self._positions])
         self._last, self._promised = situation, None
@@ -414,15 +414,15 @@ class TargetTrust:
         self.approach, self.goal, self._holds_until = Approach.DEPART, goal, holds_until
         self._wait_count, self._distance, self._is_trial = 0, np.inf, True
 
-    def _restrain(self, situation: Situation, is_exact: bool) -> None:
-        """Shorten moves at reached targets, where such a move led away from them or from balance.
+    def _restrain(self, situation: Situation, is_within: bool) -> None:
+        """Shorten moves at targets, where a move led away from reached ones or from balance.
 
         Args:
             situation: What the step begins with.
-            is_exact: Whether the effectors are at the targets.
+            is_within: Whether the targets are reached.
         """
         last = self._last
-        if self.is_at_targets and not (is_exact and situation.is_balanced):
+        if self._is_within and not (is_within and situation.is_balanced):
             moved = longest_move(last.displacements, situation.displacements, self._scales)
             self._shorten(MUCH_SHORTER * moved)
 
@@ -448,7 +448,8 @@ class TargetTrust:
         self.approach, self._resting = Approach.REST, situation
 
     def _settle_anew(self) -> None:
-        self.is_at_targets, self._longest_at_targets = False, LONGEST_MOVE
+        self._is_within = self.is_at_targets = False
+        self._longest_at_targets = LONGEST_MOVE
         self._rests_below, self._calm_count = 0.0, 0
         self.open_weight, self._has_reached = 0.0, False
         self._settling: np.ndarray | None = None
