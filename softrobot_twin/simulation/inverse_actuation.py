@@ -388,21 +388,22 @@ class InverseActuation:
         self.trust.forget()
         if self._posed is not None:
             self._posed.effectors.forget_targets()
-        self.begin_step(True)
+        self.begin_step(True, True)
 
     def begin_step(
-        self, is_balanced: bool, loads: np.ndarray = NO_LOADS, load: float = 0.0,
+        self, is_balanced: bool, is_stable: bool, loads: np.ndarray = NO_LOADS, load: float = 0.0,
         guided: np.ndarray = NO_LOADS,
     ) -> None:  # fmt: skip
         """Let the next solution be the first of a step.
 
         Args:
             is_balanced: Whether the last step ended near balance.
+            is_stable: Whether the body was stable at held displacements there.
             loads: Loads from outside, such as touches [N], shape (n,).
             load: Sum of all loads' sizes [N]; needed with these.
             guided: Where points of the guided bodies are [m], shape (m,).
         """
-        self._begins, self._is_balanced = True, is_balanced
+        self._begins, self._is_balanced, self._is_stable = True, is_balanced, is_stable
         self._loads, self._load, self._guided = loads, load, guided
 
     def solve(
@@ -438,7 +439,7 @@ class InverseActuation:
                 np.where(is_wanted, target_rows, 0.0), np.where(is_wanted, self._row_weights, 0.0),
                 linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
                 drives, np.where(commanded, most, np.nan),
-                self._is_balanced, self._loads, self._load, self._guided,
+                self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
             )  # fmt: skip
             self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
         bounds = self._near(drives, commanded, bounds)

@@ -457,12 +457,13 @@ class Simulation(Readouts):
         guides, guided = self.model.guides, NO_LOADS
         if guides is not None and guides.limits:
             guided = guides.points(positions)
+        is_stable = not self.newton.projected_tangent
         if self._touches is None:
-            self.inverse.begin_step(self._is_balanced, guided=guided)
+            self.inverse.begin_step(self._is_balanced, is_stable, guided=guided)
             return
         own = self._touches.load + self.actuators.load(self.state.efforts)
         self.inverse.begin_step(
-            self._is_balanced, self._touches.loads, self.newton.constant_load + own, guided
+            self._is_balanced, is_stable, self._touches.loads, self.newton.constant_load + own, guided
         )
 
     def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:

@@ -31,10 +31,11 @@ with a cable slack that is taut at its greatest shortening. Then the inverse pro
 each kink, one in a step, while the actuators stay. They follow on in the most promising branch, and
 go back unless the body rests nearer there. So each such leap brings the effectors nearer.
 
-Where targets are reached, what they leave open goes to where its energy is least, and where the body is
-nearly unstable, a linearization may lead far away from there. Each time that a move led away from reached
-targets, or from balance, further ones at the targets are much shorter. Where T falls no more to speak of,
-the actuators rest.
+Where targets are reached, what they leave open goes to where its energy is least. On the way the body may
+become unstable, and a linearization may lead far away from there. Each time that a move led away from
+reached targets, or from balance, further ones at the targets are much shorter. Where the body becomes
+unstable at the targets, or leaves them, the actuators go back to where it was stable there last, and stay.
+Where T falls no more to speak of, they rest.
 """
 
 from __future__ import annotations
@@ -220,6 +221,7 @@ class Situation(NamedTuple):
         loads: Loads from outside, such as touches [N], shape (m,).
         load: Sum of all loads' sizes [N].
         guided: Where points of the guided bodies are [m], shape (k,).
+        is_stable: Whether the body was stable at held displacements, as far as its tangent tells.
     """
 
     targets: np.ndarray
@@ -231,6 +233,7 @@ class Situation(NamedTuple):
     loads: np.ndarray = NO_LOADS
     load: float = 0.0
     guided: np.ndarray = NO_LOADS
+    is_stable: bool = True
 
     def tracking(self, at: np.ndarray) -> float:
         """T [m²] of effector coordinates [m], shape (n,)."""
@@ -387,7 +390,7 @@ class TargetTrust:
         self._has_reached = self._has_reached or now <= reached
         self._unbalanced = 0 if situation.is_balanced else self._unbalanced + 1
         if is_free:
-            self._restrain(situation, now <= reached)
+            self._restrain(situation, now, reached)
         if is_free and now < self._rests_below:
             self._note_calm(situation)
         holds = self.approach is Approach.DEPART and self._holds_until > 0.0
@@ -414,17 +417,24 @@ class TargetTrust:
         self.approach, self.goal, self._holds_until = Approach.DEPART, goal, holds_until
         self._wait_count, self._distance, self._is_trial = 0, np.inf, True
 
-    def _restrain(self, situation: Situation, is_within: bool) -> None:
-        """Shorten moves at targets, where a move led away from reached ones or from balance.
+    def _restrain(self, situation: Situation, now: float, reached: float) -> None:
+        """Shorten moves at targets that led away, and go back to where the body was stable there.
 
         Args:
             situation: What the step begins with.
-            is_within: Whether the targets are reached.
+            now: T [m²].
+            reached: T up to which the targets are reached [m²].
         """
-        last = self._last
-        if self._is_within and not (is_within and situation.is_balanced):
+        is_within, is_stable, last = now <= reached, situation.is_stable, self._last
+        is_balanced = is_within and situation.is_balanced
+        if self._is_within and not is_balanced:
             moved = longest_move(last.displacements, situation.displacements, self._scales)
             self._shorten(MUCH_SHORTER * moved)
+        if is_balanced and is_stable and now <= EXACT * reached:
+            self._stable = situation
+        elif self._stable is not None and not (is_within and (is_stable or not is_balanced)):
+            self._go_to(self._stable.displacements, reached)
+            self._stable = None
 
     def _shorten(self, longest: float) -> None:
         """Make moves at reached targets no longer than a share of the actuators' scales."""
@@ -449,6 +459,8 @@ class TargetTrust:
 
     def _settle_anew(self) -> None:
         self._is_within = self.is_at_targets = False
+        # Where the body was stable at the targets last.
+        self._stable: Situation | None = None
         self._longest_at_targets = LONGEST_MOVE
         self._rests_below, self._calm_count = 0.0, 0
         self.open_weight, self._has_reached = 0.0, False

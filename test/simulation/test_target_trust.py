@@ -37,12 +37,14 @@ TARGET = 1.0
 
 
 def situation(
-    place=0.0, target=TARGET, displacement=0.0, commanded=np.nan, is_balanced=True, loads=()
+    place=0.0, target=TARGET, displacement=0.0, commanded=np.nan, is_balanced=True, loads=(),
+    is_stable=True,
 ) -> Situation:
     """A situation of one effector coordinate [m] and one actuator [m], under loads [N]."""
     return Situation(
         np.array([target]), np.ones(1), np.array([place]), np.array([displacement]),
         np.array([commanded]), is_balanced, np.atleast_1d(np.array(loads, dtype=float)), 2.0,
+        is_stable=is_stable,
     )  # fmt: skip
 
 
@@ -741,10 +743,12 @@ def test_moves_at_reached_targets_get_shorter_each_time_that_one_leads_away(trus
     trust.begin(situation(0.0))
     assert trust.longest_move == LONGEST_MOVE and not trust.is_at_targets
     for time in range(3):
-        trust.begin(situation(TARGET, displacement=0.0))
+        trust.begin(situation(TARGET, is_stable=False))
         assert trust.is_at_targets
-        trust.begin(situation(end, displacement=0.1 * MUCH_SHORTER**time, is_balanced=end != TARGET))
-        trust.begin(situation(TARGET, displacement=0.0))
+        trust.begin(situation(
+            end, displacement=0.1 * MUCH_SHORTER**time, is_balanced=end != TARGET, is_stable=False
+        ))  # fmt: skip
+        trust.begin(situation(TARGET, is_stable=False))
         assert trust.longest_move == pytest.approx(0.1 * MUCH_SHORTER ** (time + 1))
     trust.begin(situation(0.0))
     assert trust.longest_move == LONGEST_MOVE
@@ -757,6 +761,27 @@ def test_moves_that_keep_reached_targets_in_balance_are_not_shortened(trust):
         trust.begin(situation(TARGET + 0.005 * TOLERANCE, displacement=0.1 * step))
         assert trust.is_at_targets
         assert trust.longest_move == LONGEST_MOVE
+
+
+@pytest.mark.parametrize("end", [TARGET + 3.0 * TOLERANCE, TARGET], ids=["missed", "unstable"])
+def test_actuators_go_back_and_stay_where_the_body_was_stable_at_its_targets_last(trust, end):
+    for displacement in (0.2, 0.3):
+        trust.begin(situation(TARGET, displacement=displacement))
+    trust.begin(situation(TARGET, displacement=0.4, is_balanced=False, is_stable=False))
+    assert trust.approach is Approach.FOLLOW
+    trust.begin(situation(end, displacement=0.5, is_stable=False))
+    assert trust.approach is Approach.DEPART and trust.goal[0] == 0.3
+    for displacement in (0.4, 0.3, 0.3):
+        trust.begin(situation(TARGET + 0.5 * TOLERANCE, displacement=displacement))
+    assert trust.approach is Approach.REST
+    trust.begin(situation(2.0 * TARGET, displacement=0.3, target=2.0 * TARGET))
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_who_was_never_stable_at_targets_goes_back_nowhere(trust):
+    for end in (TARGET, TARGET, TARGET + 3.0 * TOLERANCE, TARGET):
+        trust.begin(situation(end, is_stable=False))
+        assert trust.approach is Approach.FOLLOW
 
 
 def test_moves_that_may_come_nearer_to_reached_targets_are_not_shortened(trust):
