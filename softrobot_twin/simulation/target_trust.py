@@ -431,7 +431,9 @@ class TargetTrust:
             moved = longest_move(last.displacements, situation.displacements, self._scales)
             self._shorten(MUCH_SHORTER * moved)
         if is_balanced and is_stable and now <= EXACT * reached:
-            self._stable = situation
+            # What commands or loads that are new do is not yet seen.
+            is_free = self._is_within and bool(np.isnan(situation.commanded).all())
+            self._stable = situation if is_free else None
         elif self._stable is not None and not (is_within and (is_stable or not is_balanced)):
             self._go_to(self._stable.displacements, reached)
             self._stable = None

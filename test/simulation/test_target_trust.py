@@ -778,9 +778,12 @@ def test_actuators_go_back_and_stay_where_the_body_was_stable_at_its_targets_las
     assert trust.approach is Approach.FOLLOW
 
 
-def test_who_was_never_stable_at_targets_goes_back_nowhere(trust):
-    for end in (TARGET, TARGET, TARGET + 3.0 * TOLERANCE, TARGET):
-        trust.begin(situation(end, is_stable=False))
+@pytest.mark.parametrize(
+    "given", [{"is_stable": False}, {"commanded": 0.0}, {}], ids=["unstable", "commanded", "once"]
+)
+def test_who_was_not_stable_at_targets_for_two_free_steps_goes_back_nowhere(trust, given):
+    for place in (TARGET, *([TARGET] if given else []), TARGET + 3.0 * TOLERANCE, TARGET):
+        trust.begin(situation(place, **given))
         assert trust.approach is Approach.FOLLOW
 
 
