@@ -1,11 +1,11 @@
 """Compares the inverse problem with an optimiser over direct steps, on random robots.
 
-    tools/compare_inverse.py SEED COUNT
+    tools/compare_inverse.py SEED COUNT [--exploration]
 
 Each robot is a bar of hexahedra or a beam with random cables, and one or two effectors with random
 directions and weights; some cables are limited. Some effectors ask for an orientation, or on bars
-for a stiffness, too. Targets are within reach or far out. The robot follows its targets for 300
-steps, and on until it has been resting or `ok` for 60, or has made 3000. Then the weighted distance
+for a stiffness, too. Targets are within reach or far out. With `--exploration` the robots look for
+nearer poses by simulation. The robot follows its targets for 300 steps, and on until it has been resting or `ok` for 60, or has made 3000. Then the weighted distance
 is minimised over the lengths of the cables by `scipy.optimize.least_squares` on direct steps: near
 where the robot is, and from lengths at random.
 Direct steps begin where the robot is; where its body is not in balance, they begin at rest. A pose
@@ -96,8 +96,8 @@ class Finding(NamedTuple):
         return self.late_move > RESTED or not self.late <= set(RESTING)
 
 
-def random_robot(rng: np.random.Generator) -> Robot:
-    """Draws a robot and its targets."""
+def random_robot(rng: np.random.Generator, exploration: bool = False) -> Robot:
+    """Draws a robot, which may look for nearer poses by simulation, and its targets."""
     length, count = rng.uniform(0.08, 0.2), int(rng.integers(2, 6))
     is_beam = bool(rng.random() < 0.5)
     body, point, on, tension = (_beam if is_beam else _bar)(rng, length)
@@ -156,7 +156,10 @@ def random_robot(rng: np.random.Generator) -> Robot:
     kind = "beam" if is_beam else "bar"
     scene = dict(
         name=kind, gravity=[0.0, 0.0, 0.0], cables=cables, effectors=effectors,
-        solver=dict(newton_iterations=5, exploration=True, residual_tolerance=1e-5 * max(float(tension), 1e-3)),
+        solver=dict(
+            newton_iterations=5, exploration=exploration,
+            residual_tolerance=1e-5 * max(float(tension), 1e-3),
+        ),
         **body,
     )  # fmt: skip
     limits = "" if limit is None else f" limited to {limit:g} L"
@@ -314,12 +317,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("seed", type=int)
     parser.add_argument("count", type=int)
+    parser.add_argument("--exploration", action="store_true")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     worse = untold = restless = 0
     for index in range(given.count):
         rng = np.random.default_rng([given.seed, index])
-        robot = random_robot(rng)
+        robot = random_robot(rng, given.exploration)
         found = compare(robot, rng)
         worse, untold = worse + found.is_worse, untold + (found.is_worse and not found.is_told)
         restless += found.is_restless
