@@ -5,9 +5,10 @@
 Each robot is a bar of hexahedra or a beam with random cables, and one or two effectors with random
 directions and weights; some cables are limited. Some effectors ask for an orientation, or on bars
 for a stiffness, too. Targets are within reach or far out. With `--exploration` the robots look for
-nearer poses by simulation. The robot follows its targets for 300 steps, and on until it has been resting or `ok` for 60, or has made 3000. Then the weighted distance
-is minimised over the lengths of the cables by `scipy.optimize.least_squares` on direct steps: near
-where the robot is, and from lengths at random.
+nearer poses by simulation. A robot follows its targets for 300 steps, and on until it has been resting
+or `ok` for 60, or has made 3000. Then the weighted distance is minimised over the lengths of the
+cables by `scipy.optimize.least_squares` on direct steps: near where the robot is, and from lengths at
+random.
 Direct steps begin where the robot is; where its body is not in balance, they begin at rest. A pose
 counts where direct steps come to balance with all tensions within their limits. A robot is worse
 where it is left more than 1 % further away than that, told where its status is not `ok`, and restless

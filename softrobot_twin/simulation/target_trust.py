@@ -92,7 +92,8 @@ CREEPS = 1.0e-6 * SETTLING_STEPS
 SHORTER = 0.5
 # No linearization moves an actuator further than this share of its scale.
 LONGEST_MOVE = 0.25
-# Effectors are at targets where T is at most this share of what counts as reached: further ones come nearer.
+# Effectors are at targets where T is at most this share of what counts as reached. Until then they come
+# nearer by moves of any length.
 EXACT = 1.0e-4
 # Where a move at reached targets led away from them or from balance, the next ones there are at most this
 # share as long.
