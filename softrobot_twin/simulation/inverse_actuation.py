@@ -224,7 +224,7 @@ def narrow(drives, reach, is_left, least, most):
 
     Args:
         drives: Displacements now, shape (n,).
-        reach: How far is near; infinite for what is not narrowed, shape (n,).
+        reach: How far is near, shape (n,).
         is_left: Which bounds are left as they are, shape (n,).
         least: Least displacements, shape (n,); changed.
         most: Greatest displacements, shape (n,); changed.
@@ -498,8 +498,8 @@ class InverseActuation:
     def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
         """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
         least, most = bounds.displacement_min.copy(), bounds.displacement_max.copy()
-        reach = np.where(self._by_effort, np.inf, self.trust.longest_move * self._scales)
-        narrow(drives, reach, commanded, least, most)
+        reach = self.trust.move_limit * self._scales
+        narrow(drives, reach, commanded | self._by_effort, least, most)
         return Bounds(least, most, bounds.effort_min, bounds.effort_max)
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:

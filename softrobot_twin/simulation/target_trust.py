@@ -383,7 +383,7 @@ class TargetTrust:
         is_free = self.approach is Approach.FOLLOW and not self.is_careful
         if self._promised is not None and is_free and now > reached:
             before = situation.tracking(self._last.places)
-            if self._have_moved(situation):
+            if self._last_move(situation) > MOVED:
                 self._learn(before, situation.tracking(self._promised), now)
             else:
                 # Nothing came of the promise because nothing was done about it.
@@ -426,18 +426,17 @@ class TargetTrust:
             now: T [m²].
             reached: T up to which the targets are reached [m²].
         """
-        is_within, is_stable, last = now <= reached, situation.is_stable, self._last
-        is_balanced = is_within and situation.is_balanced
+        is_balanced = now <= reached and situation.is_balanced
         if self._is_within and not is_balanced:
-            moved = longest_move(last.displacements, situation.displacements, self._scales)
-            self._shorten(MUCH_SHORTER * moved)
-        if is_balanced and is_stable and now <= EXACT * reached:
+            self._shorten(MUCH_SHORTER * self._last_move(situation))
+        if is_balanced and situation.is_stable and now <= EXACT * reached:
             # What commands or loads that are new do is not yet seen.
             is_free = self._is_within and bool(np.isnan(situation.commanded).all())
             self._stable = situation if is_free else None
-        elif self._stable is not None and not (is_within and (is_stable or not is_balanced)):
-            self._go_to(self._stable.displacements, reached)
-            self._stable = None
+        elif now > reached or (is_balanced and not situation.is_stable):
+            if self._stable is not None:
+                self._go_to(self._stable.displacements, reached)
+                self._stable = None
 
     def _shorten(self, longest: float) -> None:
         """Make moves at reached targets no longer than a share of the actuators' scales."""
@@ -445,14 +444,13 @@ class TargetTrust:
         self._longest_at_targets = shorter if shorter > MOVED else 0.0
 
     @property
-    def longest_move(self) -> float:
+    def move_limit(self) -> float:
         """Longest move of the next linearization, as a share of the actuators' scales."""
         return self._longest_at_targets if self.is_at_targets else LONGEST_MOVE
 
     def _note_calm(self, situation: Situation) -> None:
         """Rest where the actuators went for its own sake, once they are calm there."""
-        moved = longest_move(self._last.displacements, situation.displacements, self._scales)
-        is_calm = situation.is_balanced and moved <= CALM
+        is_calm = situation.is_balanced and self._last_move(situation) <= CALM
         self._calm_count = self._calm_count + 1 if is_calm else 0
         if self._calm_count >= CALM_STEPS:
             self._rest_at(situation)
@@ -481,7 +479,7 @@ class TargetTrust:
         if self._settling is None:
             self._settling = drives
             return
-        self._settling_path += longest_move(self._last.displacements, drives, self._scales)
+        self._settling_path += self._last_move(situation)
         self._settling_count += 1
         if self._settling_count < SETTLING_STEPS:
             return
@@ -499,10 +497,9 @@ class TargetTrust:
         self._settling, self._settled_path = drives, path
         self._settling_path, self._settling_count = 0.0, 0
 
-    def _have_moved(self, situation: Situation) -> bool:
-        """Whether the last step moved the actuators by more than round-off."""
-        before, after = self._last.displacements, situation.displacements
-        return longest_move(before, after, self._scales) > MOVED
+    def _last_move(self, situation: Situation) -> float:
+        """How far the last step moved the actuators, as a share of their scales."""
+        return longest_move(self._last.displacements, situation.displacements, self._scales)
 
     def _learn(self, before: float, promised: float, now: float) -> None:
         """Set the weight by the gain of the last step."""

@@ -741,7 +741,7 @@ def test_another_target_ends_what_was_chosen_beyond_a_kink(looking):
 @pytest.mark.parametrize("end", [TARGET + 3.0 * TOLERANCE, TARGET], ids=["missed", "unbalanced"])
 def test_moves_at_reached_targets_get_shorter_each_time_that_one_leads_away(trust, end):
     trust.begin(situation(0.0))
-    assert trust.longest_move == LONGEST_MOVE and not trust.is_at_targets
+    assert trust.move_limit == LONGEST_MOVE and not trust.is_at_targets
     for time in range(3):
         trust.begin(situation(TARGET, is_stable=False))
         assert trust.is_at_targets
@@ -749,18 +749,18 @@ def test_moves_at_reached_targets_get_shorter_each_time_that_one_leads_away(trus
             end, displacement=0.1 * MUCH_SHORTER**time, is_balanced=end != TARGET, is_stable=False
         ))  # fmt: skip
         trust.begin(situation(TARGET, is_stable=False))
-        assert trust.longest_move == pytest.approx(0.1 * MUCH_SHORTER ** (time + 1))
+        assert trust.move_limit == pytest.approx(0.1 * MUCH_SHORTER ** (time + 1))
     trust.begin(situation(0.0))
-    assert trust.longest_move == LONGEST_MOVE
+    assert trust.move_limit == LONGEST_MOVE
     trust.begin(situation(2.0 * TARGET, target=2.0 * TARGET))
-    assert trust.is_at_targets and trust.longest_move == LONGEST_MOVE
+    assert trust.is_at_targets and trust.move_limit == LONGEST_MOVE
 
 
 def test_moves_that_keep_reached_targets_in_balance_are_not_shortened(trust):
     for step in range(5):
         trust.begin(situation(TARGET + 0.005 * TOLERANCE, displacement=0.1 * step))
         assert trust.is_at_targets
-        assert trust.longest_move == LONGEST_MOVE
+        assert trust.move_limit == LONGEST_MOVE
 
 
 @pytest.mark.parametrize("end", [TARGET + 3.0 * TOLERANCE, TARGET], ids=["missed", "unstable"])
@@ -790,7 +790,7 @@ def test_who_was_not_stable_at_targets_for_two_free_steps_goes_back_nowhere(trus
 def test_moves_that_may_come_nearer_to_reached_targets_are_not_shortened(trust):
     for step in range(5):
         trust.begin(situation(TARGET + 0.02 * TOLERANCE, displacement=0.1 * step, is_balanced=False))
-        assert not trust.is_at_targets and trust.longest_move == LONGEST_MOVE
+        assert not trust.is_at_targets and trust.move_limit == LONGEST_MOVE
 
 
 @pytest.mark.parametrize("is_hindered", [False, True])
