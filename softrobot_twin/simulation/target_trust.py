@@ -407,7 +407,7 @@ class TargetTrust:
         if self._has_reached and is_free:
             self._settle(situation)
         follows = self.approach is Approach.FOLLOW
-        self._is_within = follows and not self.is_careful and now <= reached
+        self._is_within = follows and not self.is_careful and now <= reached > 0.0
         self.is_at_targets = self._is_within and now <= EXACT * reached
         if follows:
             self.path.add(situation.displacements, situation.places[self._positions])

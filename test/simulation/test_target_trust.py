@@ -787,6 +787,13 @@ def test_who_was_not_stable_at_targets_for_two_free_steps_goes_back_nowhere(trus
         assert trust.approach is Approach.FOLLOW
 
 
+def test_where_nothing_is_wanted_no_move_is_shortened(trust):
+    for step in range(5):
+        free = situation(0.0, displacement=0.1 * step, is_balanced=False)
+        trust.begin(free._replace(targets=np.zeros(1), weights=np.zeros(1)))
+        assert not trust.is_at_targets and trust.move_limit == LONGEST_MOVE
+
+
 def test_moves_that_may_come_nearer_to_reached_targets_are_not_shortened(trust):
     for step in range(5):
         trust.begin(situation(TARGET + 0.02 * TOLERANCE, displacement=0.1 * step, is_balanced=False))
