@@ -20,6 +20,9 @@ import numpy as np
 from softrobot_twin.control.inputs import Pose
 from softrobot_twin.simulation import Simulation
 
+LONGEST_WRITE = 1.0
+"""A write that takes longer [s] counts as failed for who reads."""
+
 
 class StoredCommand(NamedTuple):
     """What was sent last.
@@ -57,11 +60,22 @@ class LastCommand:
         self.path = Path(home) / "softrobot_twin" / f"last_command_{digest}.json"
         self.failure = ""
         self._newest: tuple | None = None
-        self._signal, self._ends = threading.Event(), False
+        self._changed, self._is_pending, self._ends = threading.Condition(), False, False
         self._thread: threading.Thread | None = None
 
     def read(self) -> StoredCommand | None:
-        """What was sent last; None where nothing is known, or what is there cannot be used."""
+        """What was sent last, by this twin or another one.
+
+        Returns:
+            None where nothing is known, what is there cannot be used, or an own command could not
+            be written: the file holds an older one then, and the twin itself knows the last one.
+        """
+        with self._changed:
+            is_written = self._changed.wait_for(
+                lambda: self.failure or not self._is_pending, LONGEST_WRITE
+            )
+        if self.failure or not is_written:
+            return None
         try:
             with self.path.open("rb") as file:
                 values = json.loads(file.readline(100_000))
@@ -84,13 +98,15 @@ class LastCommand:
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="last command", daemon=True)
             self._thread.start()
-        self._newest = (setpoints, efforts, dict(poses))
-        self._signal.set()
+        with self._changed:
+            self._newest, self._is_pending = (setpoints, efforts, dict(poses)), True
+            self._changed.notify_all()
 
     def close(self) -> None:
         """Writes the newest command, and ends."""
-        self._ends = True
-        self._signal.set()
+        with self._changed:
+            self._ends = True
+            self._changed.notify_all()
         if self._thread is not None:
             self._thread.join()
 
@@ -99,20 +115,30 @@ class LastCommand:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             file = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o600)
         except OSError as error:
-            self.failure = f"{self.path}: {error.strerror}"
+            self._fail(error)
             return
         try:
-            while not self._ends:
-                self._signal.wait()
-                self._signal.clear()
-                newest, self._newest = self._newest, None
-                if newest is not None:
-                    # One call writes the whole line: a process that dies leaves the old or the new.
-                    os.pwrite(file, _line(*newest), 0)
+            while (newest := self._take()) is not None:
+                # One call writes the whole line: a process that dies leaves the old or the new.
+                os.pwrite(file, _line(*newest), 0)
         except OSError as error:
-            self.failure = f"{self.path}: {error.strerror}"
+            self._fail(error)
         finally:
             os.close(file)
+
+    def _take(self) -> tuple | None:
+        """Waits for a command to write after the one before; None when none will come."""
+        with self._changed:
+            self._is_pending = self._newest is not None
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._newest is not None or self._ends)
+            newest, self._newest = self._newest, None
+        return newest
+
+    def _fail(self, error: OSError) -> None:
+        with self._changed:
+            self.failure = f"{self.path}: {error.strerror}"
+            self._changed.notify_all()
 
 
 def _line(setpoints, efforts, poses) -> bytes:
