@@ -17,7 +17,8 @@ class CellMesh(Protocol):
     """Cells that fill a body.
 
     Elements need only the first three attributes, and have `points` as a fourth one if integration
-    points do not follow from them; the others serve points, loads and pictures. Meshes that scenes can have inherit from this class. Their cells are
+    points do not follow from them, and `node_counts` where cells have different numbers of nodes
+    (`smoothed_mesh.py`); the others serve points, loads and pictures. Meshes that scenes can have inherit from this class. Their cells are
     tetrahedra with straight edges, with nodes at the corners and possibly between them, or
     hexahedra and tetrahedra side by side (`hexahedral_mesh.py`). What follows below is that of
     meshes with cells of one kind; a mesh with several has other `blocks`, and rows of `cells` of
@@ -75,6 +76,14 @@ class CellMesh(Protocol):
         """
         chosen = slice(None) if cells is None else cells
         return (CellBlock(cells_of(self, cells), chosen, self.volumes[chosen], self.load_shares),)
+
+    def strained_blocks(self, cells: np.ndarray | None = None) -> tuple[CellBlock, ...]:
+        """What bears the strain of cells, for elements: the cells themselves, apart by their kind.
+
+        Args:
+            cells: Indices of some cells in rising order, shape (cell_count,); None for all.
+        """
+        return self.blocks(cells)
 
     @property
     def cell_counts(self) -> dict[str, int]:
@@ -162,6 +171,16 @@ def points_of(mesh: CellMesh) -> IntegrationPoints:
     if own is not None:
         return own
     return integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions)
+
+
+def node_counts_of(mesh: CellMesh) -> np.ndarray:
+    """Number of nodes of each cell, shape (cell_count,).
+
+    Args:
+        mesh: The cells, as far as elements need them.
+    """
+    own = getattr(mesh, "node_counts", None)
+    return np.full(*mesh.cells.shape) if own is None else own
 
 
 def cells_of(mesh: CellMesh, cells: np.ndarray | None) -> CellMesh | SomeCells:

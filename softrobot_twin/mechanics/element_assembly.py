@@ -50,7 +50,9 @@ from softrobot_twin.mechanics.element_batches import (
     at,
     copy_entries,
     matrix_at,
+    node_count_of,
     of_node,
+    of_nodes,
     put_matrix,
     put_rows,
     put_vector,
@@ -121,9 +123,10 @@ def deform_all(moves, cells, gradients, deformations):
     """F at all points of all batches; see `add_forces`."""
     U = np.empty(gradients.shape[2])
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
+        count = node_count_of(cells[k])
+        gather(moves, cells[k, :count], U)
         for q in range(gradients.shape[1]):
-            deform(U, gradients[k, q], deformations[k, q])
+            deform(U, of_nodes(gradients[k, q], count), deformations[k, q])
 
 
 @njit(**INNER)
@@ -403,9 +406,10 @@ def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
     U, F, change = np.empty(width), scratch(9), scratch(1)
     total = 0.0
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
+        count = node_count_of(cells[k])
+        gather(moves, cells[k, :count], U)
         for q in range(point_count):
-            deform(U, gradients[k, q], F)
+            deform(U, of_nodes(gradients[k, q], count), F)
             find_state(law, F, rotations[k, q], uprights[k, q], change)
             for e in range(BATCH):
                 if weights[k, q, e] > 0.0:
@@ -425,7 +429,8 @@ def add_forces(
     Args:
         law: Parameters of the law.
         moves: Moves of the nodes from where gradients were taken [m], shape (node_count, 3).
-        cells: Nodes of each batch, shape (batch_count, node_count of an element, BATCH).
+        cells: Nodes of each batch, -1 behind the last one, see `node_count_of`,
+            shape (batch_count, most nodes of a batch, BATCH).
         free: Unknowns of these nodes, -1 where there are none, same shape.
         gradients: ∇N_a at each point [1/m], shape (batch_count, point_count, 3 nodes × BATCH).
         weights: Volume of each point [m³], 0 beyond the last element,
@@ -448,18 +453,19 @@ def add_forces(
     least_volumes = no_volumes_yet()
     inverted_count, nearly_flat_count = 0, 0
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
+        count = node_count_of(cells[k])
+        gather(moves, cells[k, :count], U)
         P[:] = 0.0
         lowest[:] = 1.0
         for q in range(point_count):
-            F = deformations[k, q]
-            deform(U, gradients[k, q], F)
+            F, G = deformations[k, q], of_nodes(gradients[k, q], count)
+            deform(U, G, F)
             find_state(law, F, rotations[k, q], uprights[k, q], change)
             take_lowest(uprights[k, q], lowest)
             take_least_volumes(F, uprights[k, q], least_volumes)
             weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
-            add_stress_to_nodes(S, gradients[k, q], P)
-        subtract_forces(free[k], P, forces)
+            add_stress_to_nodes(S, G, P)
+        subtract_forces(free[k, :count], P, forces)
         if len(to_corners) > 0:
             find_folds(to_corners, deformations[k], corners, lowest, sure)
         inverted_count += count_inverted(weights[k, 0], lowest)
@@ -490,7 +496,7 @@ def add_stiffness(
     Returns:
         Number of points on which the barrier acts; zero where forces are known.
     """
-    node_count, point_count, width = cells.shape[1], weights.shape[1], gradients.shape[2]
+    point_count, width = weights.shape[1], gradients.shape[2]
     U, P = np.empty(width), np.empty(width)
     S, change = scratch(9), scratch(1)
     least_volumes, nearly_flat_count = no_volumes_yet(), 0
@@ -502,19 +508,20 @@ def add_stiffness(
     factor, negative = scratch(81 if is_tested else 0), scratch(1)
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
     for k in range(len(cells)):
+        count = node_count_of(cells[k])
         if not are_known:
-            gather(moves, cells[k], U)
+            gather(moves, cells[k, :count], U)
             P[:] = 0.0
         by_matrix = False
         for q in range(point_count):
-            F = deformations[k, q]
+            F, G = deformations[k, q], of_nodes(gradients[k, q], count)
             if not are_known:
-                deform(U, gradients[k, q], F)
+                deform(U, G, F)
                 find_state(law, F, rotations[k, q], uprights[k, q], change)
                 take_least_volumes(F, uprights[k, q], least_volumes)
                 weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
-                add_stress_to_nodes(S, gradients[k, q], P)
-            see_gradients(law, gradients[k, q], rotations[k, q], g[q])
+                add_stress_to_nodes(S, G, P)
+            see_gradients(law, G, rotations[k, q], g[q])
             linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
             if is_tested:
                 fill_derivatives(law, k, q, L[q], C[q])
@@ -523,15 +530,15 @@ def add_stiffness(
                     law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
                 )
         if not are_known:
-            subtract_forces(free[k], P, forces)
+            subtract_forces(free[k, :count], P, forces)
         pair = 0
-        for b in range(node_count):
+        for b in range(count):
             for q in range(point_count):
                 if by_matrix:
                     apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
                 else:
                     differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
-            for a in range(b, node_count):
+            for a in range(b, count):
                 for q in range(point_count):
                     contract(a, g[q], T[q], K, q == 0)
                 if are_contiguous:
@@ -599,12 +606,14 @@ def add_force_curvature(
     F, D, S, shifted = scratch(9), scratch(9), scratch(9), scratch(9)
     other, R, upright, change = scratch(9), scratch(9), scratch(1), scratch(1)
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
-        gather(direction, cells[k], X)
+        count = node_count_of(cells[k])
+        gather(moves, cells[k, :count], U)
+        gather(direction, cells[k, :count], X)
         P[:] = 0.0
         for q in range(point_count):
-            deform(U, gradients[k, q], F)
-            deform(X, gradients[k, q], D)
+            G = of_nodes(gradients[k, q], count)
+            deform(U, G, F)
+            deform(X, G, D)
             for e in range(BATCH):
                 D[at(0, e)] -= 1.0
                 D[at(4, e)] -= 1.0
@@ -619,10 +628,10 @@ def add_force_curvature(
                 for e in range(BATCH):
                     i = at(entry, e)
                     S[i] = 0.5 * (S[i] - other[i]) * inverse[e]
-            add_stress_to_nodes(S, gradients[k, q], P)
+            add_stress_to_nodes(S, G, P)
         for i in range(width):
             P[i] = -P[i]
-        subtract_forces(free[k], P, curvature)
+        subtract_forces(free[k, :count], P, curvature)
 
 
 class Assembly(NamedTuple):

@@ -2,25 +2,66 @@
 
 Elements are worked on in batches of `BATCH`. Every quantity of a batch is one flat array, entry
 after entry, each entry a row of `BATCH` numbers: F[at(5, e)] is entry 5 of element e's deformation
-gradient, matrices row by row. A loop over e then becomes a few vector instructions, provided that
+gradient, matrices row by row. Elements of a batch have as many nodes as the one that has most of them;
+what lies behind in arrays that are as wide as the widest batch is not read (`node_count_of`). A loop over e then becomes a few vector instructions, provided that
 the entries' numbers are constants and what is read and what is written are different arrays.
 `matrix_at` and `vector_at` read the entries of one element as the tuples of `matrix3`.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba.extending import overload
 
 from softrobot_twin.compilation import INLINED, INNER, njit
+from softrobot_twin.geometry.shape_functions import IntegrationPoints
+from softrobot_twin.mechanics.stencil import bind_stencils
 
 BATCH = 16
+
+
+class ElementBatches(NamedTuple):
+    """Elements in batches, the nodes of each in elimination order.
+
+    Attributes:
+        cells: Nodes, -1 behind the last one of a batch, shape (batch_count, width, BATCH).
+        free: Their unknowns, -1 where there are none, same shape.
+        gradients: ∇N_a at each point [1/m], shape (batch_count, point_count, 3 width × BATCH).
+        weights: Volume of each point [m³], 0 beyond the last element,
+            shape (batch_count, point_count, BATCH).
+        offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
+        strides: Distance of its columns, same shape.
+        order: Nodes of each element in elimination order, shape (element_count, width).
+    """
+
+    cells: np.ndarray
+    free: np.ndarray
+    gradients: np.ndarray
+    weights: np.ndarray
+    offsets: np.ndarray
+    strides: np.ndarray
+    order: np.ndarray
 
 
 @njit(**INLINED)
 def at(entry, e):
     """Place of element e in the row of an entry."""
     return entry * BATCH + e
+
+
+@njit(**INLINED)
+def node_count_of(cells):
+    """Number of nodes of the elements of a batch.
+
+    Args:
+        cells: Their nodes, -1 behind the last one, shape (most nodes of a batch, BATCH).
+    """
+    count = len(cells)
+    while cells[count - 1, 0] < 0:
+        count -= 1
+    return count
 
 
 @njit(**INNER)
@@ -101,6 +142,12 @@ def of_node(V, a):
     return V[3 * a * BATCH : 3 * (a + 1) * BATCH]
 
 
+@njit(**INLINED)
+def of_nodes(V, count):
+    """The rows of the first nodes."""
+    return V[: 3 * count * BATCH]
+
+
 def in_batches(values: np.ndarray, padding) -> np.ndarray:
     """Cut rows of elements into batches, the element last.
 
@@ -116,3 +163,60 @@ def in_batches(values: np.ndarray, padding) -> np.ndarray:
     padded = np.full((batch_count * BATCH, width), padding, dtype=values.dtype)
     padded[:element_count] = values
     return np.ascontiguousarray(padded.reshape(batch_count, BATCH, width).transpose(0, 2, 1))
+
+
+def stencils_of(cells: np.ndarray, node_counts: np.ndarray, free_index: np.ndarray) -> np.ndarray:
+    """Unknowns that each element couples, -1 where there are none, shape (element_count, width).
+
+    Args:
+        cells: Nodes of the elements, shape (element_count, width).
+        node_counts: How many of these are its own, shape (element_count,).
+        free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
+    """
+    is_own = np.arange(cells.shape[1]) < node_counts[:, None]
+    return np.where(is_own, free_index[cells], -1)
+
+
+def lay_out_elements(
+    cells: np.ndarray, node_counts: np.ndarray, points: IntegrationPoints, free_index: np.ndarray,
+    elimination_rank: np.ndarray, slots,
+) -> ElementBatches:  # fmt: skip
+    """Find the places of the stiffness, sort each element's nodes, and form batches.
+
+    Args:
+        cells, node_counts, free_index: See `stencils_of`; counts do not fall.
+        points: Gradients and volumes at the elements' points.
+        elimination_rank: Place of each unknown in the elimination order.
+        slots: The factorization's `slots`.
+    """
+    count, width = cells.shape
+    stencils = stencils_of(cells, node_counts, free_index)
+    widths = node_counts[np.minimum(np.arange(BATCH, count + BATCH, BATCH), count) - 1]
+    batch_count, pair_count = len(widths), width * (width + 1) // 2
+    batches = ElementBatches(
+        np.full((batch_count, width, BATCH), -1), np.full((batch_count, width, BATCH), -1),
+        np.zeros((batch_count, points.weights.shape[1], 3 * width * BATCH)),
+        in_batches(points.weights, 0.0),
+        np.full((batch_count, pair_count, BATCH), -1), np.zeros((batch_count, pair_count, BATCH), int),
+        np.tile(np.arange(width), (count, 1)),
+    )  # fmt: skip
+    for own_width in np.unique(widths):
+        places = slice(*np.searchsorted(widths, [own_width, own_width + 1]))
+        rows, nodes = slice(places.start * BATCH, places.stop * BATCH), slice(int(own_width))
+        bound = bind_stencils(stencils[rows, nodes], elimination_rank, slots)
+        pairs, order = slice(bound.offsets.shape[1]), bound.order[:, None, :, None]
+        gradients = np.take_along_axis(points.gradients[rows, :, nodes], order, axis=2)
+        gradients = in_batches(gradients.reshape(len(gradients), -1), 0.0)
+        gradients = gradients.reshape(*batches.gradients[places].shape[:2], -1)
+        batches.order[rows, nodes] = bound.order
+        batches.cells[places, nodes] = in_batches(bound.sorted(cells[rows, nodes]), 0)
+        batches.free[places, nodes] = in_batches(bound.sorted(stencils[rows, nodes]), -1)
+        batches.gradients[places, :, : gradients.shape[2]] = gradients
+        batches.offsets[places, pairs] = in_batches(bound.offsets, -1)
+        batches.strides[places, pairs] = in_batches(bound.strides, 0)
+    # The last batch is padded with copies of an element, without volume and unknowns.
+    spare = slice((count - 1) % BATCH + 1, BATCH)
+    padded = batches.gradients[-1].reshape(points.weights.shape[1], -1, BATCH)
+    padded[:, :, spare] = padded[:, :, :1]
+    batches.cells[-1][:, spare] = batches.cells[-1][:, :1]
+    return batches

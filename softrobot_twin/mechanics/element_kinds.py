@@ -1,7 +1,8 @@
 """The kinds of elements that scenes may name (``element``).
 
 An element is a mesh class, see `CellMesh`, with its own `ShapeFunctions`. Its kind makes such a mesh
-of the cells of a file: of tetrahedra, or of hexahedra and the tetrahedra beside them. A new kind is registered by one call of `register_element`.
+of the cells of a file: of tetrahedra, or of hexahedra and the tetrahedra beside them. A new kind is
+registered by one call of `register_element`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import NamedTuple
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.hexahedral_mesh import enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.smoothed_mesh import smooth
 
 
 class ElementKind(NamedTuple):
@@ -22,12 +24,17 @@ class ElementKind(NamedTuple):
         make_mesh: Makes a mesh of such elements with the shape of the cells of a file.
         lumps_mass: Whether mass is lumped unless a scene says otherwise; else it is consistent.
         of_hexahedra: Whether these cells are a `HexahedralMesh`; else they are a `TetMesh`.
+        has_patches: Whether patches resist changes of volume unless a scene says otherwise, where the
+            law can be divided; else every element does.
+        is_reducible: Whether modes and vertebrae are built for bodies of them.
     """
 
     name: str
     make_mesh: Callable[[CellMesh], CellMesh]
     lumps_mass: bool
     of_hexahedra: bool
+    has_patches: bool
+    is_reducible: bool
 
 
 HEXAHEDRAL = "hexahedral"
@@ -37,7 +44,7 @@ _KINDS: dict[str, ElementKind] = {}
 
 def register_element(
     name: str, make_mesh: Callable[[CellMesh], CellMesh], lumps_mass: bool = False,
-    of_hexahedra: bool = False,
+    of_hexahedra: bool = False, has_patches: bool = False, is_reducible: bool = True,
 ) -> None:  # fmt: skip
     """Register a kind of elements for scenes.
 
@@ -46,13 +53,17 @@ def register_element(
         make_mesh: Makes a mesh of such elements with the shape of the cells of a file.
         lumps_mass: Whether mass is lumped unless a scene says otherwise.
         of_hexahedra: Whether these cells are a `HexahedralMesh`; else they are a `TetMesh`.
+        has_patches: Whether patches resist changes of volume unless a scene says otherwise.
+        is_reducible: Whether modes and vertebrae are built for bodies of them.
 
     Raises:
         ValueError: Another kind has this name.
     """
     if name in _KINDS:
         raise ValueError(f"the element {name!r} is registered already")
-    _KINDS[name] = ElementKind(name, make_mesh, lumps_mass, of_hexahedra)
+    _KINDS[name] = ElementKind(
+        name, make_mesh, lumps_mass, of_hexahedra, has_patches, is_reducible
+    )
 
 
 def unregister_element(name: str) -> None:
@@ -81,5 +92,6 @@ def element_named(name: str) -> ElementKind:
 
 
 register_element("linear", lambda mesh: mesh, lumps_mass=True)
+register_element("smoothed", smooth, lumps_mass=True, has_patches=True, is_reducible=False)
 register_element("quadratic", add_mid_edge_nodes)
 register_element(HEXAHEDRAL, enhance, lumps_mass=True, of_hexahedra=True)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.geometry.cell_mesh import points_of
+from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
+from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
-from softrobot_twin.mechanics.element_batches import BATCH, in_batches
+from softrobot_twin.mechanics.element_batches import BATCH, lay_out_elements, stencils_of
 from softrobot_twin.mechanics.element_inversion import (
     count_folded,
     point_to_corner_weights,
@@ -18,7 +19,7 @@ from softrobot_twin.mechanics.element_inversion import (
 from softrobot_twin.mechanics.fold_barrier import FoldBarrier
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import law_of
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.ring_barrier import RingBarrier
 from softrobot_twin.mechanics.strain_watch import StrainWatch, extreme_squares
 from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_energies,
@@ -73,14 +74,18 @@ class Elements(ForceTerm):
         self._mesh, self._free_index = mesh, free_index
         self._shape = mesh.shape_functions
         self._points = points_of(mesh)
+        self._node_counts = node_counts_of(mesh)
         self._assembly = assembly_of(type(law))
         self._to_corners = point_to_corner_weights(self._shape)
         self._corners = watched_corners(mesh)
         # Where F is constant, its one point tells all.
         has_places = len(self._to_corners) > 0 or len(self._corners.edges) > 0
-        self._fold_barrier: FoldBarrier | None = None
+        self._fold_barrier: FoldBarrier | RingBarrier | None = None
+        self._folded_count = 0
         if self.stays_upright and has_places:
             self._fold_barrier = FoldBarrier(mesh.cells, self._to_corners, self._corners)
+        elif self.stays_upright and isinstance(mesh, EdgeRings):
+            self._fold_barrier = RingBarrier(mesh.tets, free_index)
         # Displacements are relative to the positions at which the gradients were computed.
         self._reference = mesh.node_positions
         self._constant_stiffness = None
@@ -88,8 +93,8 @@ class Elements(ForceTerm):
         self._cells = self._free = self._gradients = self._weights = None
 
     def stencils(self) -> np.ndarray:
-        """Unknowns that each element couples, -1 where fixed, shape (element_count, node_count)."""
-        return self._free_index[self._mesh.cells]
+        """Unknowns that each element couples, -1 where none, shape (element_count, node_count)."""
+        return stencils_of(self._mesh.cells, self._node_counts, self._free_index)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness, sort each element's nodes in their order, and form
@@ -99,36 +104,28 @@ class Elements(ForceTerm):
             elimination_rank: Place of each unknown in the elimination order.
             slots: The factorization's `slots`.
         """
-        bound = bind_stencils(self.stencils(), elimination_rank, slots)
-        cells = bound.sorted(self._mesh.cells)
-        order = bound.order[:, None, :, None]
-        gradients = np.take_along_axis(self._points.gradients, order, axis=2)
-        count, point_count = gradients.shape[:2]
-        # The last batch is padded with copies of an element, without volume and unknowns.
-        spare = slice((count - 1) % BATCH + 1, BATCH)
-        self._cells = in_batches(cells, 0)
-        self._cells[-1][:, spare] = cells[-1][:, None]
-        self._free = in_batches(self._free_index[cells], -1)
-        rows = gradients.reshape(count, -1)
-        batches = in_batches(rows, 0.0)
-        batches[-1][:, spare] = rows[-1][:, None]
-        self._gradients = batches.reshape(len(batches), point_count, -1)
-        self._weights = in_batches(self._points.weights, 0.0)
-        self._offsets = in_batches(bound.offsets, -1)
-        self._strides = in_batches(bound.strides, 0)
-        self._are_contiguous = are_contiguous(bound.offsets, bound.strides)
-        self._deformations = np.zeros((len(batches), point_count, 9 * BATCH))
+        batches = lay_out_elements(
+            self._mesh.cells, self._node_counts, self._points, self._free_index, elimination_rank,
+            slots,
+        )  # fmt: skip
+        self._cells, self._free, self._gradients, self._weights = batches[:4]
+        self._offsets, self._strides = batches.offsets, batches.strides
+        self._are_contiguous = are_contiguous(batches.offsets, batches.strides)
+        batch_count, point_count = self._weights.shape[:2]
+        self._deformations = np.zeros((batch_count, point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
-        self._rotations = np.zeros((len(batches), point_count, entries * BATCH))
-        self._uprights = np.zeros((len(batches), point_count, BATCH))
+        self._rotations = np.zeros((batch_count, point_count, entries * BATCH))
+        self._uprights = np.zeros((batch_count, point_count, BATCH))
         self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
         self._forget()
         self._constant_stiffness = None
         self._barrier_stiffness = self._stretch_stiffness()
-        if self._fold_barrier is not None:
-            self._fold_barrier.bind(bound.order, self._gradients, self._weights)
+        if isinstance(self._fold_barrier, RingBarrier):
+            self._fold_barrier.bind(elimination_rank, slots)
+        elif self._fold_barrier is not None:
+            self._fold_barrier.bind(batches)
         if law_of(self.law).is_linear:
-            self._constant_stiffness = self._sum_stiffness_once(bound)
+            self._constant_stiffness = self._sum_stiffness_once()
 
     def _add_fold_forces(self) -> None:
         """Add the forces of the barrier between points to those of the state that is known."""
@@ -137,9 +134,9 @@ class Elements(ForceTerm):
         if barrier is None:
             return
         acts = barrier.take(self._known_at, self._deformations)
-        self.crossed_count = barrier.crossed_count
+        self.crossed_count, self._folded_count = barrier.crossed_count, barrier.folded_count
         if acts and self._uprights.all():
-            barrier.add_forces(self._barrier_stiffness, self._free, self._forces)
+            barrier.add_forces(self._barrier_stiffness, self._forces)
             self.nearly_flat_count += barrier.acting_count
 
     def _forget(self) -> None:
@@ -157,10 +154,10 @@ class Elements(ForceTerm):
         stretched = self._reference * [1.0 + SMALL_STRETCH, 1.0, 1.0]
         return 2.0 * self._law_energy(stretched)[0] / (self._weights.sum() * SMALL_STRETCH**2)
 
-    def _sum_stiffness_once(self, bound) -> np.ndarray:
+    def _sum_stiffness_once(self) -> np.ndarray:
         """The stiffness at rest, laid out as the factorization stores it."""
-        present = bound.offsets >= 0
-        last = (bound.offsets + 2 * bound.strides + 2)[present].max(initial=-1)
+        present = self._offsets >= 0
+        last = (self._offsets + 2 * self._strides + 2)[present].max(initial=-1)
         storage = np.zeros(last + 1)
         forces = np.zeros((self._free_index.max() + 1, 3))
         self.add_forces(self._reference, forces)
@@ -186,7 +183,7 @@ class Elements(ForceTerm):
             return count_folded(
                 writable(positions), self._mesh.cells, *self._corners, self._uprights
             )
-        return inverted_count
+        return max(inverted_count, self._folded_count)
 
     def _begin_state(self, positions: np.ndarray, forces: np.ndarray) -> None:
         """Note the state whose forces are taken now, and set them to zero."""
@@ -237,13 +234,11 @@ class Elements(ForceTerm):
             self._add_fold_forces()
         if self._nearly_flat_points:
             add_barrier_stiffness(
-                self._barrier_stiffness, self._gradients, self._weights, self._deformations,
-                projected, self._offsets, self._strides, storage,
+                self._barrier_stiffness, self._cells, self._gradients, self._weights,
+                self._deformations, projected, self._offsets, self._strides, storage,
             )  # fmt: skip
         if self._fold_barrier is not None and self._fold_barrier.acting_count:
-            self._fold_barrier.add_stiffness(
-                self._barrier_stiffness, projected, self._offsets, self._strides, storage
-            )
+            self._fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
         forces += self._forces
 
     def _add_stiffness(self, positions, storage, projected: bool, is_known: bool) -> int:

@@ -46,7 +46,14 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, scaled, set_row
 from softrobot_twin.mechanics.barycentric import writable
-from softrobot_twin.mechanics.element_batches import BATCH, in_batches, matrix_at, of_node, vector_at
+from softrobot_twin.mechanics.element_batches import (
+    BATCH,
+    ElementBatches,
+    in_batches,
+    matrix_at,
+    of_node,
+    vector_at,
+)
 from softrobot_twin.mechanics.element_inversion import (
     WatchedCorners,
     deform_corners,
@@ -372,7 +379,10 @@ class FoldBarrier:
     Attributes:
         acting_count: Values on which it acts at the state that was taken last.
         crossed_count: Elements there with a value that is not positive.
+        folded_count: 0: `Elements` counts those that are inside out.
     """
+
+    folded_count = 0
 
     def __init__(self, cells: np.ndarray, to_corners: np.ndarray, corners: WatchedCorners):
         """Find the places.
@@ -391,22 +401,21 @@ class FoldBarrier:
             self._triples = triples_of_parts()
         self.acting_count = self.crossed_count = 0
 
-    def bind(self, order: np.ndarray, gradients: np.ndarray, weights: np.ndarray) -> None:
+    def bind(self, batches: ElementBatches) -> None:
         """Lay out the places as the elements' batches.
 
         Args:
-            order: Nodes of each element in elimination order, shape (element_count, node_count).
-            gradients: ∇N_a at the quadrature points [1/m], see `add_forces`.
-            weights: Volume of each point [m³], shape (batch_count, point_count, BATCH).
+            batches: The elements.
         """
+        self._batches = batches
         if len(self._to_places):
-            self._gradients = np.einsum("pq,kqi->kpi", self._to_places, gradients)
+            self._gradients = np.einsum("pq,kqi->kpi", self._to_places, batches.gradients)
         else:
-            self._gradients = self._corner_gradients(order)
-        place_count = self._gradients.shape[1]
-        self._weights = weights.sum(axis=1) / place_count
-        self._places = np.zeros((len(weights), place_count, 9 * BATCH))
-        self._least = np.empty((len(weights), BATCH))
+            self._gradients = self._corner_gradients(batches.order)
+        batch_count, place_count = self._gradients.shape[:2]
+        self._weights = batches.weights.sum(axis=1) / place_count
+        self._places = np.zeros((batch_count, place_count, 9 * BATCH))
+        self._least = np.empty((batch_count, BATCH))
 
     def _corner_gradients(self, order: np.ndarray) -> np.ndarray:
         """∇N_a of the map of the corners alone at each corner [1/m]; see `add_forces`."""
@@ -447,19 +456,19 @@ class FoldBarrier:
     def _write_corners(self, positions: np.ndarray, places: np.ndarray) -> None:
         write_corners(writable(positions), self._cells, *self._corners, places)
 
-    def add_forces(self, stiffness: float, free: np.ndarray, forces: np.ndarray) -> None:
+    def add_forces(self, stiffness: float, forces: np.ndarray) -> None:
         """Add the forces at the state that was taken last, where the barrier acts; see the kernel.
         """
         self.acting_count = add_forces(
-            stiffness, free, self._gradients, self._triples, self._weights, self._places,
+            stiffness, self._batches.free, self._gradients, self._triples, self._weights, self._places,
             self._least, forces,
         )  # fmt: skip
 
-    def add_stiffness(self, stiffness: float, projected: bool, offsets, strides, storage) -> None:
+    def add_stiffness(self, stiffness: float, projected: bool, storage: np.ndarray) -> None:
         """Add the stiffness at the state that was taken last; see the kernel."""
         add_stiffness(
             stiffness, self._gradients, self._triples, self._weights, self._places, self._least,
-            projected, offsets, strides, storage,
+            projected, self._batches.offsets, self._batches.strides, storage,
         )  # fmt: skip
 
     def energy(self, stiffness: float, positions: np.ndarray, deformations: np.ndarray) -> float:

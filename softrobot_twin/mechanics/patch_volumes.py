@@ -27,6 +27,7 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.geometry.cell_patches import grow_patches
+from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     ZERO,
@@ -39,11 +40,14 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
 from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.point_law import has_bulk_modulus
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils
 from softrobot_twin.mechanics.volume_change import volumetric
 
 PATCH_SIZES = {4: 12, 10: 2}
 """Tetrahedra of a patch, by the nodes of one. Hexahedra are patches by themselves."""
+RING_PATCH_SIZE = 8
+"""Tetrahedra of a patch where strain is smoothed over edges."""
 _LINEAR_BULK, _OTHER_BULK = 0.5, 5.0
 
 
@@ -74,28 +78,41 @@ def divided(law: tuple, shear_modulus: float, share: float) -> Divided:
     """Leave elements a small bulk modulus, and patches the rest.
 
     Args:
-        law: Parameters of a law that `has_bulk_modulus`.
+        law: Parameters of a law for which `can_divide` is true.
         shear_modulus: µ at rest [Pa].
         share: Bulk modulus that elements keep at most, by µ; see `element_bulk`.
     """
     kept = min(law.bulk_modulus, share * shear_modulus)
-    return Divided(law._replace(bulk_modulus=kept), law.bulk_modulus - kept)
+    if has_bulk_modulus(type(law)):
+        return Divided(law._replace(bulk_modulus=kept), law.bulk_modulus - kept)
+    return Divided(law.with_bulk_modulus(kept), law.bulk_modulus - kept)
 
 
-def patches_of(mesh, patch_size: int | None = None) -> np.ndarray:
+class Patched(NamedTuple):
+    """Cells, and the patches over which their volumes are summed.
+
+    Attributes:
+        mesh: The cells, as far as `Elements` needs them.
+        patches: Number of each cell's patch, from 0, shape (cell_count,).
+    """
+
+    mesh: object
+    patches: np.ndarray
+
+
+def patched(mesh, patch_size: int | None = None) -> Patched:
     """Patches of elements: a few tetrahedra, or a single element of another kind.
 
     Args:
-        mesh: The elements, as far as `Elements` needs them.
-        patch_size: Tetrahedra of a patch; by default that of `PATCH_SIZES`.
-
-    Returns:
-        Number of each element's patch, from 0, shape (element_count,).
+        mesh: The elements, as far as `Elements` needs them; of rings the tetrahedra are taken.
+        patch_size: Tetrahedra of a patch; by default that of `PATCH_SIZES` or `RING_PATCH_SIZE`.
     """
     size = patch_size or PATCH_SIZES.get(mesh.shape_functions.node_count, 1)
+    if isinstance(mesh, EdgeRings):
+        mesh, size = mesh.tets, patch_size or RING_PATCH_SIZE
     if size == 1:
-        return np.arange(len(mesh.cells))
-    return grow_patches(mesh.cells[:, :4], size)
+        return Patched(mesh, np.arange(len(mesh.cells)))
+    return Patched(mesh, grow_patches(mesh.cells[:, :4], size))
 
 
 @njit(**INNER)

@@ -189,6 +189,15 @@ def has_bulk_modulus(parameters: type) -> bool:
     return "bulk_modulus" in getattr(parameters, "_fields", ())
 
 
+def can_divide(parameters: type) -> bool:
+    """Whether patches can resist changes of volume in place of a law; see `patch_volumes.py`.
+
+    Args:
+        parameters: The type of the law's parameters.
+    """
+    return has_bulk_modulus(parameters) or hasattr(parameters, "with_bulk_modulus")
+
+
 def law_of(parameters: tuple) -> PointLaw:
     """The law that parameters belong to.
 

@@ -17,7 +17,15 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.matrix3 import add_scaled_matrix, scaled_matrix
 from softrobot_twin.mechanics.element_assembly import deform, gather, is_of_package
-from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at, put_matrix, scratch
+from softrobot_twin.mechanics.element_batches import (
+    BATCH,
+    at,
+    matrix_at,
+    node_count_of,
+    of_nodes,
+    put_matrix,
+    scratch,
+)
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.point_law import energy_density, has_bulk_modulus, law_at, law_of
 from softrobot_twin.mechanics.softening import SoftenedLaw, SofteningConstants
@@ -45,9 +53,10 @@ def write_memory(shape, kept, gained, moves, cells, gradients, overstresses, mem
     """
     U, F, total = np.empty(gradients.shape[2]), scratch(9), gained.sum()
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
+        count = node_count_of(cells[k])
+        gather(moves, cells[k, :count], U)
         for q in range(gradients.shape[1]):
-            deform(U, gradients[k, q], F)
+            deform(U, of_nodes(gradients[k, q], count), F)
             for e in range(BATCH):
                 S = second_piola(law_at(shape, k, q, e), matrix_at(F, 0, e))
                 H = scaled_matrix(S, -total)
@@ -70,11 +79,12 @@ def advance_overstresses(
     U, V = np.empty(gradients.shape[2]), np.empty(gradients.shape[2])
     F, G = scratch(9), scratch(9)
     for k in range(len(cells)):
-        gather(before, cells[k], U)
-        gather(after, cells[k], V)
+        count = node_count_of(cells[k])
+        gather(before, cells[k, :count], U)
+        gather(after, cells[k, :count], V)
         for q in range(gradients.shape[1]):
-            deform(U, gradients[k, q], F)
-            deform(V, gradients[k, q], G)
+            deform(U, of_nodes(gradients[k, q], count), F)
+            deform(V, of_nodes(gradients[k, q], count), G)
             for e in range(BATCH):
                 law = law_at(shape, k, q, e)
                 begun = second_piola(law, matrix_at(F, 0, e))
@@ -93,9 +103,10 @@ def raise_greatest(shape, moves, cells, gradients, greatest):
     """
     U, F = np.empty(gradients.shape[2]), scratch(9)
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
+        count = node_count_of(cells[k])
+        gather(moves, cells[k, :count], U)
         for q in range(gradients.shape[1]):
-            deform(U, gradients[k, q], F)
+            deform(U, of_nodes(gradients[k, q], count), F)
             for e in range(BATCH):
                 energy = energy_density(shape, matrix_at(F, 0, e))
                 greatest[k, q, at(0, e)] = max(greatest[k, q, at(0, e)], energy)

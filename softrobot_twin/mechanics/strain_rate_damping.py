@@ -40,7 +40,14 @@ from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.mechanics.element_assembly import deform, gather, transform_gradients
-from softrobot_twin.mechanics.element_batches import BATCH, matrix_at, put_matrix, scratch
+from softrobot_twin.mechanics.element_batches import (
+    BATCH,
+    matrix_at,
+    node_count_of,
+    of_nodes,
+    put_matrix,
+    scratch,
+)
 from softrobot_twin.mechanics.element_inversion import no_corners
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws.corotational import Corotational
@@ -73,11 +80,13 @@ def begin_all(moves, cells, rest_gradients, gradients):
     """g_a = F₀⁻ᵀ ∇N_a at each point of all batches."""
     U, F, T, thin = np.empty(gradients.shape[2]), scratch(9), scratch(9), scratch(1)
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
+        count = node_count_of(cells[k])
+        gather(moves, cells[k, :count], U)
         for q in range(gradients.shape[1]):
-            deform(U, rest_gradients[k, q], F)
+            G = of_nodes(rest_gradients[k, q], count)
+            deform(U, G, F)
             invert_transposed(F, T, thin)
-            transform_gradients(rest_gradients[k, q], T, gradients[k, q])
+            transform_gradients(G, T, gradients[k, q])
 
 
 class StrainRateDamping(Elements):

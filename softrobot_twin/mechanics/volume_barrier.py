@@ -36,7 +36,7 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import cross
-from softrobot_twin.mechanics.element_batches import BATCH, matrix_at, of_node, vector_at
+from softrobot_twin.mechanics.element_batches import BATCH, matrix_at, node_count_of, of_node, vector_at
 from softrobot_twin.mechanics.polar import is_upright
 
 # J₀: volume of a point, as a share of that at rest, below which the barrier acts.
@@ -166,20 +166,21 @@ def add_barrier_forces(stiffness, free, gradients, weights, deformations, forces
 
 @njit(**KERNEL)
 def add_barrier_stiffness(
-    stiffness, gradients, weights, deformations, projected, offsets, strides, storage
+    stiffness, cells, gradients, weights, deformations, projected, offsets, strides, storage
 ):
     """Add the stiffness of the barrier of all elements.
 
     Args:
         stiffness, gradients, weights, deformations: See `add_barrier_forces`.
+        cells: Nodes of each batch, see `node_count_of`.
         projected: True for its positive semidefinite part, without the curvature of J.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
         strides: Distance of its columns, same shape.
         storage: The factorization's storage [N/m]; added to.
     """
-    node_count = gradients.shape[2] // (3 * BATCH)
     volumes = np.empty(BATCH)
     for k in range(len(weights)):
+        node_count = node_count_of(cells[k])
         for q in range(weights.shape[1]):
             F, G = deformations[k, q], gradients[k, q]
             if not acts_in(F, volumes):

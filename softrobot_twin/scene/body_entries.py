@@ -20,7 +20,7 @@ from softrobot_twin.mechanics.material import (
     moduli_of_shear_and_bulk,
     poisson_ratio_of_bulk,
 )
-from softrobot_twin.mechanics.point_law import OwnConstants, has_bulk_modulus
+from softrobot_twin.mechanics.point_law import OwnConstants, can_divide, has_bulk_modulus
 from softrobot_twin.scene.entry import (
     LARGEST,
     Angles,
@@ -590,10 +590,11 @@ class Body(Entry):
     """Its name, by which other entries refer to it."""
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
-    """Name of a registered kind: linear or quadratic, hexahedral, or one from outside the package.
-    A mesh file with hexahedra gets hexahedral where a scene names none. Quadratic
+    """Name of a registered kind: linear, smoothed or quadratic, hexahedral, or one from outside the
+    package. A mesh file with hexahedra gets hexahedral where a scene names none. Quadratic
     elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
-    stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
+    stiff in bending, increasingly as Poisson's ratio approaches 0.5. Smoothed ones are linear ones
+    whose strain is a mean around each edge: no more unknowns, about as exact as quadratic ones."""
     material: Material
     materials: tuple[RegionMaterial, ...] = ()
     """Materials of parts of it; no two of them claim the same cell, and cells that none claims
@@ -602,9 +603,11 @@ class Body(Entry):
     """Nodes that do not move."""
     attached: tuple[Attachment, ...] = ()
     """Nodes that move with a rigid body."""
-    volume: Literal["per_element", "patches"] = "per_element"
+    volume: Literal["per_element", "patches"] | None = None
     """Where changes of volume are resisted: in every element, or in patches of elements, which do not
-    lock as Poisson's ratio approaches 0.5. Patches are for hyperelastic laws with a bulk modulus."""
+    lock as Poisson's ratio approaches 0.5. Patches are for hyperelastic laws with a bulk modulus and
+    the corotational law. Default: patches for smoothed elements whose laws allow it, else
+    per_element."""
     mass: Literal["lumped", "consistent", "uniform"] | None = None
     """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
     ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
@@ -629,6 +632,9 @@ class Body(Entry):
     @model_validator(mode="after")
     def _reduces(self):
         """Refuse what is not built for bodies in the coordinates of a basis."""
+        for name, reduction in (("reduced", self.reduced), ("vertebrae", self.vertebrae)):
+            if reduction is not None and not element_named(self.element).is_reducible:
+                raise refusal("element", self.element, f"is not built for bodies with {name}")
         if self.reduced is None:
             return self
         if self.vertebrae is not None:
@@ -693,6 +699,16 @@ class Body(Entry):
         """The law of an entry of `materials`, with its constants."""
         part = self.materials[index]
         return part.elasticity(part.law or self.material.law, self.material)
+
+    @property
+    def has_patches(self) -> bool:
+        """Whether patches of elements resist changes of its volume."""
+        if self.volume is not None:
+            return self.volume == "patches"
+        laws = (self.material.law, *(part.law for part in self.materials if part.law))
+        return element_named(self.element).has_patches and all(
+            can_divide(law_named(law).parameters) for law in laws
+        )
 
     @property
     def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:

@@ -19,7 +19,7 @@ from softrobot_twin.mechanics.material import (
     lame_parameters,
     shear_modulus,
 )
-from softrobot_twin.mechanics.point_law import has_bulk_modulus
+from softrobot_twin.mechanics.point_law import can_divide
 from softrobot_twin.mechanics.softening import SofteningConstants
 from softrobot_twin.mechanics.viscosity import ViscousTerm
 from softrobot_twin.scene import Scene
@@ -119,7 +119,7 @@ def _check_volume(
         )
     if entry.volume != "patches":
         return
-    if not has_bulk_modulus(law_named(part.law).parameters):
+    if not can_divide(law_named(part.law).parameters):
         raise SceneError(
             scene.path, f"{key}.volume", entry.volume, "",
             f"patches need a law with a bulk modulus, such as neo_hookean; the law {part.law} of "

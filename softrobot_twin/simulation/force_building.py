@@ -33,7 +33,7 @@ from softrobot_twin.mechanics.patch_volumes import (
     PatchVolumes,
     divided,
     element_bulk,
-    patches_of,
+    patched,
 )
 from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gradients
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
@@ -216,10 +216,10 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
         yield from _reduced_terms(layout, body)
         return
     for part in body.materials:
-        for block in layout.mesh_among_nodes(body).blocks(part.cells):
+        for block in layout.mesh_among_nodes(body).strained_blocks(part.cells):
             law, memory = part.law_parameters, (part.viscosity, part.softening)
             bulk_modulus = 0.0
-            if body.entry.volume == "patches":
+            if body.entry.has_patches:
                 law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
             if any(memory):
                 term = RememberingElements(block.mesh, free_index, law, *memory)
@@ -229,7 +229,8 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
                 term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
             yield term
             if bulk_modulus > 0.0:
-                yield PatchVolumes(block.mesh, free_index, bulk_modulus, patches_of(block.mesh))
+                mesh, patches = patched(block.mesh)
+                yield PatchVolumes(mesh, free_index, bulk_modulus, patches)
 
 
 def _reduced_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
@@ -251,9 +252,9 @@ def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamp
     """
     beta = body.entry.damping.stiffness
     for part in body.materials:
-        for block in layout.mesh_among_nodes(body).blocks(part.cells):
+        for block in layout.mesh_among_nodes(body).strained_blocks(part.cells):
             lame = part.lame_parameters
-            if body.entry.volume == "patches":
+            if body.entry.has_patches:
                 mu = part.shear_modulus
                 kept = divided(part.law_parameters, mu, element_bulk(block.mesh)).law.bulk_modulus
                 lame = lame._replace(lame_lambda=kept - 2.0 * mu / 3.0)

@@ -39,8 +39,8 @@ from softrobot_twin.simulation.time_budget import StageClock
 
 PATCH_SHARE = 0.0125
 """Radius of the patch on which a cable acts, as a share of the body's size."""
-COMPARED_ELEMENTS = ("linear", "quadratic")
-"""Elements whose error is estimated."""
+COMPARED_ELEMENTS = ("linear", "smoothed", "quadratic")
+"""Elements whose error is estimated, the stiffest first."""
 CORRECTED_LAWS = ("corotational", "linear")
 """Laws for which `cubic_correction.py` has a correction."""
 MOST_TETS = 20_000
@@ -156,9 +156,9 @@ def _position_of(effector):
 
 
 def with_element(scene: Scene, element: str) -> Scene:
-    """The scene with all deformable bodies of one kind of element, ``linear`` or ``quadratic``."""
+    """The scene with all deformable bodies of one kind of element, its volumes kept as usual."""
     return scene.with_deformables(
-        body.model_copy(update={"element": element}) for body in scene.deformables
+        body.model_copy(update={"element": element, "volume": None}) for body in scene.deformables
     )
 
 
@@ -517,7 +517,7 @@ class MeshErrorEstimator:
             programs do not count.
 
     Attributes:
-        element: The scene's own elements: ``linear`` where any body has them.
+        element: The scene's own elements: the stiffest that any body has.
 
     Raises:
         MeshErrorUnknown: The scene has no estimate.
@@ -533,9 +533,10 @@ class MeshErrorEstimator:
             _refuse_hexahedra(at_rest)
             self._quadratic = exact_simulation(with_element(at_rest, "quadratic"), now)
             self._own = self._quadratic
-            self.element = "quadratic"
-            if any(body.element == "linear" for body in scene.deformables):
-                self._own, self.element = exact_simulation(at_rest, now), "linear"
+            named = {body.element for body in scene.deformables}
+            self.element = next(one for one in COMPARED_ELEMENTS if one in named)
+            if self.element != "quadratic":
+                self._own = exact_simulation(at_rest, now)
         except MeshErrorUnknown:
             raise
         except SoftRobotTwinError as error:
@@ -551,7 +552,7 @@ class MeshErrorEstimator:
         """At rest: of the scene's own elements, of quadratic ones, and the limit of both."""
         quadratic, cubic = self._cubic.responses()
         own = quadratic
-        if self.element == "linear":
+        if self.element != "quadratic":
             own = response(Newton(self._own.model), self._own.model)
         return own, quadratic, limit(quadratic, cubic, self._own_share)
 
@@ -566,8 +567,8 @@ class MeshErrorEstimator:
         if self.element == "quadratic":
             return MeshError(better, better, self._given)
         loads = load_errors(own, best, names)
-        linear = ElementError("linear", loads, step_time(self._scene, self._now))
-        return MeshError(linear, better, self._given)
+        coarser = ElementError(self.element, loads, step_time(self._scene, self._now))
+        return MeshError(coarser, better, self._given)
 
     def at(self, asked: ActuatorLoads) -> float:
         """Error of the effectors' positions in an equilibrium [m].

@@ -111,11 +111,12 @@ def _odd_values(body) -> list[str]:
     weight = "density" if has_density else "total_mass over its volume"
     notes = []
     for part in body.materials:
-        locks = body.entry.element == "linear" and body.entry.volume == "per_element"
+        element = body.entry.element
+        locks = element in ("linear", "smoothed") and not body.entry.has_patches
         if locks and part.poisson_ratio > LOCKING_RATIO:
             notes.append(
                 f"{part.key}.poisson_ratio = {part.poisson_ratio:g} with {body.key}.element = "
-                f"linear: above {LOCKING_RATIO:g} linear tetrahedra lock, the body is far too "
+                f"{element}: above {LOCKING_RATIO:g} {element} tetrahedra lock, the body is far too "
                 "stiff; use volume: patches with a hyperelastic law, or element: quadratic"
             )
     hint = "is the mesh in millimetres? then give scale: 0.001"

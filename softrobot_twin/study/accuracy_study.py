@@ -136,7 +136,7 @@ def with_reduction(scene: Scene, file: Path) -> Scene:
 
 
 def with_element(scene: Scene, element: str) -> Scene:
-    """The same scene with linear or quadratic tetrahedra."""
+    """The same scene with other elements of tetrahedra."""
     return _with_body(scene, element=element)
 
 

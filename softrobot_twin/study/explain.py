@@ -561,7 +561,7 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
                       if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
-    if entry.volume == "patches":
+    if entry.has_patches:
         own = [name for name in names if "patch volumes" in name]
         listed.append(Effect(
             f"{key}.volume", "changes of volume resisted by patches of elements",

@@ -154,6 +154,7 @@ def cook_lines(poisson: float = 0.4999) -> Iterator[str]:
            "factor, ms |")  # fmt: skip
     yield "|---|---|---|---|---|---|---|---|"
     settings = [("linear", 16, size) for size in (None, 4, 6, 8, 12, 24)] + [("linear", 32, 12)]
+    settings += [("smoothed", n, size) for n in (4, 8, 16) for size in (None, 4, 6, 8, 12)]
     settings += [("quadratic", n, size) for n in (4, 8, 16) for size in (None, 1, 2)]
     settings += [("hexahedral", n, size) for n in (8, 16) for size in (None, 1)]
     for kind, count, size in settings:
@@ -184,11 +185,13 @@ def robot_lines(robot: str, meshes: list, poisson: float, efforts) -> Iterator[s
 
 def main() -> None:
     """Print all tables; with the argument ``cook``, that of Cook's membrane only."""
-    for line in cook_lines():
-        print(line, flush=True)
+    for poisson in COOK_CORNER:
+        print(f"Cook's membrane, ν {poisson:g}")
+        for line in cook_lines(poisson):
+            print(line, flush=True)
     if "cook" in sys.argv[1:]:
         return
-    kinds = [(element, volume) for element in ("linear", "quadratic")
+    kinds = [(element, volume) for element in ("linear", "smoothed", "quadratic")
              for volume in ("per_element", "patches")]  # fmt: skip
     for poisson in (0.49, 0.4999):
         files = ("diamond_400.vtk", "diamond_1600.vtk")

@@ -16,6 +16,7 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, block_mesh, enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.smoothed_mesh import smooth
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -23,7 +24,7 @@ from softrobot_twin.mechanics.patch_volumes import (
     PatchVolumes,
     divided,
     element_bulk,
-    patches_of,
+    patched,
 )
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
 from softrobot_twin.solvers.multifrontal import Multifrontal
@@ -94,6 +95,17 @@ class Times(NamedTuple):
     factor: float
 
 
+def coupled_pairs(terms: list[ForceTerm]) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of unknowns that terms couple, as rows and columns.
+
+    Args:
+        terms: The terms.
+    """
+    pairs = [stencil_pairs(term.stencils()) for term in terms]
+    rows, columns = zip(*pairs, strict=True)
+    return np.concatenate(rows), np.concatenate(columns)
+
+
 class Specimen:
     """A body of one law, and what holds and loads it.
 
@@ -129,15 +141,17 @@ class Specimen:
         free_index = np.full(len(rest), -1)
         free_index[free] = np.arange(len(free))
         self._free, self._rest, self.law = free, rest, law
-        block = mesh.blocks()[0].mesh
+        block = mesh.strained_blocks()[0].mesh
         self.volumes = None
         of_elements = law
         if by_patches:
             of_elements, rest_bulk = divided(
                 law, law.shear_modulus, element_bulk(block) if share is None else share
             )
-            self._patches = patches_of(block, patch_size)
-            self.volumes = PatchVolumes(block, free_index, rest_bulk, self._patches)
+            self._patched = patched(block, patch_size)
+            self.volumes = PatchVolumes(
+                self._patched.mesh, free_index, rest_bulk, self._patched.patches
+            )
         self.elements = Elements(block, free_index, of_elements)
         self.terms: list[ForceTerm] = [self.elements]
         if self.volumes is not None:
@@ -147,9 +161,7 @@ class Specimen:
         self._counts = np.ones((len(free), 3), bool) if held is None else ~held[free]
         if held is not None:
             self.terms.append(Rollers(rest, free_index, held, ROLLER * scale))
-        pairs = [stencil_pairs(term.stencils()) for term in self.terms]
-        rows, columns = (np.concatenate(side) for side in zip(*pairs, strict=True))
-        self.matrix = Multifrontal(rows, columns, len(free), rest[free])
+        self.matrix = Multifrontal(*coupled_pairs(self.terms), len(free), rest[free])
         for term in self.terms:
             term.bind(self.matrix.elimination_rank, self.matrix.slots)
         self.positions, self.residuals, self.decrements = rest.copy(), [], []
@@ -164,15 +176,14 @@ class Specimen:
 
     def reactions(self) -> np.ndarray:
         """What holds the nodes, minus the material's forces [N], shape (node_count, 3)."""
-        everywhere, block = np.arange(len(self._rest)), self.mesh.blocks()[0].mesh
+        everywhere, block = np.arange(len(self._rest)), self.mesh.strained_blocks()[0].mesh
         terms: list[ForceTerm] = [Elements(block, everywhere, self.elements.law)]
         if self.volumes is not None:
             kappa = self.volumes.bulk_modulus
-            terms.append(PatchVolumes(block, everywhere, kappa, self._patches))
+            mesh, patches = self._patched
+            terms.append(PatchVolumes(mesh, everywhere, kappa, patches))
         forces = np.zeros((len(self._rest), 3))
-        # A patch couples all that its elements do.
-        rows, columns = stencil_pairs(terms[-1].stencils())
-        matrix = Multifrontal(rows, columns, len(everywhere))
+        matrix = Multifrontal(*coupled_pairs(terms), len(everywhere))
         for term in terms:
             term.bind(matrix.elimination_rank, matrix.slots)
             term.add_forces(self.positions, forces)
@@ -277,7 +288,7 @@ def mapped_mesh(kind: str, counts: tuple[int, int, int], place) -> object:
     """A block of cells, mapped.
 
     Args:
-        kind: ``linear``, ``quadratic`` or ``hexahedral``.
+        kind: ``linear``, ``smoothed``, ``quadratic`` or ``hexahedral``.
         counts: Cells along each edge.
         place: Where points of the unit cube are, an array (count, 3) to an array (count, 3) [m].
 
@@ -317,6 +328,8 @@ def mesh_of(kind: str, grids: list[HexahedralMesh], place, between=None) -> obje
     linear = TetMesh(placed, tets.reshape(-1, 4))
     if kind == "linear":
         return linear
+    if kind == "smoothed":
+        return smooth(linear)
     mesh = add_mid_edge_nodes(linear)
     ends = mesh.mid_edge_ends
     if between is None:

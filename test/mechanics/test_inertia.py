@@ -41,7 +41,7 @@ def consistent(mesh, free_index, _):
 KINDS = {"lumped": lumped, "consistent": consistent}
 
 
-@pytest.fixture(params=["linear", "quadratic"])
+@pytest.fixture(params=["linear", "smoothed", "quadratic"])
 def mesh(request, block):
     """A box of tetrahedra of either order."""
     made = block(cells=(1, 2, 2))

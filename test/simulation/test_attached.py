@@ -36,7 +36,7 @@ def masses(scene):
     return weights[:, 2] / G[2]
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("mass_model", ["lumped", "uniform", "consistent"])
 def test_both_fall_together_without_deformation_or_rotation(pair, mass_model, element):
     scene = pair(mass=mass_model, element=element)

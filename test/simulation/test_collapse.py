@@ -95,7 +95,7 @@ def check_other_equilibrium(simulation, result, energies, least):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "level plane", "oblique plane", "mirrored"])
 def test_a_collapsed_body_recovers_or_is_reported_as_inverted(tower, kind, element, seed, energies):
     simulation, rest = tower(element)
@@ -111,7 +111,7 @@ def test_a_collapsed_body_recovers_or_is_reported_as_inverted(tower, kind, eleme
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("kind", ["level plane", "oblique plane"])
 def test_a_flattened_body_recovers(tower, kind, element, seed):
     simulation, rest = tower(element)
@@ -121,7 +121,7 @@ def test_a_flattened_body_recovers(tower, kind, element, seed):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "oblique plane", "mirrored"])
 def test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted(
     tower, kind, element, seed
@@ -133,7 +133,7 @@ def test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted(
         np.testing.assert_allclose(result.state.positions, rest, atol=1e-4)
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_random_nodes_recover_or_are_reported_or_reach_another_equilibrium(
     tower, element, energies
 ):

@@ -31,7 +31,7 @@ def pulled(simulation, tension, steps=5):
     return result
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_beam_under_four_cables_has_the_stress_of_their_tension_over_its_area(beam, element):
     def exact(mapping):
         mapping["body"]["element"] = element

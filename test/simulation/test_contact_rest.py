@@ -21,7 +21,7 @@ CYCLING = [
 ]
 
 
-@pytest.fixture(params=["linear", "quadratic"])
+@pytest.fixture(params=["linear", "smoothed", "quadratic"])
 def beside_a_rod(request, beam, rod):
     def change(mapping):
         rod(mapping)

@@ -97,7 +97,7 @@ def test_energy_lost_in_a_given_time_is_in_proportion_to_the_time_step(
     np.testing.assert_allclose(np.array(losses[:-1]) / losses[1:], 2.0, atol=0.3)
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("damping", [{"stiffness": 0.01}, {"mass": 10.0}])
 def test_damping_dissipates_energy_and_adds_none(
     simulate, body_of, block, energies, element, damping

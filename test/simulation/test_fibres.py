@@ -144,7 +144,7 @@ def bar(simulate, tmp_path, block):
 ENDS = [[0.02 * k, 0.0, 0.0] for k in range(6)]
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_edges_of_the_mesh_are_the_path_through_their_nodes(bar, element):
     edges = bar([{"name": "rim", "edges": "rim", "stiffness": 100.0}], element)
     path = bar([{"name": "rim", "points": ENDS, "stiffness": 100.0}], element)

@@ -22,7 +22,7 @@ def closed_form(time_step, count):
     return -0.5 * G * time_step**2 * n * (n + 1)
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_a_soft_body_falls_undeformed(simulate, body_of, block, element, mass):
     mesh = block(size=(0.04, 0.04, 0.06), cells=(2, 2, 3))

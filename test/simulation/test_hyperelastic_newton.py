@@ -18,7 +18,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("law", LAWS)
 def test_each_linearization_squares_the_error(law, element, simulate, body_of, block):
     """A soft cube sags under six times its weight, and leans; one linearization in each step.

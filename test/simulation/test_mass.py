@@ -44,7 +44,7 @@ def column(simulate, body_of, graded):
     return make
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("model", [None, *MODELS])
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 def test_a_body_has_the_weight_of_its_total_mass_for_any_distribution(
@@ -120,7 +120,7 @@ def test_a_hanging_column_extends_by_the_weight_of_its_masses(column, graded, mo
         assert not 0.8 < grown / (TOTAL * GRAVITY * 0.2 / (2.0 * 1e5 * 0.02**2)) < 1.2
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("model", MODELS)
 def test_a_body_falls_undeformed_with_any_mass_model(column, element, model):
     simulation = column("dynamic", held=False, element=element, mass=model)

@@ -110,7 +110,7 @@ def test_two_bodies_on_a_spring_keep_their_common_momentum(simulate):
     assert max(speeds) > 0.3
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_body_of_consistent_mass_keeps_its_momentum_while_it_deforms(
     simulate, body_of, block, element
 ):

@@ -67,7 +67,7 @@ def checked(simulation, command, steps):
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("what", COMMANDS)
 @pytest.mark.parametrize("law", LAWS)
 def test_a_cube_stays_upright_in_one_command(what, law, element, integration, cube):
@@ -88,7 +88,7 @@ def test_a_badly_shaped_mesh_is_crushed_without_folding(integration, cube):
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_cables_that_pull_ten_times_too_much_fold_nothing_and_can_be_let_go(
     element, integration, cube
 ):

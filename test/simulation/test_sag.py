@@ -40,7 +40,7 @@ def settled_sag(simulation):
     return np.linalg.norm(way, axis=1).max()
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("young_modulus", [1e7, 1e6, 3e5, 1e5, 3e4, 1e4])
 def test_the_expected_sag_is_that_of_the_simulation(cantilever, element, young_modulus):
     simulation = cantilever(young_modulus, element)

@@ -67,7 +67,7 @@ def test_without_a_surface_of_its_own_a_body_is_drawn_by_its_mesh(diamond):
     assert np.array_equal(points, simulation.surface_positions())
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_carried_surface_at_rest_is_the_one_of_the_file(fine_surface, dressed, element):
     path = fine_surface(swelling=1.05)
     simulation = dressed(path, element=element)
@@ -77,7 +77,7 @@ def test_a_carried_surface_at_rest_is_the_one_of_the_file(fine_surface, dressed,
     assert len(points) > len(simulation.surface_positions())
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_rigid_motion_of_the_mesh_moves_the_surface_rigidly(fine_surface, dressed, element):
     simulation = dressed(fine_surface(swelling=1.05), element=element)
     rest = simulation.skin_positions()[0]

@@ -109,7 +109,7 @@ def test_a_soft_bar_that_was_straight_sags_to_where_a_stiff_one_sags_as_it_softe
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_column_that_just_buckles_comes_to_rest_within_ten_steps(
     element, law, simulate, drawn_rng
 ):

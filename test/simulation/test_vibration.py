@@ -64,6 +64,13 @@ def test_shear_and_rotary_inertia_lower_the_frequency_of_a_beam():
 
 
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_smoothed_elements_have_the_frequency_of_beam_theory(cantilever, mass):
+    beam = cantilever((30, 3, 3), element="smoothed", mass=mass)
+    found = swing_frequency(beam, 0.012, 4)
+    assert found == pytest.approx(timoshenko_frequency(), rel=0.02)
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_a_cantilever_s_frequency_is_that_of_beam_theory(cantilever, mass):
     beam = cantilever((10, 1, 1), element="quadratic", mass=mass)
     found = swing_frequency(beam, 0.012, 4)

@@ -99,7 +99,7 @@ def spinning(simulation, degrees, step, rng):
     simulation.restore(replace(simulation.state, positions=x, velocities=velocities))
 
 
-@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("degrees", [0.0, 10.0, 30.0, 60.0, 90.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_free_damped_body_never_gains_energy(

@@ -74,11 +74,10 @@ def test_volume_patches_hold_the_volume_of_the_body(bar):
     assert 0.0 < error < 1.01 * pressures / (INCOMPRESSIBLE * shear) + 1e-12 < 1e-4
 
 
-@pytest.mark.parametrize("law", ["corotational", "linear"])
-def test_patches_of_a_law_without_a_bulk_modulus_are_refused(bar, law):
+def test_patches_of_a_law_of_small_displacements_are_refused(bar):
     with pytest.raises(SceneError, match="body.volume") as refused:
-        bar(0.45, law=law, body={"volume": "patches"})
-    assert refused.value.value == "patches" and law in str(refused.value)
+        bar(0.45, law="linear", body={"volume": "patches"})
+    assert refused.value.value == "patches" and "linear" in str(refused.value)
 
 
 def test_an_incompressible_material_of_a_law_for_compressible_ones_is_refused(bar):

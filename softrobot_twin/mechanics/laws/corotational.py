@@ -43,6 +43,15 @@ class Corotational(NamedTuple):
     lame_lambda: float
     shear_modulus: float
 
+    @property
+    def bulk_modulus(self) -> float:
+        """κ of small strains [Pa]."""
+        return self.lame_lambda + 2.0 * self.shear_modulus / 3.0
+
+    def with_bulk_modulus(self, bulk_modulus: float) -> Corotational:
+        """The law of the same shear modulus and another κ [Pa]; see `patch_volumes.py`."""
+        return self._replace(lame_lambda=bulk_modulus - 2.0 * self.shear_modulus / 3.0)
+
 
 @njit(**KERNEL, forceinline=True)
 def energy_density(law, V):
