@@ -188,6 +188,7 @@ def add_explain(commands) -> None:
             "config/scenes/diamond.yaml",
             "config/scenes/diamond.yaml --picture diamond.png",
             "config/scenes/diamond.yaml --stiffness --at north_shortening_m=0.01",
+            "config/scenes/grasper.yaml --effects",
         ),
     )
     add_scene(parser)
@@ -201,9 +202,13 @@ def add_explain(commands) -> None:
     parser.add_argument("--stiffness", action="store_true",
                         help="print instead how the effectors yield to forces while the actuators "
                         "hold, and how each actuator moves them")
+    parser.add_argument("--effects", action="store_true",
+                        help="print instead what each effect of the scene costs in time, and what "
+                        "changes without it")
     parser.add_argument("--at", nargs="+", metavar="COLUMN=VALUE",
-                        help="with --stiffness: the actuation, with columns of a commands file, "
-                        "such as north_shortening_m=0.01 (default: at rest)")
+                        help="with --stiffness or --effects: the actuation, with columns of a "
+                        "commands file, such as north_shortening_m=0.01 (default: at rest; of "
+                        "--effects: the first actuator by a third of its travel)")
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
@@ -257,14 +262,18 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
 
 
 def _explain(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.effect_costs import print_effects
     from softrobot_twin.study.explain import explain
     from softrobot_twin.study.stiffness import print_stiffness
 
-    if chosen.stiffness:
-        if chosen.picture is not None:
-            raise OptionError("--picture", "cannot be combined with --stiffness")
-        return print_stiffness(chosen.scene, chosen.at or ())
-    refuse(chosen, "--stiffness", "at")
+    if chosen.stiffness and chosen.effects:
+        raise OptionError("--effects", "cannot be combined with --stiffness")
+    for option, prints in (("stiffness", print_stiffness), ("effects", print_effects)):
+        if getattr(chosen, option):
+            if chosen.picture is not None:
+                raise OptionError("--picture", f"cannot be combined with --{option}")
+            return prints(chosen.scene, chosen.at or ())
+    refuse(chosen, "--stiffness or --effects", "at")
     if chosen.picture is None:
         refuse(chosen, "--picture", "picture_view")
     return explain(chosen.scene, chosen.mesh_error, chosen.picture,

@@ -129,11 +129,12 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2f}" if np.isfinite(share) else "not converged"
 
 
-_COLOURS = {"linear": "#1b6ca8", "quadratic": "#d95f02", "hexahedral": "#4d9221"}
+_COLOURS = {"linear": "#1b6ca8", "smoothed": "#c51b7d", "quadratic": "#d95f02", "hexahedral": "#4d9221"}
 _REDUCED_COLOUR = "#7b3294"
-_CELLS = {"linear": "linear tets", "quadratic": "quadratic tets", "hexahedral": "hexahedra"}
+_CELLS = {"linear": "linear tets", "smoothed": "smoothed tets", "quadratic": "quadratic tets",
+          "hexahedral": "hexahedra"}  # fmt: skip
 # Where the sizes of meshes are written, above or below their points.
-_UPWARDS = {"linear": 6, "quadratic": -11, "hexahedral": -11}
+_UPWARDS = {"linear": 6, "smoothed": -11, "quadratic": -11, "hexahedral": -11}
 _KNOB_COLOURS = {NEWTON: "#3a8f5c", QP: "#a03b76", PRECISION: "#7a5230"}
 _KNOB_LABELS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
                PRECISION: "precision of the factor (SuperLU)"}

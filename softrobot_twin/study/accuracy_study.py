@@ -423,6 +423,8 @@ class RobustTiming:
         return float(np.median(self._references) / min(self._references))
 
 
+ELEMENTS = ("linear", "smoothed", "quadratic")
+"""Elements of tetrahedra that a study measures."""
 # Assumed exponent of the step's time over the number of unknowns.
 _GROWTH = 1.4
 # Linearizations for the equilibria of one mesh, and the time of building one, in steps.
@@ -445,7 +447,7 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
     unit, size = median(times), dof_count(probe)
 
     seconds = 0.0
-    for element in ("linear", "quadratic"):
+    for element in ELEMENTS:
         for level in levels:
             dof = dof_count(level._replace(scene=with_element(level.scene, element)))
             step = unit * (dof / size) ** _GROWTH
@@ -455,7 +457,7 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
                 seconds += equilibria
             if dof <= limits.timed_dof:
                 # Both laws are measured; the equilibria of the reference are already solved.
-                seconds += 2.0 * timing + (1 + (element == "linear")) * equilibria
+                seconds += 2.0 * timing + (1 + (element != "quadratic")) * equilibria
     return seconds
 
 
@@ -487,7 +489,7 @@ def study_parts(
 ) -> int:
     """Number of activities of a study: reference meshes, and meshes with an element and a law."""
     count = sum(2 * (dof_count(level) <= limits.timed_dof) for level in hexahedra)
-    for element in ("linear", "quadratic"):
+    for element in ELEMENTS:
         for level in levels:
             dof = dof_count(level._replace(scene=with_element(level.scene, element)))
             count += 2 * (dof <= limits.timed_dof)
@@ -1273,7 +1275,10 @@ def study_meshes(
     """
     name = levels[0].scene.name
     moved = displacements(levels[0].scene)
-    quadratic = [level._replace(scene=with_element(level.scene, "quadratic")) for level in levels]
+    linear, smoothed, quadratic = (
+        [level._replace(scene=with_element(level.scene, element)) for level in levels]
+        for element in ELEMENTS
+    )
     used = [level for level in quadratic if dof_count(level) <= limits.reference_dof]
     if len(used) < 2:
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
@@ -1283,7 +1288,7 @@ def study_meshes(
     rows = []
     own = levels[0].scene.body.material.law
     for law in dict.fromkeys((own, "corotational", "linear")):
-        for level in [*levels, *quadratic, *hexahedra]:
+        for level in [*linear, *smoothed, *quadratic, *hexahedra]:
             if dof_count(level) > limits.timed_dof:
                 continue
             known = solved.get(level.name) if law == own and level in used else None

@@ -211,7 +211,7 @@ def test_choose_writes_a_scene_that_loads_and_runs(family, study, tmp_path, caps
     assert choose(family, 500.0, tmp_path / "rows.csv", written, fake_clock) == 0
     scene = load_scene(written)
     assert scene.mesh_path.name == "column_30.vtk"
-    assert (scene.body.element, scene.body.material.law) == ("linear", "corotational")
+    assert (scene.body.element, scene.body.material.law) == ("smoothed", "corotational")
     assert scene.solver.newton_iterations == 1
     assert scene.cables[0].rate == 0.05 and scene.cables[0].hold_radius > 0.0
     assert "Expected error" in capsys.readouterr().out

@@ -66,7 +66,7 @@ def test_an_actuation_that_does_not_fit_is_refused_by_name(column, call, given, 
 
 def test_an_actuation_without_stiffness_is_refused(column, call):
     done = call("explain", column, "--at", "a_shortening_m=0.0")
-    assert (done.code, done.errors) == (2, "softrobot_twin: --at: requires --stiffness\n")
+    assert (done.code, done.errors) == (2, "softrobot_twin: --at: requires --stiffness or --effects\n")
 
 
 def test_a_scene_without_effectors_is_told(stamp, call):
