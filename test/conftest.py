@@ -151,6 +151,8 @@ KEPT = {
 # Not slow by themselves, but together.
 LONG = {
     "": (
+        "kernel_cache::test_a_source_that_changes_in_a_run_is_not_that_of_its_kernels",
+        "kernel_cache::test_another_checkout_of_the_same_sources_compiles_nothing",
         "kernel_cache::test_entries_that_nobody_used_for_a_week_are_deleted",
         "kernel_cache::test_processes_that_compile_at_once_agree_and_keep_one_entry_each",
         "kernel_cache::"
@@ -176,8 +178,13 @@ LONG = {
         "pneumatic_meshes::test_the_script_makes_the_committed_mesh",
         "shapes::test_mass_properties_are_the_limit_of_those_of_its_surface",
     ),
+    "mechanics": (
+        "fold_barrier::test_a_move_is_allowed_as_far_as_all_values_keep_a_share_of_themselves",
+        "fold_barrier::test_the_barrier_acts_where_a_value_is_small_and_none_is_not_positive",
+    ),
     "ros": (
         "clocks::test_ticks_are_counted_on_simulated_time",
+        "demo::test_the_start_is_waited_for_as_long_as_a_node_tells_of_its_progress",
         "trunk::test_the_tip_follows_the_demo_s_path_between_the_cylinders",
         "twin_diagnostics::test_the_error_of_the_mesh_is_reported_once_it_is_estimated",
         "twin_diagnostics::test_the_errors_of_a_reduced_body_are_reported",
@@ -248,6 +255,9 @@ LONG = {
         "workspace::test_a_stopped_run_goes_on_where_it_was",
         "workspace::test_two_processes_write_the_same_bytes",
     ),
+    "tools": (
+        "compare_inverse::test_random_robots_rest_near_the_best_place_or_tell_it[40-7-2]",
+    ),
 }  # fmt: skip
 # Of tests with many cases, `make test` takes one in three.
 SAMPLED = {
@@ -280,6 +290,7 @@ SAMPLED = {
     ),
     "study": (
         "first_scene",
+        "references",
         "rubber_references",
     ),
 }  # fmt: skip
