@@ -28,7 +28,7 @@ _PACKAGE = __name__.split(".")[0] + "."
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Options of a kernel that Python calls."""
 
-INNER = {**KERNEL, "only_kernels_call": True}
+INNER = {**KERNEL, "only_kernels_call": True, "forceinline": True}
 """Options of a kernel that only kernels call; of the `njit` below, numba's refuses them by name."""
 
 INLINED = {**INNER, "forceinline": True}

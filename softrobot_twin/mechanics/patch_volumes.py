@@ -24,24 +24,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.geometry.cell_patches import grow_patches
 from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
-    ZERO,
     add_outer,
-    add_scaled_matrix,
     cofactor,
-    cross_matrix,
     determinant,
     transform,
 )
-from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row
+from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.mechanics.block_addition import (
+    add_blocks,
+    add_contiguous_blocks,
+    are_contiguous,
+)
+from softrobot_twin.mechanics.element_batches import BATCH, at, in_batches, scratch
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import has_bulk_modulus
-from softrobot_twin.mechanics.stencil import add_block, bind_stencils
+from softrobot_twin.mechanics.stencil import bind_stencils
 from softrobot_twin.mechanics.volume_change import volumetric
 
 PATCH_SIZES = {4: 12, 10: 2}
@@ -100,7 +104,7 @@ class Patched(NamedTuple):
     patches: np.ndarray
 
 
-def patched(mesh, patch_size: int | None = None) -> Patched:
+def patched_cells(mesh, patch_size: int | None = None) -> Patched:
     """Patches of elements: a few tetrahedra, or a single element of another kind.
 
     Args:
@@ -144,26 +148,60 @@ def write_volumes(moves, cells, first, gradients, weights, volumes):
                 volumes[k] += weights[e, q] * determinant(F)
 
 
-@njit(**INNER)
+@njit(**INLINED)
+def add_to_pair(a, b, t, curvature):
+    """Add t of a pair of nodes of a patch, or -t of the pair the other way round."""
+    sign = 1.0
+    if a < b:
+        a, b, sign = b, a, -1.0
+    sums = curvature[a, b]
+    for i in range(3):
+        sums[i] += sign * t[i]
+
+
+@njit(**INLINED)
 def add_curvature(F, G, places, w, curvature):
     """Add w F (∇N_a × ∇N_b) of one point; see `write_gradients`."""
     for a in range(len(G)):
         for b in range(a):
             turn = transform(F, cross(row(G, a), row(G, b)))
-            at, beside, sign = places[a], places[b], w
-            if at < beside:
-                at, beside, sign = beside, at, -w
-            sums = curvature[at, beside]
-            for i in range(3):
-                sums[i] += sign * turn[i]
+            add_to_pair(places[a], places[b], scaled(turn, w), curvature)
 
 
-@njit(**INNER)
-def write_gradients(k, moves, cells, places, first, gradients, weights, g, curvature):
+@njit(**INLINED)
+def add_tetrahedron(x, cell, places, g, curvature):
+    """Add volume and derivatives of a linear tetrahedron by its edges; see `write_gradients`.
+
+    With the edges a, b, c from its first node, v = a·(b × c)/6, ∂v/∂x_1 = (b × c)/6 and so on.
+    """
+    first = row(x, cell[0])
+    a = scaled(add_scaled(row(x, cell[1]), first, -1.0), 1.0 / 6.0)
+    b = add_scaled(row(x, cell[2]), first, -1.0)
+    c = add_scaled(row(x, cell[3]), first, -1.0)
+    by_a, by_b, by_c = scaled(cross(b, c), 1.0 / 6.0), cross(c, a), cross(a, b)
+    origin = places[0]
+    for node, change in ((1, by_a), (2, by_b), (3, by_c)):
+        place = places[node]
+        set_row(g, place, add_scaled(row(g, place), change, 1.0))
+        set_row(g, origin, add_scaled(row(g, origin), change, -1.0))
+    if len(curvature) > 0:
+        b, c = scaled(b, 1.0 / 6.0), scaled(c, 1.0 / 6.0)
+        add_to_pair(places[1], places[0], add_scaled(b, c, -1.0), curvature)
+        add_to_pair(places[2], places[0], add_scaled(c, a, -1.0), curvature)
+        add_to_pair(places[3], places[0], add_scaled(a, b, -1.0), curvature)
+        add_to_pair(places[1], places[2], c, curvature)
+        add_to_pair(places[2], places[3], a, curvature)
+        add_to_pair(places[3], places[1], b, curvature)
+    return 6.0 * dot(a, by_a)
+
+
+@njit(**INLINED)
+def write_gradients(k, x, moves, cells, places, first, gradients, weights, g, curvature):
     """v of one patch and its derivatives.
 
     Args:
         k: The patch.
+        x: Node positions [m], shape (node_count, 3).
         moves, cells, first, gradients, weights: See `write_volumes`.
         places: Each element's nodes among those of its patch, shape (element_count, nodes).
         g: ∂v/∂x_a [m²]; written, shape (width, 3).
@@ -177,74 +215,134 @@ def write_gradients(k, moves, cells, places, first, gradients, weights, g, curva
     curvature[:] = 0.0
     volume = 0.0
     for e in range(first[k], first[k + 1]):
+        if cells.shape[1] == 4:
+            volume += add_tetrahedron(x, cells[e], places[e], g, curvature)
+            continue
         for q in range(weights.shape[1]):
             w, G = weights[e, q], gradients[e, q]
             F = deformation(moves, cells[e], G)
             C = cofactor(F)
             volume += w * determinant(F)
             for a in range(len(G)):
-                at = places[e, a]
-                set_row(g, at, add_scaled(row(g, at), transform(C, row(G, a)), w))
+                place = places[e, a]
+                set_row(g, place, add_scaled(row(g, place), transform(C, row(G, a)), w))
             if len(curvature) > 0:
                 add_curvature(F, G, places[e], w, curvature)
     return volume
 
 
 @njit(**KERNEL)
-def add_patch_forces(bulk_modulus, rest_volumes, moves, cells, places, first, gradients, weights,
+def add_patch_forces(bulk_modulus, rest_volumes, x, moves, cells, places, first, gradients, weights,
                      free, forces):  # fmt: skip
     """Subtract p g of all patches from the forces on the unknowns.
 
     Args:
         bulk_modulus: κ [Pa].
         rest_volumes: V [m³], shape (patch_count,).
-        moves, cells, places, first, gradients, weights: See `write_gradients`.
+        x, moves, cells, places, first, gradients, weights: See `write_gradients`.
         free: Unknowns of each patch's nodes, -1 where there are none, shape (patch_count, width).
         forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
     """
     g, none = np.empty((free.shape[1], 3)), np.empty((0, 0, 3))
     for k in range(len(free)):
-        volume = write_gradients(k, moves, cells, places, first, gradients, weights, g, none)
+        volume = write_gradients(k, x, moves, cells, places, first, gradients, weights, g, none)
         pressure = bulk_modulus * volumetric(volume / rest_volumes[k])[1]
-        for a in range(len(g)):
-            n = free[k, a]
-            if n >= 0:
-                set_row(forces, n, add_scaled(row(forces, n), row(g, a), -pressure))
+        subtract_pressure(pressure, g, free[k], forces)
+
+
+@njit(**INLINED)
+def subtract_pressure(pressure, g, free, forces):
+    """Subtract p g of one patch from the forces on its unknowns."""
+    for a in range(len(g)):
+        n = free[a]
+        if n >= 0:
+            set_row(forces, n, add_scaled(row(forces, n), row(g, a), -pressure))
+
+
+@njit(**INLINED)
+def keep_patch(e, volume, rest_volume, bulk_modulus, g, curvature, patches):
+    """Write what the blocks of one patch need to its place in a batch; see `write_blocks`.
+
+    Returns:
+        p [Pa].
+    """
+    _, slope, second = volumetric(volume / rest_volume)
+    gradients, turns, stiffness, pressures = patches
+    stiffness[e], pressures[e] = bulk_modulus * second / rest_volume, bulk_modulus * slope
+    for a in range(len(g)):
+        for i in range(3):
+            gradients[a, at(i, e)] = g[a, i]
+    for a in range(len(curvature)):
+        for b in range(a):
+            for i in range(3):
+                turns[a, b, at(i, e)] = curvature[a, b, i]
+    return bulk_modulus * slope
+
+
+@njit(**INLINED)
+def write_block(a, b, patches, K):
+    """K_ab of a batch of patches, column by column.
+
+    Args:
+        a, b: The nodes.
+        patches: g of each node, shape (width, 3 × BATCH), the curvature of each pair, shape (width,
+            width, 3 × BATCH), without entries where it is not needed; κ U''/V and p, shape (BATCH,).
+        K: The blocks; written, shape (9 × BATCH,).
+    """
+    gradients, turns, stiffness, pressures = patches
+    of_a, of_b = gradients[a], gradients[b]
+    for j in range(3):
+        for i in range(3):
+            for e in range(BATCH):
+                K[at(3 * j + i, e)] = stiffness[e] * of_a[at(i, e)] * of_b[at(j, e)]
+    if a == b or len(turns) == 0:
+        return
+    turn = turns[a, b]
+    for e in range(BATCH):
+        x, y, z = pressures[e] * turn[at(0, e)], pressures[e] * turn[at(1, e)], pressures[e] * turn[at(2, e)]
+        K[at(1, e)] -= z
+        K[at(2, e)] += y
+        K[at(3, e)] += z
+        K[at(5, e)] -= x
+        K[at(6, e)] -= y
+        K[at(7, e)] += x
 
 
 @njit(**KERNEL)
-def add_patch_stiffness(bulk_modulus, projected, rest_volumes, moves, cells, places, first,
-                        gradients, weights, free, offsets, strides, forces, storage):  # fmt: skip
+def add_patch_stiffness(bulk_modulus, projected, rest_volumes, x, moves, cells, places, first,
+                        gradients, weights, free, offsets, strides, are_contiguous, forces,
+                        storage):  # fmt: skip
     """Subtract p g of all patches from the forces, and add their stiffness.
 
     Args:
-        bulk_modulus, rest_volumes, moves, cells, places, first, gradients, weights, free, forces:
-            See `add_patch_forces`; the nodes of a patch in elimination order.
+        bulk_modulus, rest_volumes, x, moves, cells, places, first, gradients, weights, free,
+            forces: See `add_patch_forces`; the nodes of a patch in elimination order.
         projected: True for a positive semidefinite stiffness.
-        offsets: Place of each block, see `bind_stencils`, shape (patch_count, pair_count).
+        offsets: Place of each block, see `bind_stencils`, -1 beyond the last patch, shape
+            (batch_count, pair_count, BATCH).
         strides: Distance of its columns, same shape.
+        are_contiguous: Whether all blocks are contiguous.
         storage: The factorization's storage [N/m]; added to.
     """
     width = free.shape[1]
-    g = np.empty((width, 3))
     side = 0 if projected else width
-    curvature = np.empty((side, side, 3))
-    for k in range(len(free)):
-        volume = write_gradients(k, moves, cells, places, first, gradients, weights, g, curvature)
-        _, slope, second = volumetric(volume / rest_volumes[k])
-        pressure, stiffness = bulk_modulus * slope, bulk_modulus * second / rest_volumes[k]
+    g, curvature, K = np.empty((width, 3)), np.empty((side, side, 3)), scratch(9)
+    patches = (np.zeros((width, 3 * BATCH)), np.zeros((side, side, 3 * BATCH)), scratch(1), scratch(1))
+    for k in range(len(offsets)):
+        count = min(BATCH, len(free) - k * BATCH)
+        for e in range(count):
+            n = k * BATCH + e
+            volume = write_gradients(n, x, moves, cells, places, first, gradients, weights, g, curvature)
+            pressure = keep_patch(e, volume, rest_volumes[n], bulk_modulus, g, curvature, patches)
+            subtract_pressure(pressure, g, free[n], forces)
         pair = 0
         for b in range(width):
-            if free[k, b] < 0:
-                pair += width - b
-                continue
-            n, of_b = free[k, b], row(g, b)
-            set_row(forces, n, add_scaled(row(forces, n), of_b, -pressure))
             for a in range(b, width):
-                K = add_outer(ZERO, scaled(row(g, a), stiffness), of_b)
-                if a > b and not projected:
-                    K = add_scaled_matrix(K, cross_matrix(row(curvature[a], b)), -pressure)
-                add_block(K, offsets[k, pair], strides[k, pair], storage)
+                write_block(a, b, patches, K)
+                if are_contiguous:
+                    add_contiguous_blocks(offsets[k, pair], K, storage)
+                else:
+                    add_blocks(offsets[k, pair], strides[k, pair], K, storage)
                 pair += 1
 
 
@@ -305,22 +403,25 @@ class PatchVolumes(ForceTerm):
         moved = np.argsort(bound.order, axis=1, kind="stable")
         patch = np.repeat(np.arange(self.patch_count), np.diff(self._first))
         self._places = np.ascontiguousarray(moved[patch[:, None], self._places])
-        self._offsets, self._strides = bound.offsets, bound.strides
+        self._are_contiguous = are_contiguous(bound.offsets, bound.strides)
+        self._offsets, self._strides = in_batches(bound.offsets, -1), in_batches(bound.strides, 0)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -∂E/∂q [N]; see `ForceTerm.add_forces`. Elements count what is flat."""
         add_patch_forces(
-            self.bulk_modulus, self._rest_volumes, positions - self._reference, self._cells,
-            self._places, self._first, self._gradients, self._weights, self._free, forces,
+            self.bulk_modulus, self._rest_volumes, writable(positions),
+            positions - self._reference, self._cells, self._places, self._first, self._gradients,
+            self._weights, self._free, forces,
         )  # fmt: skip
         return 0
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces and stiffness; see `ForceTerm.add`."""
         add_patch_stiffness(
-            self.bulk_modulus, projected, self._rest_volumes, positions - self._reference,
-            self._cells, self._places, self._first, self._gradients, self._weights, self._free,
-            self._offsets, self._strides, forces, storage,
+            self.bulk_modulus, projected, self._rest_volumes, writable(positions),
+            positions - self._reference, self._cells, self._places, self._first, self._gradients,
+            self._weights, self._free, self._offsets, self._strides, self._are_contiguous, forces,
+            storage,
         )  # fmt: skip
 
     def volume_ratios(self, positions: np.ndarray) -> np.ndarray:

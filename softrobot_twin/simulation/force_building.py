@@ -33,7 +33,7 @@ from softrobot_twin.mechanics.patch_volumes import (
     PatchVolumes,
     divided,
     element_bulk,
-    patched,
+    patched_cells,
 )
 from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gradients
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
@@ -229,7 +229,7 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
                 term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
             yield term
             if bulk_modulus > 0.0:
-                mesh, patches = patched(block.mesh)
+                mesh, patches = patched_cells(block.mesh)
                 yield PatchVolumes(mesh, free_index, bulk_modulus, patches)
 
 

@@ -24,7 +24,7 @@ from softrobot_twin.mechanics.patch_volumes import (
     PatchVolumes,
     divided,
     element_bulk,
-    patched,
+    patched_cells,
 )
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
 from softrobot_twin.solvers.multifrontal import Multifrontal
@@ -148,7 +148,7 @@ class Specimen:
             of_elements, rest_bulk = divided(
                 law, law.shear_modulus, element_bulk(block) if share is None else share
             )
-            self._patched = patched(block, patch_size)
+            self._patched = patched_cells(block, patch_size)
             self.volumes = PatchVolumes(
                 self._patched.mesh, free_index, rest_bulk, self._patched.patches
             )

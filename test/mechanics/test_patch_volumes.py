@@ -13,7 +13,7 @@ from softrobot_twin.mechanics.patch_volumes import (
     PatchVolumes,
     divided,
     element_bulk,
-    patched,
+    patched_cells,
 )
 from softrobot_twin.mechanics.volume_change import volumetric
 
@@ -40,7 +40,7 @@ def patched(bind):
 
     def make(mesh, law=None, fixed=()):
         def volumes(part, free, _):
-            return PatchVolumes(part, free, BULK, patched(part).patches)
+            return PatchVolumes(part, free, BULK, patched_cells(part).patches)
 
         def elements(part, free, _):
             return Elements(part, free, law)
@@ -176,7 +176,7 @@ def deflection(meshes, bind):
         kept, bulk = divided(law, mu, element_bulk(mesh)) if by_patches else (law, 0.0)
         terms = [lambda part, free, _: Elements(part, free, kept)]
         if by_patches:
-            terms.append(lambda part, free, _: PatchVolumes(part, free, bulk, patched(part).patches))
+            terms.append(lambda part, free, _: PatchVolumes(part, free, bulk, patched_cells(part).patches))
         x = mesh.node_positions
         fixed = np.flatnonzero(x[:, 0] < 1e-9)
         bound = bind(*((term, mesh, 1.0, 0.3) for term in terms), fixed=fixed)
