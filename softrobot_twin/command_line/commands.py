@@ -620,7 +620,7 @@ def add_mesh(commands) -> None:
                         help="mesh file, .msh (default: the part's name, in the current folder)")
     parser.add_argument("--unit", choices=sorted(UNITS),
                         help="unit of an STL file, which states none (default: mm)")
-    parser.add_argument("--element", choices=("linear", "quadratic"), default="quadratic",
+    parser.add_argument("--element", choices=("linear", "smoothed", "quadratic"), default="quadratic",
                         help="elements whose step is measured (default: quadratic)")
 
 

@@ -1,11 +1,14 @@
 """``python -m softrobot_twin explain --effects``: what each effect of a scene costs and changes.
 
+`python -m softrobot_twin.study.effect_costs SCENE ...` prints the table of docs/accuracy.md.
+
 One effect after another is left out of the scene. Both scenes are driven the same way, step by step
 in turn, so that what else the machine does falls on both.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
@@ -289,3 +292,26 @@ def print_effects(scene: Path, given: Sequence[str] = ()) -> int:
 
 def _shown(value: float, scale: float) -> str:
     return "" if value != value else f"{scale * value:.3g}"
+
+
+def page_lines(scenes: Sequence[Path]) -> Iterator[str]:
+    """The table of docs/accuracy.md.
+
+    Args:
+        scenes: Scene files.
+    """
+    yield "| scene | effect | µs a step | share | on the way, mm | at the end, mm | as a force, N |"
+    yield "|---|---|---|---|---|---|---|"
+    for scene in scenes:
+        for row in effect_costs(load_scene(scene)):
+            told = [_shown(value, scale) for value, scale in (
+                (row.cost, 1e6), (row.share, 100.0), (row.on_the_way, 1e3), (row.at_the_end, 1e3),
+                (row.force, 1.0))]  # fmt: skip
+            told[1] += " %" * bool(told[1])
+            reason = "cannot be left out" if row.cost != row.cost else row.reason
+            yield f"| {scene.stem} | {row.name}{': ' * bool(reason)}{reason} | {' | '.join(told)} |"
+
+
+if __name__ == "__main__":
+    for line in page_lines([Path(name) for name in sys.argv[1:]]):
+        print(line, flush=True)

@@ -755,7 +755,9 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 LEAST_ACROSS = 2.0
-"""Linear elements across the thinnest part of a body below which a warning is printed."""
+"""Elements with four nodes across the thinnest part of a body below which a warning is printed."""
+FOUR_NODES = ("linear", "smoothed")
+"""Elements that need at least as many."""
 
 
 def _thinnest_parts(simulation: Simulation) -> list[tuple[str, str]]:
@@ -786,11 +788,12 @@ def thinnest_parts(simulation: Simulation) -> list[ThinnestPart]:
 
 
 def thin_warnings(simulation: Simulation) -> list[str]:
-    """A warning for linear elements that are too few across the thinnest part of a body."""
+    """A warning for elements with four nodes that are too few across the thinnest part of a body."""
     thin: dict[str, list[str]] = {}
     for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True):
-        if body.entry.element == "linear" and part.elements < LEAST_ACROSS - 0.05:
-            thin.setdefault(_across(part, "linear"), []).append(body.name)
+        element = body.entry.element
+        if element in FOUR_NODES and part.elements < LEAST_ACROSS - 0.05:
+            thin.setdefault(_across(part, element), []).append(body.name)
     return [f"{_named(names)}: thinnest part {words}; with fewer than {LEAST_ACROSS:.0f} it bends "
             "far too stiffly: use a finer mesh or quadratic elements"
             for words, names in thin.items()]

@@ -28,7 +28,7 @@ from softrobot_twin.simulation.command import FollowTargets, Hold
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.study.accuracy_study import with_element, with_law
 from softrobot_twin.study.choice import MARGIN
-from softrobot_twin.study.explain import LEAST_ACROSS
+from softrobot_twin.study.explain import FOUR_NODES, LEAST_ACROSS
 from softrobot_twin.study.first_scene import LARGEST_IN_METRES, MeshSource, first_scene
 from softrobot_twin.study.length_units import UNITS
 from softrobot_twin.study.output_file import OutputError, output_file
@@ -308,8 +308,8 @@ def _print(path: Path, trial: Trial, element: str) -> None:
     slivers = int(np.count_nonzero(ratios < SLIVER_RATIO))
     if slivers:
         warn(f"{slivers} tetrahedra have a radius ratio below {SLIVER_RATIO:g}")
-    if element == "linear" and thin.elements < LEAST_ACROSS:
-        warn(f"only {thin.elements:.1f} linear elements lie across {1e3 * thin.thickness:.3g} mm "
+    if element in FOUR_NODES and thin.elements < LEAST_ACROSS:
+        warn(f"only {thin.elements:.1f} {element} elements lie across {1e3 * thin.thickness:.3g} mm "
              f"at {_place(thin.place)}: it bends far too stiffly; give a smaller size")
 
 
