@@ -290,7 +290,7 @@ SAMPLED = {
     ),
     "study": (
         "first_scene",
-        "references",
+        "robot_references",
         "rubber_references",
     ),
 }  # fmt: skip

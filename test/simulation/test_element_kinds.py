@@ -96,7 +96,7 @@ def beam_of(beam):
 
 def test_a_scene_names_an_element_only_while_it_is_registered(bubbles, beam_of):
     unregister_element("bubble")
-    with pytest.raises(SceneError, match="body.element = 'bubble': must be one of linear, quad"):
+    with pytest.raises(SceneError, match="body.element = 'bubble': must be one of linear, smoothed"):
         beam_of("bubble")
     register_element("bubble", add_bubble_nodes)
     assert beam_of("bubble").model.bodies[0].mesh.cells.shape[1] == 5

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
-from softrobot_twin.study import references
-from softrobot_twin.study.references import CASES, errors_of, read_references, scene_of
+from softrobot_twin.study import robot_references
+from softrobot_twin.study.robot_references import CASES, errors_of, read_references, scene_of
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +28,9 @@ def test_every_robot_has_a_reference_and_says_how_well_it_is_known(known):
 
 def test_a_reference_is_that_of_its_meshes(known, monkeypatch, tmp_path):
     """Of the finger, whose meshes are small."""
-    monkeypatch.setattr(references, "FILE", tmp_path / "references.yaml")
-    monkeypatch.setattr("sys.argv", ["references", "finger"])
-    references.main()
+    monkeypatch.setattr(robot_references, "FILE", tmp_path / "references.yaml")
+    monkeypatch.setattr("sys.argv", ["robot_references", "finger"])
+    robot_references.main()
     found = read_references()["finger"]
     for key in ("by_effort", "by_setpoint"):
         np.testing.assert_allclose(found[key], known["finger"][key], rtol=1e-3, atol=1e-6)

@@ -1,6 +1,6 @@
 """How far shipped robots move on meshes that are fine enough: what errors are measured against.
 
-`python -m softrobot_twin.study.references` solves all robots on their finest meshes and writes
+`python -m softrobot_twin.study.robot_references` solves all robots on their finest meshes and writes
 ``docs/references.yaml``, in minutes; with the argument ``errors`` it prints a table of the errors of
 coarser meshes against that file.
 
