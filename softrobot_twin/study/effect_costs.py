@@ -275,9 +275,7 @@ def print_effects(scene: Path, given: Sequence[str] = ()) -> int:
     shown = table("What each effect costs, and what changes without it", "effect", "µs a step",
                   "share", "on the way, mm", "at the end, mm", "as a force, N")  # fmt: skip
     for row in rows:
-        shown.add_row(row.name, *(_shown(value, scale) for value, scale in (
-            (row.cost, 1e6), (row.share, 100.0), (row.on_the_way, 1e3), (row.at_the_end, 1e3),
-            (row.force, 1.0))))  # fmt: skip
+        shown.add_row(row.name, *_told(row))
     output.print(shown)
     output.print(
         "\nA cost is the median time of a step with all effects, less that without this one, driven "
@@ -290,8 +288,10 @@ def print_effects(scene: Path, given: Sequence[str] = ()) -> int:
     return 0
 
 
-def _shown(value: float, scale: float) -> str:
-    return "" if value != value else f"{scale * value:.3g}"
+def _told(row: EffectCost) -> list[str]:
+    """Its numbers in µs, %, mm and N; empty where one is not known."""
+    scaled = (1e6 * row.cost, 100.0 * row.share, 1e3 * row.on_the_way, 1e3 * row.at_the_end, row.force)
+    return ["" if value != value else f"{value:.3g}" for value in scaled]
 
 
 def page_lines(scenes: Sequence[Path]) -> Iterator[str]:
@@ -304,9 +304,7 @@ def page_lines(scenes: Sequence[Path]) -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|"
     for scene in scenes:
         for row in effect_costs(load_scene(scene)):
-            told = [_shown(value, scale) for value, scale in (
-                (row.cost, 1e6), (row.share, 100.0), (row.on_the_way, 1e3), (row.at_the_end, 1e3),
-                (row.force, 1.0))]  # fmt: skip
+            told = _told(row)
             told[1] += " %" * bool(told[1])
             reason = "cannot be left out" if row.cost != row.cost else row.reason
             yield f"| {scene.stem} | {row.name}{': ' * bool(reason)}{reason} | {' | '.join(told)} |"
