@@ -583,21 +583,36 @@ class MeshErrorEstimator:
             MeshErrorUnknown: The scene's equilibria are not those that can be compared.
         """
         check_judges_states(self._scene)
-        values, poses = asked.values[: self._actuator_count], asked.poses
+        limit = self.limit_at(asked)
+        if self._own is not self._quadratic and not self._solve(self._own, asked):
+            limit = None
+        if limit is None:
+            return _NO_NUMBER
+        apart = limit - self._own.effector_positions()
+        return float(np.linalg.norm(apart, axis=1).max())
+
+    def limit_at(self, asked: ActuatorLoads) -> np.ndarray | None:
+        """Positions of the effectors in an equilibrium, in the limit under refinement.
+
+        Args:
+            asked: Prescribed quantities of the actuators.
+
+        Returns:
+            Positions [m], shape (effector_count, 3); None where the equilibrium was not found.
+        """
+        if not self._solve(self._quadratic, asked):
+            return None
+        added = self._cubic.addition(self._quadratic.state, not asked.forces_given)
+        positions, term = self._quadratic.effector_positions(), self._quadratic.model.effectors
+        positions[term.row_effector, term.row_axis] += (1.0 + LEFT_OUT) * added
+        return positions
+
+    def _solve(self, simulation: Simulation, asked: ActuatorLoads) -> bool:
         command = Hold(LONG)
         if self._actuator_count:
+            values = asked.values[: self._actuator_count]
             command = (CommandEfforts if asked.forces_given else CommandSetpoints)(values, LONG)
-        solved = [solve_equilibrium(self._quadratic, command, poses)]
-        if self._own is not self._quadratic:
-            solved.append(solve_equilibrium(self._own, command, poses))
-        if not all(solved):
-            return _NO_NUMBER
-        added = self._cubic.addition(self._quadratic.state, not asked.forces_given)
-        quadratic = self._quadratic.effector_positions()
-        apart = quadratic - self._own.effector_positions()
-        term = self._quadratic.model.effectors
-        apart[term.row_effector, term.row_axis] += (1.0 + LEFT_OUT) * added
-        return float(np.linalg.norm(apart, axis=1).max())
+        return solve_equilibrium(simulation, command, asked.poses)
 
 
 _ESTIMATORS: WeakKeyDictionary[Simulation, MeshErrorEstimator] = WeakKeyDictionary()

@@ -29,6 +29,7 @@ from softrobot_twin.simulation import CommandSetpoints
 from softrobot_twin.simulation.mesh_error import (
     LEFT_OUT,
     LONG,
+    ActuatorLoads,
     MeshErrorEstimator,
     Response,
     exact_simulation,
@@ -167,22 +168,19 @@ def limit_of(case: ReferenceCase, mesh: str) -> Limit:
         case: The robot.
         mesh: Name of the file.
     """
-    estimator = MeshErrorEstimator(scene_of(case, mesh, "quadratic"))
+    scene = scene_of(case, mesh, "quadratic")
+    estimator = MeshErrorEstimator(scene)
     _, quadratic, best = estimator.responses()
-    (_, cubic) = estimator._cubic.responses()
-    exact, known = _columns(best), _columns(cubic)
-    moved = None
+    exact, known, moved = _columns(best), _columns(quadratic), None
+    extrapolated = [LEFT_OUT / (1.0 + LEFT_OUT) * _apart(*both)
+                    for both in zip(known, exact, strict=True)]  # fmt: skip
     if case.moves:
-        simulation = estimator._quadratic
-        rest = simulation.effector_positions().ravel()
-        if solve_equilibrium(simulation, _command(simulation, case), {}):
-            added = estimator._cubic.addition(simulation.state, True)
-            moved = simulation.effector_positions().ravel() - rest + (1.0 + LEFT_OUT) * added
-    return Limit(*exact, tuple(map(_apart, known, exact)), moved)
-
-
-def _command(simulation, case: ReferenceCase) -> CommandSetpoints:
-    return CommandSetpoints(np.array(simulation.rest_setpoints) + case.moves, LONG)
+        simulation = exact_simulation(scene, thread_time)
+        asked = ActuatorLoads(False, np.array(simulation.rest_setpoints) + case.moves, {})
+        limit = estimator.limit_at(asked)
+        if limit is not None:
+            moved = (limit - simulation.effector_positions()).ravel()
+    return Limit(*exact, tuple(extrapolated), moved)
 
 
 def reference_of(case: ReferenceCase) -> dict:
@@ -236,7 +234,8 @@ def errors_of(name: str, mesh: str, element: str, reference: dict) -> ReferenceE
     state = float("nan")
     if "moved" in reference:
         rest, moved = simulation.effector_positions().ravel(), np.array(reference["moved"])
-        if solve_equilibrium(simulation, _command(simulation, case), {}):
+        command = CommandSetpoints(np.array(simulation.rest_setpoints) + case.moves, LONG)
+        if solve_equilibrium(simulation, command, {}):
             found = simulation.effector_positions().ravel() - rest
             state = float(np.linalg.norm(found - moved) / np.linalg.norm(moved))
     return ReferenceErrors(*shares, state)
