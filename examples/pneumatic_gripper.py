@@ -19,7 +19,7 @@ RATE = 100.0  # steps a second
 
 gripper = st.load(ROOT / "config/scenes/pneunet.yaml")
 times = np.arange(0.0, 3.5, 1.0 / RATE)  # s
-pressures = np.interp(times, [0.0, 1.0], [0.0, 80e3])  # Pa, gauge
+pressures = np.interp(times, [0.0, 1.0], [0.0, 30e3])  # Pa, gauge
 lifts = np.interp(times, [1.5, 3.0], [0.0, 0.040])  # m
 
 heights = []

@@ -71,27 +71,40 @@ class FetchShape:
     inner_node: float = 20.0
 
 
-# Name of a refinement (about its number of nodes) and how its accordions are cut.
+@dataclass(frozen=True)
+class Refinement:
+    """How a mesh is cut.
+
+    Attributes:
+        accordion: Each of the accordions.
+        outline: Nodes of a plate's outline.
+    """
+
+    accordion: AccordionCells
+    outline: int = 12
+
+
+# Name of a refinement (about its number of nodes) and how it is cut.
 REFINEMENTS = {
-    1500: AccordionCells(4, neck=1, fold=1, tip=1, wall=1),
-    5152: AccordionCells(8, neck=1, fold=2, tip=1, wall=2),
+    1500: Refinement(AccordionCells(4, neck=1, fold=1, tip=1, wall=1)),
+    3714: Refinement(AccordionCells(8, neck=1, fold=2, tip=1, wall=1)),
+    5152: Refinement(AccordionCells(8, neck=1, fold=2, tip=1, wall=2)),
+    5586: Refinement(AccordionCells(12, neck=1, fold=2, tip=1, wall=1), 24),
 }
-# Nodes of a plate's outline.
-OUTLINE_SECTORS = 12
 
 
-def make_fetch(refinement: AccordionCells, shape: FetchShape = FetchShape()) -> PneumaticMesh:
+def make_fetch(refinement: Refinement, shape: FetchShape = FetchShape()) -> PneumaticMesh:
     """Meshes the Fetch.
 
     Args:
-        refinement: How the accordions are cut.
+        refinement: The refinement.
         shape: Dimensions of the robot.
 
     Returns:
         The mesh [m].
     """
     section, faces, tip_shares = _section(refinement, shape)
-    kinds, inner = shape.accordion.layers(refinement)
+    kinds, inner = shape.accordion.layers(refinement.accordion)
     pitch = shape.plate_thickness + shape.accordion.height
     heights, labels = [np.zeros((1, 2))], [["plate_0"] * len(faces)]
     for module in MODULES:
@@ -115,7 +128,7 @@ def _label(kind: str, face: tuple[str, int] | None, module: int) -> str:
 
 
 def _section(
-    refinement: AccordionCells, shape: FetchShape
+    refinement: Refinement, shape: FetchShape
 ) -> tuple[Section, list[tuple[str, int] | None], np.ndarray]:
     """Section of the plates.
 
@@ -123,13 +136,14 @@ def _section(
         The section; for each face its leg and the part of an accordion, or None beside them; and
         how far each node lies from an accordion's core, 0, to the tips of its pockets, 1.
     """
-    radii, parts = shape.accordion.rings(refinement)
-    disc = polar_section(radii, refinement.sectors)
+    radii, parts = shape.accordion.rings(refinement.accordion)
+    sectors = refinement.accordion.sectors
+    disc = polar_section(radii, sectors)
     disc = disc._replace(points=disc.points + (shape.pitch_radius, 0.0))
-    shares = np.repeat(shape.accordion.tip_shares(radii), refinement.sectors)
+    shares = np.repeat(shape.accordion.tip_shares(radii), sectors)
     third = [(disc.points[disc.faces], disc.ranks[disc.faces],
               np.concatenate([[0.0], shares])[disc.faces])]  # fmt: skip
-    third += _between(disc, refinement.sectors, shape)
+    third += _between(disc, refinement, shape)
     corners, ranks, tip_shares = (np.concatenate(every) for every in zip(*third, strict=True))
     turns = [turn_about_z(3)[:2, :2], turn_about_z(3)[:2, :2].T]
     points, faces = joined(np.vstack([corners, *(corners @ turn.T for turn in turns)]))
@@ -138,21 +152,21 @@ def _section(
     node_shares[faces] = np.tile(tip_shares, (3, 1))
     owners = []
     for leg in LEGS:
-        owners += [(leg, part) for part in np.repeat(parts, refinement.sectors)]
+        owners += [(leg, part) for part in np.repeat(parts, sectors)]
         owners += [None] * (len(corners) - len(disc.faces))
     return Section(points, faces, node_ranks), owners, node_shares
 
 
-def _between(disc: Section, sectors: int, shape: FetchShape) -> list[tuple[np.ndarray, ...]]:
+def _between(disc: Section, refinement: Refinement, shape: FetchShape) -> list[tuple[np.ndarray, ...]]:
     """Triangles of the third of a plate around a disc: corners, ranks and tip shares of each half.
 
     A strip between the disc's outer ring and the outline, the line between two discs and the
     middle. No edge crosses a mirror plane, so the order along the strip ranks mirror images alike.
     """
+    sectors, outline_count = refinement.accordion.sectors, refinement.outline
     last_ring = np.arange(len(disc.points) - sectors, len(disc.points))[: sectors // 2 + 1]
-    radius = rounding_factor(OUTLINE_SECTORS) * shape.plate_radius
-    step = 2.0 * np.pi / OUTLINE_SECTORS
-    angles = np.arange(OUTLINE_SECTORS // 6 + 1) * step
+    radius = rounding_factor(outline_count) * shape.plate_radius
+    angles = np.arange(outline_count // 6 + 1) * 2.0 * np.pi / outline_count
     outline = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     outer = np.vstack([outline, outline[-1] * shape.inner_node / radius, np.zeros((1, 2))])
     points = np.vstack([disc.points[last_ring], outer])

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from meshes.mesh_making import faults_of, make_all, mesh_parser, oriented_tets  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
-LOWEST_RADIUS_RATIO = 0.35
+LOWEST_RADIUS_RATIO = 0.2
 # Points of the cable in order [mm], after the pull point (0, 12.5, 2.5).
 CABLE_POINTS = np.array(
     [
@@ -61,6 +61,8 @@ class Refinement:
 # Name of a refinement (about its number of nodes) and how it is cut.
 REFINEMENTS = {
     158: Refinement(9e-3, 2, 1, 1, 2),
+    180: Refinement(9e-3, 1, 1, 2, 2),
+    360: Refinement(9e-3, 2, 2, 1, 4),
     400: Refinement(7.5e-3, 2, 1, 2, 4),
     1200: Refinement(3.0e-3, 2, 2, 2, 6),
 }

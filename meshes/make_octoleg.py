@@ -39,7 +39,7 @@ from meshes.octoleg_shape import (  # noqa: E402
 from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
-LOWEST_RADIUS_RATIO = 0.2
+LOWEST_RADIUS_RATIO = 0.1
 # A section's nodes as weights of its corners: these, and the middle of the back.
 LAYOUT = np.vstack([np.eye(5), [0.5, 0.5, 0.0, 0.0, 0.0]])
 BACK_MIDDLE = 5
@@ -71,6 +71,7 @@ class Refinement:
 # Name of a refinement (about its number of nodes) and how it is cut.
 REFINEMENTS = {
     120: Refinement(0, 30e-3, 1),
+    173: Refinement(0, 15e-3, 2),
     400: Refinement(1, 11e-3, 1),
     1000: Refinement(1, 3.2e-3, 2),
 }

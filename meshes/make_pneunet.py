@@ -58,7 +58,12 @@ class Refinement:
 
 
 # Name of a refinement (about its number of nodes) and how it is cut.
-REFINEMENTS = {400: Refinement(), 1500: Refinement(root=3, between=2, skin=2, rise=3, half_width=2)}
+REFINEMENTS = {
+    400: Refinement(),
+    620: Refinement(between=2, rise=2),
+    1000: Refinement(between=2, rise=3, half_width=2),
+    1500: Refinement(root=3, between=2, skin=2, rise=3, half_width=2),
+}
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,8 @@ class Refinement:
 # Name of a refinement (about its number of nodes) and how it is cut.
 REFINEMENTS = {
     1000: Refinement(1, 1, 1, 1, 15),
+    1500: Refinement(2, 1, 1, 1, 15),
+    2300: Refinement(2, 2, 1, 1, 20),
     4000: Refinement(2, 1, 2, 2, 32),
 }
 

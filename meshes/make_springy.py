@@ -57,6 +57,8 @@ class Refinement:
 # Name of a refinement (about its number of nodes) and how it is cut.
 REFINEMENTS = {
     400: Refinement(AccordionCells(6, neck=1, fold=1, tip=1, wall=1), 1),
+    964: Refinement(AccordionCells(12, neck=1, fold=2, tip=1, wall=1), 1),
+    1444: Refinement(AccordionCells(18, neck=1, fold=2, tip=1, wall=1), 1),
     1532: Refinement(AccordionCells(12, neck=1, fold=2, tip=1, wall=2, groove=2), 2),
     4000: Refinement(AccordionCells(18, neck=1, fold=3, tip=2, wall=3, groove=2), 2),
 }

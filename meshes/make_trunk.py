@@ -27,7 +27,7 @@ from meshes.trunk_shape import DISK_COUNT, TrunkShape, cable_path, cables  # noq
 from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
-LOWEST_RADIUS_RATIO = 0.4
+LOWEST_RADIUS_RATIO = 0.35
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,8 @@ class Refinement:
         disk_cells: Layers of a disk.
         gap_cells: Layers between two disks.
         end_cells: Layers below the first disk, and above the last one.
+        grows: Whether each ring of a disk has six nodes more than the one within it, as those of
+            the core have; else as many as the core's outer ring.
     """
 
     core_rings: int
@@ -47,11 +49,18 @@ class Refinement:
     disk_cells: int
     gap_cells: int
     end_cells: tuple[int, int]
+    grows: bool = True
+
+    def ring_nodes(self) -> list[int]:
+        """Nodes of each ring, from the middle on."""
+        rings = range(1, self.core_rings + self.disk_rings + 1)
+        return [1, *(6 * (ring if self.grows else min(ring, self.core_rings)) for ring in rings)]
 
 
 # Name of a refinement (about its number of nodes) and how it is cut.
 REFINEMENTS = {
     700: Refinement(1, 1, 2, 3, (2, 2)),
+    900: Refinement(2, 1, 1, 2, (3, 2), grows=False),
     1600: Refinement(2, 1, 2, 3, (6, 3)),
     4000: Refinement(3, 2, 2, 4, (6, 4)),
 }
@@ -69,10 +78,10 @@ def make_trunk(refinement: Refinement, shape: TrunkShape = TrunkShape()) -> TetM
     """
     heights, in_disk = _layers(refinement, shape)
     core = refinement.core_rings
-    rings = core + refinement.disk_rings
+    nodes = refinement.ring_nodes()
     positions = 1e-3 * np.stack([_section(z, refinement, shape) for z in heights])
-    triangles = _triangles(rings)
-    core_triangles = _triangles(core)
+    triangles = _triangles(nodes)
+    core_triangles = _triangles(nodes[: core + 1])
     tets = []
     for number, disk in enumerate(in_disk):
         pair = positions[number : number + 2]
@@ -101,37 +110,35 @@ def _section(z: float, refinement: Refinement, shape: TrunkShape) -> np.ndarray:
     """Nodes of one section [mm]: the middle, then ring after ring."""
     core, rings = refinement.core_rings, refinement.core_rings + refinement.disk_rings
     outer = shape.radius(z)
-    known = [0.0, _circumradius(shape.core_share * outer, core), _circumradius(outer, rings)]
+    nodes = refinement.ring_nodes()
+    known = [0.0, _circumradius(shape.core_share * outer, nodes[core]), _circumradius(outer, nodes[-1])]
     radii = np.interp(np.arange(rings + 1), [0, core, rings], known)
     points = [(0.0, 0.0, z)]
     for ring in range(1, rings + 1):
-        angles = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring)
+        angles = 2.0 * np.pi * np.arange(nodes[ring]) / nodes[ring]
         points += [(radii[ring] * np.cos(a), radii[ring] * np.sin(a), z) for a in angles]
     return np.array(points)
 
 
-def _circumradius(radius: float, ring: int) -> float:
+def _circumradius(radius: float, node_count: int) -> float:
     """Circumradius of the polygon that has the area of a circle."""
-    angle = 2.0 * np.pi / (6 * ring)
+    angle = 2.0 * np.pi / node_count
     return radius * np.sqrt(angle / np.sin(angle))
 
 
-def _triangles(rings: int) -> np.ndarray:
-    """Triangles of a section's rings, shape (6 · rings², 3)."""
+def _triangles(ring_nodes: list[int]) -> np.ndarray:
+    """Triangles of a section's rings, shape (triangle_count, 3)."""
+    firsts = np.concatenate([[0], np.cumsum(ring_nodes)])
     triangles = []
-    for ring, sector in product(range(1, rings + 1), range(6)):
-        for step in range(ring):
-            a, b = (_ring_node(ring, sector * ring + step + k) for k in (0, 1))
-            c, d = (_ring_node(ring - 1, sector * (ring - 1) + step + k) for k in (0, 1))
+    for ring, sector in product(range(1, len(ring_nodes)), range(6)):
+        inner, outer = ring_nodes[ring - 1], ring_nodes[ring]
+        for step in range(outer // 6):
+            a, b = (firsts[ring] + (sector * outer // 6 + step + k) % outer for k in (0, 1))
+            c, d = (firsts[ring - 1] + (sector * (inner // 6) + step + k) % inner for k in (0, 1))
             triangles.append((a, b, c))
-            if step + 1 < ring:
+            if step < inner // 6:
                 triangles.append((b, d, c))
     return np.array(triangles)
-
-
-def _ring_node(ring: int, place: int) -> int:
-    """Index of a section's node by its ring and its place on it."""
-    return 1 + 3 * ring * (ring - 1) + place % (6 * ring) if ring else 0
 
 
 def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np.ndarray:

@@ -143,7 +143,8 @@ class CellBlock(NamedTuple):
 
     Attributes:
         mesh: The cells, over all nodes of the mesh.
-        places: Their indices among all cells of the mesh, or a slice.
+        places: A number of each cell of its own: its index among all cells of the mesh, see also
+            `EdgeRings`; or a slice of all.
         volumes: Their volumes [m³], shape (block_cell_count,).
         load_shares: Share of a uniform load that each node of a cell carries, shape (nodes of a
             cell,) or, where cells differ, (block_cell_count, nodes of a cell).
@@ -156,6 +157,11 @@ class CellBlock(NamedTuple):
     volumes: np.ndarray
     load_shares: np.ndarray
     mass_shares: np.ndarray | None = None
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """The places as an array, shape (block_cell_count,)."""
+        return np.arange(len(self.volumes)) if isinstance(self.places, slice) else self.places
 
 
 def points_of(mesh: CellMesh) -> IntegrationPoints:

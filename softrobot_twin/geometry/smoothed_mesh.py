@@ -40,6 +40,8 @@ class EdgeRings(NamedTuple):
         cells: Nodes of each ring, its last one repeated, shape (edge_count, most nodes of a ring).
         node_counts: Number of nodes of each ring, shape (edge_count,).
         points: Gradients, zero where a node is repeated, and volumes of the edges.
+        places: The first tetrahedron of each ring, times six, and which of its edges this is,
+            shape (edge_count,).
         tets: The tetrahedra, which the mean over a ring cannot tell to be inside out.
     """
 
@@ -47,6 +49,7 @@ class EdgeRings(NamedTuple):
     cells: np.ndarray
     node_counts: np.ndarray
     points: IntegrationPoints
+    places: np.ndarray
     tets: TetMesh | SomeCells
 
     shape_functions = LINEAR_TETRAHEDRON
@@ -58,8 +61,11 @@ class SmoothedMesh(TetMesh):
     def strained_blocks(self, cells: np.ndarray | None = None) -> tuple[CellBlock, ...]:
         """See `CellMesh.strained_blocks`: the edges of the tetrahedra."""
         rings = edge_rings(cells_of(self, cells))
-        volumes = rings.points.weights[:, 0]
-        return (CellBlock(rings, slice(None), volumes, self.load_shares),)
+        places = rings.places
+        if cells is not None:
+            tets, edges = np.divmod(places, len(EDGES))
+            places = len(EDGES) * cells[tets] + edges
+        return (CellBlock(rings, places, rings.points.weights[:, 0], self.load_shares),)
 
     def renumbered(self, node_positions: np.ndarray, first_node: int) -> SmoothedMesh:
         """See `CellMesh.renumbered`."""
@@ -80,7 +86,9 @@ def edge_rings(mesh: TetMesh | SomeCells) -> EdgeRings:
     tets, node_count = mesh.cells, len(mesh.node_positions)
     points = integration_points(mesh.node_positions, tets, LINEAR_TETRAHEDRON)
     ends = np.sort(tets[:, EDGES], axis=2)
-    _, edges = np.unique(ends[..., 0] * node_count + ends[..., 1], return_inverse=True)
+    _, places, edges = np.unique(
+        ends[..., 0] * node_count + ends[..., 1], return_index=True, return_inverse=True
+    )
     edges = edges.reshape(-1, len(EDGES))
     shares = np.repeat(points.weights / len(EDGES), len(EDGES), axis=1)
     volumes = np.bincount(edges.ravel(), shares.ravel())
@@ -99,4 +107,4 @@ def edge_rings(mesh: TetMesh | SomeCells) -> EdgeRings:
     cells[edge, column] = node
     gradients[edge, column] = np.stack(sums, axis=1)
     ringed = IntegrationPoints(gradients[order, None], volumes[order, None])
-    return EdgeRings(mesh.node_positions, cells[order], counts[order], ringed, mesh)
+    return EdgeRings(mesh.node_positions, cells[order], counts[order], ringed, places[order], mesh)

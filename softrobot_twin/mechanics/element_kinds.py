@@ -26,7 +26,6 @@ class ElementKind(NamedTuple):
         of_hexahedra: Whether these cells are a `HexahedralMesh`; else they are a `TetMesh`.
         has_patches: Whether patches resist changes of volume unless a scene says otherwise, where the
             law can be divided; else every element does.
-        is_reducible: Whether modes and vertebrae are built for bodies of them.
     """
 
     name: str
@@ -34,7 +33,6 @@ class ElementKind(NamedTuple):
     lumps_mass: bool
     of_hexahedra: bool
     has_patches: bool
-    is_reducible: bool
 
 
 HEXAHEDRAL = "hexahedral"
@@ -44,7 +42,7 @@ _KINDS: dict[str, ElementKind] = {}
 
 def register_element(
     name: str, make_mesh: Callable[[CellMesh], CellMesh], lumps_mass: bool = False,
-    of_hexahedra: bool = False, has_patches: bool = False, is_reducible: bool = True,
+    of_hexahedra: bool = False, has_patches: bool = False,
 ) -> None:  # fmt: skip
     """Register a kind of elements for scenes.
 
@@ -54,16 +52,13 @@ def register_element(
         lumps_mass: Whether mass is lumped unless a scene says otherwise.
         of_hexahedra: Whether these cells are a `HexahedralMesh`; else they are a `TetMesh`.
         has_patches: Whether patches resist changes of volume unless a scene says otherwise.
-        is_reducible: Whether modes and vertebrae are built for bodies of them.
 
     Raises:
         ValueError: Another kind has this name.
     """
     if name in _KINDS:
         raise ValueError(f"the element {name!r} is registered already")
-    _KINDS[name] = ElementKind(
-        name, make_mesh, lumps_mass, of_hexahedra, has_patches, is_reducible
-    )
+    _KINDS[name] = ElementKind(name, make_mesh, lumps_mass, of_hexahedra, has_patches)
 
 
 def unregister_element(name: str) -> None:
@@ -92,6 +87,6 @@ def element_named(name: str) -> ElementKind:
 
 
 register_element("linear", lambda mesh: mesh, lumps_mass=True)
-register_element("smoothed", smooth, lumps_mass=True, has_patches=True, is_reducible=False)
+register_element("smoothed", smooth, lumps_mass=True, has_patches=True)
 register_element("quadratic", add_mid_edge_nodes)
 register_element(HEXAHEDRAL, enhance, lumps_mass=True, of_hexahedra=True)

@@ -59,7 +59,7 @@ class SampledPoints(NamedTuple):
     """Quadrature points of a body that stand for all.
 
     Attributes:
-        cells: Cell of each, in rising order, shape (count,).
+        cells: Cell of each by `CellBlock.numbers`, in rising order, shape (count,).
         points: Which of the cell's quadrature points it is, shape (count,).
         weights: What its volume is multiplied by, positive, shape (count,).
     """
@@ -73,9 +73,8 @@ def all_points(block: CellBlock) -> SampledPoints:
     """All quadrature points of a block of cells, by their own volumes."""
     points = points_of(block.mesh)
     cell_count, point_count = points.weights.shape
-    places = np.arange(cell_count) if isinstance(block.places, slice) else block.places
     return SampledPoints(
-        np.repeat(places, point_count), np.tile(np.arange(point_count), cell_count),
+        np.repeat(block.numbers, point_count), np.tile(np.arange(point_count), cell_count),
         np.ones(cell_count * point_count),
     )  # fmt: skip
 
@@ -103,12 +102,11 @@ def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray)
         basis: Φ, shape (node_count, 3, mode_count).
     """
     points, cells = points_of(block.mesh), block.mesh.cells
-    own, place = np.arange(len(sampled.cells)), sampled.cells
-    if not isinstance(block.places, slice):
-        position = np.searchsorted(block.places, sampled.cells)
-        found = np.minimum(position, len(block.places) - 1)
-        own = np.flatnonzero(block.places[found] == sampled.cells)
-        place = found[own]
+    order = np.argsort(block.numbers)
+    position = np.searchsorted(block.numbers, sampled.cells, sorter=order)
+    found = order[np.minimum(position, len(order) - 1)]
+    own = np.flatnonzero(block.numbers[found] == sampled.cells)
+    place = found[own]
     q, mode_count = sampled.points[own], basis.shape[2]
     gradients = np.empty((len(own), 9, mode_count))
     for first in range(0, len(own), 2048):  # bounds the memory of nodes times modes

@@ -42,6 +42,9 @@ MOST_BOX_CELLS = 1_000_000
 _Edge = Annotated[float, unit("m", gt=0.0)]
 _CellCount = Annotated[int, Field(ge=1)]
 
+PATCHES_NOT_REDUCED = "are not built for reduced bodies: name volume: per_element"
+"""Why a reduced body has no patches."""
+
 
 class BoxMesh(Entry):
     """A box that is meshed without a file, from the origin of the mesh to its `size`."""
@@ -631,23 +634,21 @@ class Body(Entry):
 
     @model_validator(mode="after")
     def _reduces(self):
-        """Refuse what is not built for bodies in the coordinates of a basis."""
-        for name, reduction in (("reduced", self.reduced), ("vertebrae", self.vertebrae)):
-            if reduction is not None and not element_named(self.element).is_reducible:
-                raise refusal("element", self.element, f"is not built for bodies with {name}")
-        if self.reduced is None:
+        """Refuse what is not built for bodies in the coordinates of a basis, or with vertebrae."""
+        if self.reduced is None and self.vertebrae is None:
             return self
-        if self.vertebrae is not None:
+        if self.reduced is not None and self.vertebrae is not None:
             raise refusal("reduced", str(self.reduced.file),
                           "is given beside vertebrae: name one of them")  # fmt: skip
-        if self.volume == "patches":
-            raise refusal("volume", self.volume, "is not built for reduced bodies")
+        if self.reduced is not None and self.has_patches:
+            raise refusal("volume", "patches", PATCHES_NOT_REDUCED)
+        bodies = "bodies with vertebrae" if self.reduced is None else "reduced bodies"
         entries = (("material", self.material),
                    *((f"materials[{i}]", entry) for i, entry in enumerate(self.materials)))  # fmt: skip
         for key, entry in entries:
             for name in ("viscosity", "softening"):
                 if getattr(entry, name):
-                    raise refusal(f"{key}.{name}", self.name, "is not built for reduced bodies")
+                    raise refusal(f"{key}.{name}", self.name, f"is not built for {bodies}")
         return self
 
     @model_validator(mode="after")

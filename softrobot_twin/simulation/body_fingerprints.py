@@ -49,8 +49,9 @@ def fingerprints_of(body: Body) -> dict[str, str]:
         for part in body.materials
     ]  # fmt: skip
     places = rounded_places(body, mesh_coordinates(body, body.mesh.node_positions))
+    bearing = body.entry.element + (" in patches" if body.entry.has_patches else "")
     return {
-        "mesh": digest(f"{_size(body):.6e}", places, body.mesh.cells, body.entry.element),
+        "mesh": digest(f"{_size(body):.6e}", places, body.mesh.cells, bearing),
         "material": digest(*(value for part in materials for value in part)),
     }
 

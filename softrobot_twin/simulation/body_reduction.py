@@ -135,7 +135,7 @@ def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> Bod
 
 
 def _sampled_points(file: ModelFile, name: str, body: Body | None) -> SampledPoints:
-    most = MOST if body is None else body.mesh.cell_count - 1
+    most = MOST if body is None else max(block.numbers.max() for block in body.mesh.strained_blocks())
     cells = file.taken(f"{name}_cells", None, kind="i", least=0, most=most)
     points = file.taken(f"{name}_points", len(cells), kind="i", least=0)
     weights = file.taken(f"{name}_weights", len(cells), least=LEAST)
@@ -156,9 +156,8 @@ def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> Non
         stiffness = np.zeros((model.mode_count, model.mode_count))
         for part in body.materials:
             lame_lambda, shear_modulus = part.lame_parameters
-            for block in body.mesh.blocks(part.cells):
-                own = np.arange(body.mesh.cell_count)[block.places]
-                inside = np.isin(model.sampled.cells, own)
+            for block in body.mesh.strained_blocks(part.cells):
+                inside = np.isin(model.sampled.cells, block.numbers)
                 if model.sampled.points[inside].max(initial=0) >= points_of(
                         block.mesh).weights.shape[1]:  # fmt: skip
                     raise file.damaged(f"{name}_points has points that its cells do not have")

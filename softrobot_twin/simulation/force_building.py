@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.beam_masses import BeamDamping, BeamInertia, BeamMasses, BeamWeight
@@ -45,6 +46,7 @@ from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.beam_bodies import all_elements
+from softrobot_twin.simulation.body_materials import MaterialPart
 from softrobot_twin.simulation.cavity_walls import cavity_surface
 from softrobot_twin.simulation.deformable_body import Body, part_named
 from softrobot_twin.simulation.scene_layout import Layout
@@ -215,29 +217,45 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     if body.reduction is not None:
         yield from _reduced_terms(layout, body)
         return
+    mesh = layout.mesh_among_nodes(body)
     for part in body.materials:
-        for block in layout.mesh_among_nodes(body).strained_blocks(part.cells):
-            law, memory = part.law_parameters, (part.viscosity, part.softening)
-            bulk_modulus = 0.0
-            if body.entry.has_patches:
-                law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
-            if any(memory):
-                term = RememberingElements(block.mesh, free_index, law, *memory)
-            else:
-                term = Elements(block.mesh, free_index, law)
-            if part.strain_range is not None:
+        for term in strained_terms(mesh, part, part.cells, free_index, body.entry.has_patches):
+            if part.strain_range is not None and isinstance(term, Elements):
                 term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
             yield term
-            if bulk_modulus > 0.0:
-                mesh, patches = patched_cells(block.mesh)
-                yield PatchVolumes(mesh, free_index, bulk_modulus, patches)
+
+
+def strained_terms(
+    mesh: CellMesh, part: MaterialPart, cells: np.ndarray | None, free_index: np.ndarray,
+    has_patches: bool,
+) -> Iterator[Elements | PatchVolumes]:  # fmt: skip
+    """Terms of what bears the strain of cells of one material, and of its patches.
+
+    Args:
+        mesh: The body, among all nodes.
+        part: The material.
+        cells: Its cells in rising order; None for all.
+        free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
+        has_patches: Whether patches resist changes of volume.
+    """
+    for block in mesh.strained_blocks(cells):
+        law, memory, bulk_modulus = part.law_parameters, (part.viscosity, part.softening), 0.0
+        if has_patches:
+            law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
+        if any(memory):
+            yield RememberingElements(block.mesh, free_index, law, *memory)
+        else:
+            yield Elements(block.mesh, free_index, law)
+        if bulk_modulus > 0.0:
+            tets, patches = patched_cells(block.mesh)
+            yield PatchVolumes(tets, free_index, bulk_modulus, patches)
 
 
 def _reduced_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     """A term for each material of a reduced body and each kind of its cells."""
     nodes, free_index = body.reduction, layout.nodes.free_index
     for part in body.materials:
-        for block in body.mesh.blocks(part.cells):
+        for block in body.mesh.strained_blocks(part.cells):
             points = point_gradients(block, nodes.reduction.sampled, nodes.basis)
             term = ReducedElements(points, part.law_parameters, nodes.coordinate_nodes, free_index)
             if part.strain_range is not None:

@@ -591,18 +591,18 @@ class MeshErrorEstimator:
         apart = limit - self._own.effector_positions()
         return float(np.linalg.norm(apart, axis=1).max())
 
-    def limit_at(self, asked: ActuatorLoads) -> np.ndarray | None:
+    def limit_at(self, *asked: ActuatorLoads) -> np.ndarray | None:
         """Positions of the effectors in an equilibrium, in the limit under refinement.
 
         Args:
-            asked: Prescribed quantities of the actuators.
+            asked: Prescribed quantities of the actuators, those of equilibria on the way first.
 
         Returns:
-            Positions [m], shape (effector_count, 3); None where the equilibrium was not found.
+            Positions [m], shape (effector_count, 3); None where an equilibrium was not found.
         """
-        if not self._solve(self._quadratic, asked):
+        if not all(self._solve(self._quadratic, one) for one in asked):
             return None
-        added = self._cubic.addition(self._quadratic.state, not asked.forces_given)
+        added = self._cubic.addition(self._quadratic.state, not asked[-1].forces_given)
         positions, term = self._quadratic.effector_positions(), self._quadratic.model.effectors
         positions[term.row_effector, term.row_axis] += (1.0 + LEFT_OUT) * added
         return positions

@@ -116,11 +116,12 @@ def knob_table(rows: Sequence[AccuracyRow]) -> Table:
 def reference_table(references: dict[str, Reference]) -> Table:
     """Table of the reference solutions and their uncertainty."""
     made = table("Reference: quadratic meshes, extrapolated", "case", "displacement [mm]",
-                 "observed order", "uncertainty [%]", "meshes")
+                 "extrapolated by", "uncertainty [%]", "meshes")
     for case, reference in references.items():
         order = reference.limit.order
-        made.add_row(_CASE_LABELS[case], f"{1e3 * reference.displacement:.2f}",
-                     f"{order:.2f}" if np.isfinite(order) else f"none; {ASSUMED_ORDER:g} assumed",
+        by = ("elements of higher order" if order is None else f"order {order:.2f}"
+              if np.isfinite(order) else f"order {ASSUMED_ORDER:g}, assumed")  # fmt: skip
+        made.add_row(_CASE_LABELS[case], f"{1e3 * reference.displacement:.2f}", by,
                      f"{100.0 * reference.uncertainty:.2f}", ", ".join(reference.meshes))
     return made
 
@@ -162,10 +163,10 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
         grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 0.95, 0.55))
         _draw_error_over_mesh(figure.add_subplot(grid[0, 0]), rows)
         _draw_time_over_mesh(figure.add_subplot(grid[0, 1]), rows)
-        whole = figure.add_subplot(grid[1, :])
-        added = figure.add_subplot(grid[2, :], sharex=whole)
-        _draw_error_against_time(whole, rows)
-        _draw_added_against_time(added, rows)
+        forces, displacements = (figure.add_subplot(grid[1, column]) for column in (0, 1))
+        _draw_error_against_time(forces, rows, "error_tensions")
+        _draw_error_against_time(displacements, rows, "error")
+        _draw_added_against_time(figure.add_subplot(grid[2, :]), rows)
 
 
 def curve(rows: Sequence[AccuracyRow], element: str, law: str) -> list[AccuracyRow]:
@@ -218,48 +219,56 @@ def _draw_time_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
     axes.legend(loc="upper left", fontsize=8)
 
 
-def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
-    """Error over time of a step for every mesh, element and law."""
+# What is prescribed where an error is drawn, and the uncertainty of its reference.
+_GIVEN = {
+    "error_tensions": ("forces prescribed", "uncertainty_tensions"),
+    "error": ("displacements prescribed, with or without weight", "uncertainty"),
+}
+
+
+def _draw_error_against_time(axes, rows: Sequence[AccuracyRow], error: str) -> None:
+    """One error of `_GIVEN` over time of a step for every mesh, element and law."""
+    given, doubt = _GIVEN[error]
     for element, colour in _drawn(rows).items():
         for law, line, width in (("corotational", "solid", 2.4), ("linear", (0, (4, 2)), 1.2)):
             shown = curve(rows, element, law)
-            axes.plot([row.step_ms for row in shown], [100.0 * row.error for row in shown], "o",
-                      linestyle=line, color=colour, linewidth=width,
-                      markersize=5 if width > 2 else 3.5,
-                      label=f"{_CELLS[element]}, {law} law; numbers: nodes of the mesh")
+            axes.plot([row.step_ms for row in shown], [100.0 * getattr(row, error) for row in shown],
+                      "o", linestyle=line, color=colour, linewidth=width,
+                      markersize=5 if width > 2 else 3.5, label=f"{_CELLS[element]}, {law} law")
             if law == "corotational":
-                _name_meshes(axes, shown, colour, _UPWARDS[element])
-    _draw_reduced(axes, rows)
+                _name_meshes(axes, shown, error, colour, _UPWARDS[element])
+    _draw_reduced(axes, rows, error)
     axes.set(xscale="log", yscale="log", ylabel="effector error [% of its displacement]",
-             title="Error against time of a step, displacements prescribed (the larger of the "
-             "errors with and without gravity): mesh, element, law")
-    value = 100.0 * next(row for row in rows if row.knob == MESH).uncertainty
+             xlabel="median time of a step [ms]; numbers: nodes of the mesh",
+             title=f"Error against time: {given}")
+    value = 100.0 * getattr(next(row for row in rows if row.knob == MESH), doubt)
     axes.axhspan(0.4 * value, value, color=_DOUBT, alpha=0.16, linewidth=0)
-    axes.set_ylim(bottom=0.4 * value)
+    axes.set_ylim(0.4 * value, 4.0 * axes.get_ylim()[1])  # space for the legend
     axes.annotate(f"uncertainty of the reference: {value:.2g} %", (1.0, value), (-4, -3),
                   xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
                   va="top", fontsize=8, color="#666666")
     _draw_rates(axes)
     _plain_percent(axes)
-    axes.legend(loc="upper right", fontsize=8)
+    axes.legend(loc="upper right", ncols=2, fontsize=7)
 
 
-def _draw_reduced(axes, rows: Sequence[AccuracyRow]) -> None:
+def _draw_reduced(axes, rows: Sequence[AccuracyRow], error: str) -> None:
     """Reduced models, each with a line to the full model of its mesh."""
-    reduced = [row for row in rows if row.knob == REDUCED and np.isfinite(row.error)]
+    reduced = [row for row in rows if row.knob == REDUCED and np.isfinite(getattr(row, error))]
     for row in reduced:
         full = full_row(rows, row)
         if full is not None:
-            axes.plot([row.step_ms, full.step_ms], [100.0 * row.error, 100.0 * full.error],
+            axes.plot([row.step_ms, full.step_ms],
+                      [100.0 * getattr(row, error), 100.0 * getattr(full, error)],
                       linestyle=(0, (1, 2)), color=_REDUCED_COLOUR, linewidth=1.1, zorder=1)
         number = row.mesh.rpartition("_")[2]
         axes.annotate(f"{number} {row.element}, {row.mode_count} modes",
-                      (row.step_ms, 100.0 * row.error), (6, -11), textcoords="offset points",
-                      fontsize=7.5, color=_REDUCED_COLOUR)
+                      (row.step_ms, 100.0 * getattr(row, error)), (6, -11),
+                      textcoords="offset points", fontsize=7.5, color=_REDUCED_COLOUR)
     if reduced:
-        axes.plot([row.step_ms for row in reduced], [100.0 * row.error for row in reduced], "*",
-                  color=_REDUCED_COLOUR, markersize=13, zorder=4,
-                  label="reduced models of these meshes")
+        axes.plot([row.step_ms for row in reduced],
+                  [100.0 * getattr(row, error) for row in reduced], "*", color=_REDUCED_COLOUR,
+                  markersize=13, zorder=4, label="reduced models of these meshes")
 
 
 def _draw_added_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
@@ -290,9 +299,11 @@ def _draw_rates(axes, named: bool = True) -> None:
                           textcoords="offset points", rotation=90, fontsize=8, color="#777777")
 
 
-def _name_meshes(axes, shown: Sequence[AccuracyRow], colour: str, upwards: int) -> None:
+def _name_meshes(
+    axes, shown: Sequence[AccuracyRow], error: str, colour: str, upwards: int
+) -> None:
     for row in shown:
-        axes.annotate(row.mesh.rpartition("_")[2], (row.step_ms, 100.0 * row.error),
+        axes.annotate(row.mesh.rpartition("_")[2], (row.step_ms, 100.0 * getattr(row, error)),
                       (0, upwards), textcoords="offset points", ha="center", fontsize=7,
                       color=colour)
 

@@ -1,7 +1,8 @@
-"""Error and time of every mesh, element and law, against an extrapolated reference solution.
+"""Error and time of every mesh, element and law, against a reference solution.
 
 The error of a setting is ‖x - x∞‖ / ‖x∞ - x₀‖ (root mean square over poses and effectors), with
-effectors at x, at rest at x₀, and x∞ extrapolated from quadratic meshes with v(h) = v∞ + c hᵖ.
+effectors at x, at rest at x₀, and x∞ the limit under refinement: that of `mesh_error.py` on the finest
+mesh, or extrapolated from quadratic meshes with v(h) = v∞ + c hᵖ, whichever is less uncertain.
 """
 
 from __future__ import annotations
@@ -41,6 +42,12 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.actuators import build_groups
 from softrobot_twin.simulation.deformable_body import Body, build_body
+from softrobot_twin.simulation.mesh_error import (
+    LEFT_OUT,
+    ActuatorLoads,
+    MeshErrorEstimator,
+    MeshErrorUnknown,
+)
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
@@ -286,12 +293,12 @@ class Extrapolation(NamedTuple):
     Attributes:
         value: Estimated limit v∞, shape of the values.
         order: Observed order p of the error c hᵖ; NaN where none was observed and `ASSUMED_ORDER`
-            was used.
+            was used; None where elements of higher order gave the limit.
         uncertainty: Bound on the norm of the estimate's error, in the unit of the values.
     """
 
     value: np.ndarray
-    order: float
+    order: float | None
     uncertainty: float
 
 
@@ -1210,7 +1217,7 @@ class Reference(NamedTuple):
     """The reference solution of one load case.
 
     Attributes:
-        limit: Extrapolated positions of the effectors [m], with their uncertainty.
+        limit: Limit of the effectors' positions [m], with its uncertainty.
         displacement: Root mean square of the effectors' displacement from rest [m].
         meshes: Meshes used for it, the coarsest first.
     """
@@ -1284,7 +1291,7 @@ def study_meshes(
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
                             f"{limits.reference_dof} dof; there are {len(used)}")
     loads, solved = _solve_reference(used, moved, report_activity)
-    references = {case: _reference(name, case, used, solved) for case in CASES}
+    references = {case: _reference(name, case, used, solved, loads) for case in CASES}
     rows = []
     own = levels[0].scene.body.material.law
     for law in dict.fromkeys((own, "corotational", "linear")):
@@ -1322,19 +1329,70 @@ def _other_cases(scene, loads: Loads) -> dict[str, Poses]:
             "weightless": solve_for_displacements(weightless(scene), loads.moved)}
 
 
-def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference:
+def _reference(name: str, case: str, used: list[MeshLevel], solved, loads: Loads) -> Reference:
     good = [level for level in used if solved[level.name][case].found]
     if len(good) < 2:
         given = "forces" if case == "tensions" else "displacements"
         raise AccuracyError(name, f"no reference for prescribed {given}: Newton's iterations "
                             "converged on fewer than two quadratic meshes")
+    corrected = _corrected_limit(case, good, solved, loads)
     asymptotic = [level for level in good if level.size <= ASYMPTOTIC * good[-1].size]
     good = asymptotic if len(asymptotic) > 2 else good[-3:]
     limit = extrapolate([level.size for level in good],
                         [solved[level.name][case].positions for level in good])
+    if corrected is not None and corrected[0].uncertainty <= limit.uncertainty:
+        limit, good = corrected
     motion = limit.value - solved[good[-1].name][case].rest
     displacement = float(np.linalg.norm(motion) / np.sqrt(_count(motion)))
     return Reference(limit, displacement, tuple(level.name for level in good))
+
+
+def _corrected_limit(
+    case: str, good: list[MeshLevel], solved, loads: Loads
+) -> tuple[Extrapolation, list[MeshLevel]] | None:
+    """The limit by elements of higher order on the finest mesh that they are built for.
+
+    Its uncertainty is the distance from the same limit on the next coarser mesh, and half of what is
+    extrapolated.
+
+    Returns:
+        The limit and both meshes, the coarser first; None where there are no such limits on two.
+    """
+    limits: list[np.ndarray] = []
+    used: list[MeshLevel] = []
+    for level in reversed(good):
+        try:
+            found = _limits(level.scene, case, loads)
+        except MeshErrorUnknown:
+            continue
+        if not limits:
+            added = found - solved[level.name][case].positions
+        limits.append(found)
+        used.insert(0, level)
+        if len(limits) == 2 and np.isfinite(limits).all():
+            guessed = LEFT_OUT / (1.0 + LEFT_OUT) * np.linalg.norm(added)
+            doubt = np.linalg.norm(limits[0] - limits[1]) + 0.5 * guessed
+            return Extrapolation(limits[0], None, float(doubt)), used
+    return None
+
+
+def _limits(scene: Scene, case: str, loads: Loads) -> np.ndarray:
+    """Limits of the effectors' positions in the poses of a case [m]; NaN where none was found.
+
+    Raises:
+        MeshErrorUnknown: The scene has no estimate of its mesh's error.
+    """
+    forces_given = case == "tensions"
+    scene = weightless(scene) if case == "weightless" else scene
+    scene = _without_displacement_limits(scene) if forces_given else scene
+    free = without_effort_limits(without_rate_limits(with_volumes(scene)))
+    estimator, actuators, found = MeshErrorEstimator(free), Simulation(free).actuators, []
+    for pose in loads.pressed if forces_given else loads.moved:
+        wanted = [share * pose for share in _shares()]
+        values = wanted if forces_given else [actuators.setpoints(one) for one in wanted]
+        limit = estimator.limit_at(*(ActuatorLoads(forces_given, one, {}) for one in values))
+        found.append(np.full((len(scene.effectors), 3), np.nan) if limit is None else limit)
+    return np.array(found)
 
 
 def _judge(level, law, loads, references, known, timed_steps, report_activity) -> AccuracyRow:

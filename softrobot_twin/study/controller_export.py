@@ -218,7 +218,7 @@ def _elastic_arrays(scene: Scene, body: Body) -> dict[str, np.ndarray]:
     _check_laws(scene, body)
     nodes, parts, found = body.reduction, [], []
     for part in body.materials:
-        for block in body.mesh.blocks(part.cells):
+        for block in body.mesh.strained_blocks(part.cells):
             points = point_gradients(block, nodes.reduction.sampled, nodes.basis)
             found.append(points)
             parts.append(np.tile(np.array(part.law_parameters, float), (len(points.weights), 1)))

@@ -47,7 +47,7 @@ STALLED = 1.0e-4
 def blocks_of(body: Body) -> Iterator[tuple[CellBlock, tuple]]:
     """The cells of a body of one kind and one material, and the parameters of their law."""
     for part in body.materials:
-        for block in body.mesh.blocks(part.cells):
+        for block in body.mesh.strained_blocks(part.cells):
             yield block, part.law_parameters
 
 
@@ -67,7 +67,7 @@ def rest_stiffness(body: Body) -> csr_array:
     total = csr_array((size, size))
     for part in body.materials:
         lame = part.lame_parameters
-        for block in body.mesh.blocks(part.cells):
+        for block in body.mesh.strained_blocks(part.cells):
             points = points_of(block.mesh)
             for first in range(0, len(block.mesh.cells), CHUNK):
                 some = slice(first, first + CHUNK)

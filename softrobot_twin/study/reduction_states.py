@@ -26,10 +26,10 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SceneError, SoftRobotTwinError
-from softrobot_twin.mechanics.element_kinds import element_named
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.reduced_points import Platform
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.body_entries import PATCHES_NOT_REDUCED
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.deformable_body import Body
@@ -749,10 +749,8 @@ def refuse_unreducible(scene: Scene, body: Body) -> None:
 
     if body.vertebrae is not None or body.entry.vertebrae is not None:
         refuse("vertebrae", body.name, "is reduced to vertebrae: it has no basis of modes")
-    if not element_named(body.entry.element).is_reducible:
-        refuse("element", body.entry.element, "is not built for a reduced body")
     if body.entry.has_patches:
-        refuse("volume", "patches", "of a reduced body is not built: use elements")
+        refuse("volume", "patches", PATCHES_NOT_REDUCED)
     if body.riding and not rides_on_a_slide(body, scene):
         refuse("attached", ", ".join(sorted(body.riding)),
                "nodes attached to rigid bodies are not built for a reduced body, but for one "

@@ -72,29 +72,35 @@ CASES = {
         moves=(-0.012, 0.03, 0.03, 0.03),
     ),
     "trunk": ReferenceCase(
-        "trunk", ("trunk_1600.vtk", "trunk_4000.vtk"), ("trunk_700.vtk", "trunk_1600.vtk"),
+        "trunk", ("trunk_1600.vtk", "trunk_4000.vtk"),
+        ("trunk_700.vtk", "trunk_900.vtk", "trunk_1600.vtk"),
     ),
     "springy": ReferenceCase(
-        "springy", ("springy_1532.msh", "springy_4000.msh"), ("springy_400.msh", "springy_1532.msh"),
+        "springy", ("springy_1532.msh", "springy_4000.msh"),
+        ("springy_400.msh", "springy_964.msh", "springy_1444.msh", "springy_1532.msh"),
     ),
     "octoleg": ReferenceCase(
         "octoleg", ("octoleg_400.vtk", "octoleg_1000.vtk"),
-        ("octoleg_120.vtk", "octoleg_400.vtk", "octoleg_1000.vtk"), moves=(-0.01,),
+        ("octoleg_120.vtk", "octoleg_173.vtk", "octoleg_400.vtk", "octoleg_1000.vtk"),
+        moves=(-0.01,),
     ),
     "grasper": ReferenceCase(
         "grasper", ("grasper_finger_400.vtk", "grasper_finger_1200.vtk"),
-        ("grasper_finger_158.vtk", "grasper_finger_400.vtk", "grasper_finger_1200.vtk"),
+        ("grasper_finger_158.vtk", "grasper_finger_180.vtk", "grasper_finger_360.vtk",
+         "grasper_finger_400.vtk", "grasper_finger_1200.vtk"),
         probe={"name": "tip", "body": "finger_0", "points": [[0.04505498, 0.0, -0.08582189]]},
     ),
     "pneunet": ReferenceCase(
-        "pneunet_inverse", ("pneunet_finger_400.msh", "pneunet_finger_1500.msh"),
-        ("pneunet_finger_400.msh", "pneunet_finger_1500.msh"),
+        "pneunet_inverse", ("pneunet_finger_1000.msh", "pneunet_finger_1500.msh"),
+        ("pneunet_finger_400.msh", "pneunet_finger_620.msh", "pneunet_finger_1000.msh", "pneunet_finger_1500.msh"),
     ),
     "segment": ReferenceCase(
-        "segment", ("segment_1000.msh", "segment_4000.msh"), ("segment_1000.msh",),
+        "segment", ("segment_2300.msh", "segment_4000.msh"),
+        ("segment_1000.msh", "segment_1500.msh", "segment_2300.msh"),
     ),
     "fetch": ReferenceCase(
-        "fetch", ("fetch_1500.msh", "fetch_5152.msh"), ("fetch_1500.msh", "fetch_5152.msh"),
+        "fetch", ("fetch_5152.msh", "fetch_5586.msh"),
+        ("fetch_1500.msh", "fetch_3714.msh", "fetch_5152.msh", "fetch_5586.msh"),
     ),
     "finger": ReferenceCase("finger", ("finger_99.msh", "finger_195.msh"), ("finger_99.msh", "finger_195.msh")),
 }  # fmt: skip

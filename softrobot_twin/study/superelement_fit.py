@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.constraints.cavity import Cavities
-from softrobot_twin.geometry.cell_mesh import SomeCells
-from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.polynomials import Monomials
 from softrobot_twin.mechanics.superelements import (
     CENTRE_DEGREE,
     DEFORMATIONS,
     SuperelementFit,
 )
+from softrobot_twin.simulation.force_building import strained_terms
 from softrobot_twin.simulation.vertebrae import Division, SoftPart, joined_walls
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.factorization import Factorization
@@ -122,17 +122,16 @@ class SoftPartModel:
             self.rest_volumes = self._cavities.rest_volumes
             self.rest_areas = self._cavities.rest_areas
 
-    def _build(self, index: np.ndarray) -> tuple[list[Elements], Cavities | None]:
+    def _build(self, index: np.ndarray) -> tuple[list[ForceTerm], Cavities | None]:
         """Force terms and cavities for some numbering of unknowns."""
-        division, part, mesh = self._division, self._part, self._division.body.mesh
-        terms = []
-        for material in division.body.materials:
+        division, part, body = self._division, self._part, self._division.body
+        mesh, terms = body.mesh.renumbered(division.positions, 0), []
+        for material in body.materials:
             cells = part.cells if material.cells is None else np.intersect1d(
                 part.cells, material.cells
             )
             if len(cells):
-                own = SomeCells(division.positions, mesh.cells[cells], mesh.shape_functions)
-                terms.append(Elements(own, index, material.law_parameters))
+                terms += strained_terms(mesh, material, cells, index, body.entry.has_patches)
         if not part.cavities:
             return terms, None
         surfaces = [

@@ -24,6 +24,7 @@ FRAME = "base_link"
 def small_scene_mapping():
     mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
+    mapping["body"]["element"] = "linear"
     return mapping
 
 
@@ -77,6 +78,7 @@ def trunk_mapping():
     """The Trunk before its two cylinders, on its coarse mesh."""
     mapping = written_out(yaml.safe_load((ROOT / "config/scenes/trunk_cylinders.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/trunk_700.vtk")
+    mapping["body"]["element"] = "linear"
     return mapping
 
 

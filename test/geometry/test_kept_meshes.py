@@ -18,11 +18,12 @@ KEPT = {
     "diamond_2700": (2500, 2900, 0.15), "diamond_4500": (4000, 5000, 0.15),
     "diamond_9000": (8500, 9500, 0.15), "diamond_15000": (14000, 16000, 0.15),
     "flexo_hand_48": (48, 48, 0.3), "flexo_hand_216": (216, 216, 0.3),
-    "grasper_finger_158": (150, 170, 0.35), "grasper_finger_400": (350, 450, 0.35),
+    "grasper_finger_158": (150, 170, 0.35), "grasper_finger_180": (180, 180, 0.35),
+    "grasper_finger_360": (360, 360, 0.24), "grasper_finger_400": (350, 450, 0.35),
     "grasper_finger_1200": (1100, 1300, 0.35),
-    "octoleg_120": (115, 125, 0.2), "octoleg_400": (350, 450, 0.2),
+    "octoleg_120": (115, 125, 0.2), "octoleg_173": (173, 173, 0.12), "octoleg_400": (350, 450, 0.2),
     "octoleg_1000": (900, 1100, 0.2),
-    "trunk_700": (680, 740, 0.6), "trunk_1600": (1600, 1700, 0.6), "trunk_4000": (3000, 4500, 0.45),
+    "trunk_700": (680, 740, 0.6), "trunk_900": (880, 920, 0.38), "trunk_1600": (1600, 1700, 0.6), "trunk_4000": (3000, 4500, 0.45),
 }  # fmt: skip
 # The script of each robot whose meshes need no mesher.
 SCRIPTS = {"flexo_hand": "make_flexo", "grasper_finger": "make_grasper", "octoleg": "make_octoleg",

@@ -40,11 +40,15 @@ class Kept(NamedTuple):
 
 # Three fingers of a PneuNet gripper have 1214 nodes, the Springy 1532, the Fetch 5152: within 2 %.
 KEPT = {
-    "springy_400": Kept(380, 420, 0.1), "springy_1532": Kept(1502, 1562, 0.2),
+    "springy_400": Kept(380, 420, 0.1), "springy_964": Kept(964, 964, 0.2),
+    "springy_1444": Kept(1444, 1444, 0.3), "springy_1532": Kept(1502, 1562, 0.2),
     "springy_4000": Kept(3800, 4200, 0.25),
-    "pneunet_finger_400": Kept(397, 412, 0.15), "pneunet_finger_1500": Kept(1400, 1600, 0.15),
-    "segment_1000": Kept(950, 1050, 0.2), "segment_4000": Kept(3900, 4100, 0.25),
-    "fetch_1500": Kept(1450, 1600, 0.1), "fetch_5152": Kept(5049, 5255, 0.2),
+    "pneunet_finger_400": Kept(397, 412, 0.15), "pneunet_finger_620": Kept(620, 620, 0.11),
+    "pneunet_finger_1000": Kept(1000, 1050, 0.11), "pneunet_finger_1500": Kept(1400, 1600, 0.15),
+    "segment_1000": Kept(950, 1050, 0.2), "segment_1500": Kept(1480, 1530, 0.2),
+    "segment_2300": Kept(2250, 2310, 0.2), "segment_4000": Kept(3900, 4100, 0.25),
+    "fetch_1500": Kept(1450, 1600, 0.1), "fetch_3714": Kept(3714, 3714, 0.3),
+    "fetch_5152": Kept(5049, 5255, 0.2), "fetch_5586": Kept(5586, 5586, 0.24),
 }  # fmt: skip
 SCRIPTS = {"springy": "make_springy", "pneunet_finger": "make_pneunet",
            "segment": "make_segment", "fetch": "make_fetch"}  # fmt: skip

@@ -135,6 +135,7 @@ def scene_file(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scenes")
     (folder / "mesh.vtk").write_bytes(MESH.read_bytes())
     mapping["body"]["mesh"]["file"] = "mesh.vtk"
+    mapping["body"]["element"] = "linear"
     file = folder / "diamond.yaml"
     file.write_text(yaml.safe_dump(mapping))
     return file

@@ -31,6 +31,7 @@ def small_scene_file(tmp_path_factory):
     """The Diamond on its coarsest mesh."""
     scene = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     scene["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
+    scene["body"]["element"] = "linear"
     file = tmp_path_factory.mktemp("scenes") / "small_diamond.yaml"
     file.write_text(yaml.safe_dump(scene))
     return file

@@ -27,6 +27,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 def diamond():
     mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
+    mapping["body"]["element"] = "linear"
     return Simulation.from_scene(scene_from_mapping(mapping))
 
 

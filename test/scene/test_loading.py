@@ -73,8 +73,10 @@ def test_impossible_values_are_refused_with_key_value_and_unit(place, value, key
     assert re.search(words, str(error)), str(error)
 
 
-def test_an_element_is_linear_by_default():
-    assert scene_from_mapping(copy.deepcopy(GOOD)).body.element == "linear"
+def test_an_element_is_quadratic_by_default():
+    mapping = copy.deepcopy(GOOD)
+    del mapping["body"]["element"]
+    assert scene_from_mapping(mapping).body.element == "quadratic"
 
 
 SPOILT = """
@@ -165,7 +167,7 @@ def test_a_text_too_large_for_a_scene_is_refused_before_it_is_read_whole(tmp_pat
 
 def test_the_mesh_is_found_from_the_scene_files_folder(tmp_path):
     scene = scene_from_mapping(copy.deepcopy(GOOD), tmp_path / "config" / "scenes" / "r.yaml")
-    assert scene.mesh_path == tmp_path / "meshes" / "diamond_1600.vtk"
+    assert scene.mesh_path == tmp_path / "meshes" / "diamond_600.vtk"
 
 
 def test_a_scene_is_frozen():

@@ -19,8 +19,11 @@ from softrobot_twin.simulation import Hold, Simulation, State, Status
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
 MAPPING = written_out(yaml.safe_load(SCENE_FILE.read_text()))
 MAPPING["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
+MAPPING["body"]["element"] = "linear"
 TRUNK_FILE = SCENE_FILE.with_name("trunk_cylinders.yaml")
 TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
+TRUNK["body"]["mesh"]["file"] = "../../meshes/trunk_1600.vtk"
+TRUNK["body"]["element"] = "linear"
 
 
 @pytest.fixture

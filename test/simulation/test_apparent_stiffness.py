@@ -31,6 +31,11 @@ def shipped(name, change):
 
 def coarse_diamond(mapping):
     mapping["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
+    mapping["body"]["element"] = "linear"
+
+
+def fine_diamond(mapping):
+    mapping["body"] |= {"element": "linear", "mesh": {"file": "../../meshes/diamond_1600.vtk"}}
 
 
 def soft_diamond(mapping):
@@ -128,7 +133,7 @@ def test_the_linearization_begins_at_the_state(pulled):
 
 @pytest.mark.slow
 def test_its_derivatives_are_right_where_the_tangent_alone_is_indefinite():
-    simulation = shipped("diamond", lambda mapping: None)
+    simulation = shipped("diamond", fine_diamond)
     stiffness = ApparentStiffness(simulation.model)
     lengths = simulation.rest_setpoints - 1e-3 * np.array([16.3, 18.3, 12.1, 14.6])
     settle(simulation, lengths)

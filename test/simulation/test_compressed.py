@@ -16,6 +16,7 @@ from softrobot_twin.simulation import CommandEfforts, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = written_out(read_yaml(TRUNK_FILE.read_text()))
+TRUNK["body"]["element"] = "linear"
 BASE, YOUNG = 0.0201, 450e3
 
 

@@ -15,6 +15,7 @@ from softrobot_twin.simulation.result import RATE
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
+TRUNK["body"]["element"] = "linear"
 
 
 @pytest.fixture

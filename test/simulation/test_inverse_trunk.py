@@ -11,6 +11,8 @@ from softrobot_twin.simulation import FollowTargets
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENE = written_out(yaml.safe_load((CONFIG / "scenes" / "trunk_cylinders.yaml").read_text()))
+SCENE["body"]["mesh"]["file"] = "../../meshes/trunk_1600.vtk"
+SCENE["body"]["element"] = "linear"
 PATH = np.genfromtxt(CONFIG / "targets" / "trunk_path.csv", delimiter=",", skip_header=1)[:, 1:4]
 CYLINDERS = [entry["cylinder"] for entry in SCENE["obstacles"]]
 

@@ -16,7 +16,7 @@ from softrobot_twin.simulation.model_file import ModelFile, ModelFileError
 from softrobot_twin.simulation.scene_layout import lay_out
 
 ROOT = Path(__file__).resolve().parents[2]
-FILES = {"diamond_reduced": "diamond_1600_reduced", "fetch_reduced": "fetch_5152_vertebrae"}
+FILES = {"diamond_reduced": "diamond_600_reduced", "fetch_reduced": "fetch_5586_vertebrae"}
 
 
 @pytest.fixture

@@ -53,7 +53,7 @@ def quadratic(mapping):
     mapping["body"]["element"] = "quadratic"
 
 
-@pytest.mark.parametrize("change", [None, quadratic], ids=["linear_1532", "quadratic_400"])
+@pytest.mark.parametrize("change", [None, quadratic], ids=["smoothed_964", "quadratic_400"])
 def test_an_accordion_grows_by_more_than_its_own_volume_and_stays_straight(change):
     springy = robot("springy", change)
     assert springy.rest_setpoints == pytest.approx([AT_REST], rel=1e-6)
@@ -66,13 +66,13 @@ def test_an_accordion_grows_by_more_than_its_own_volume_and_stays_straight(chang
         pressures.append(result.efforts[0])
     tips, steps = np.array(tips), np.diff(pressures)
     # No limit point: the pressure rises all the way, from a vacuum, because the weight pulls.
-    assert (steps > 0.0).all() and pressures[0] < 0.0 < pressures[-1]
-    # The file gives the rotation with seven digits.
-    assert np.abs(tips[:, :2]).max() < 2e-8
+    assert (steps > 0.0).all() and pressures[0] < -100.0 < pressures[-1] < 400.0
+    # The file gives the rotation with seven digits. Patches of volume are not symmetric.
+    assert np.abs(tips[:, :2]).max() < (2e-8 if change else 5e-4)
     assert (np.diff(tips[:, 2]) < 0.0).all() and 14e-3 < tips[0, 2] - tips[-1, 2] < 18e-3
 
 
-@pytest.mark.parametrize("change", [None, quadratic], ids=["linear_1532", "quadratic_400"])
+@pytest.mark.parametrize("change", [None, quadratic], ids=["smoothed_964", "quadratic_400"])
 def test_a_grown_accordion_returns_after_a_push_to_the_side(change):
     springy = robot("springy", change)
     for growth in np.linspace(0.0, GROWTH, 11):
@@ -113,16 +113,24 @@ def about_z(points, turn):
     return Rotation.from_rotvec([0.0, 0.0, turn]).apply(points)
 
 
-def test_three_fingers_at_one_pressure_are_turned_by_a_third():
-    hand = robot("pneunet_inverse")
-    result = settled(hand, [50e3, 50e3, 50e3])
+def symmetric(mapping):
+    for body in mapping["bodies"]:
+        body["volume"] = "per_element"
+
+
+@pytest.mark.parametrize("change, aside", [(symmetric, 1e-7), (None, 1e-3)],
+                         ids=["per element", "patches"])  # fmt: skip
+def test_three_fingers_at_one_pressure_are_turned_by_a_third(change, aside):
+    """Patches of volume are not symmetric: with them a finger leaves its plane by a hair."""
+    hand = robot("pneunet_inverse", change)
+    result = settled(hand, [25e3, 25e3, 25e3])
     first, second, third = result.effector_positions
     hand.reset()
     rest = settled(hand, [0.0, 0.0, 0.0]).effector_positions
     # The file gives places to a micrometre.
     assert second == pytest.approx(about_z(first, 2 * np.pi / 3), abs=1e-6)
     assert third == pytest.approx(about_z(first, 4 * np.pi / 3), abs=1e-6)
-    assert abs(first[1]) < 1e-7
+    assert abs(first[1]) < aside
     # All bend inwards.
     assert np.linalg.norm(rest[:, :2], axis=1).min() - np.linalg.norm(first[:2]) > 8e-3
 
@@ -130,7 +138,7 @@ def test_three_fingers_at_one_pressure_are_turned_by_a_third():
 def test_a_finger_moves_by_its_own_pressure_alone():
     hand = robot("pneunet_inverse")
     rest = settled(hand, [0.0, 0.0, 0.0]).effector_positions
-    moved = settled(hand, [0.0, 60e3, 0.0]).effector_positions
+    moved = settled(hand, [0.0, 25e3, 0.0]).effector_positions
     assert moved[[0, 2]] == pytest.approx(rest[[0, 2]], abs=1e-9)
     assert np.linalg.norm(moved[1] - rest[1]) > 8e-3
 
@@ -150,7 +158,7 @@ def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():
         lengths = [
             np.linalg.norm(np.diff(settled(hand, [pressure, 0, 0]).state.positions[line], axis=0),
                            axis=1).sum()
-            for pressure in (0.0, 60e3)
+            for pressure in (0.0, 25e3)
         ]  # fmt: skip
         return lengths[1] / lengths[0] - 1.0
 

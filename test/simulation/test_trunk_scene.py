@@ -44,7 +44,7 @@ def path():
 
 def sag(simulation):
     """How far the tip hangs down at rest lengths [m]."""
-    for _ in range(8):
+    for _ in range(20):
         result = simulation.step(Hold(TIME_STEP))
     assert result.status is Status.OK
     assert result.report.residual < 1e-6

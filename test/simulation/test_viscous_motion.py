@@ -13,6 +13,7 @@ from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = written_out(read_yaml(TRUNK_FILE.read_text()))
+TRUNK["body"]["element"] = "linear"
 TENSION, END = 1.2, 0.1
 
 

@@ -96,6 +96,7 @@ def page():
 def diamond(tmp_path_factory):
     mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_150.vtk")
+    mapping["body"]["element"] = "linear"
     scene = write_scene(tmp_path_factory.mktemp("diamond") / "diamond.yaml", mapping)
     return trained(scene, "--snapshots", 40, "--modes", 15, "--spare-modes", 3)
 

@@ -25,6 +25,8 @@ MATERIALS = {
     "linear": {"law": "corotational", "young_modulus": 2.0e5, "poisson_ratio": 0.4, "density": 1e3},
     "quadratic": {"law": "neo_hookean", "young_modulus": 2.0e5, "poisson_ratio": 0.4,
                   "density": 1e3},
+    "smoothed": {"law": "neo_hookean", "young_modulus": 2.0e5, "poisson_ratio": 0.4,
+                 "density": 1e3},
 }  # fmt: skip
 
 
@@ -38,10 +40,10 @@ def rng():
 
 @pytest.fixture(scope="module", params=list(MATERIALS))
 def body(request, column):
-    """A column of two materials, of straight tetrahedra or of quadratic rubber."""
+    """A column of two materials: straight tetrahedra, quadratic or smoothed rubber."""
     mapping = yaml.safe_load(column.read_text())
     mapping["body"]["element"] = request.param
-    mapping["body"]["material"] = MATERIALS[request.param]
+    mapping["body"] |= {"material": MATERIALS[request.param], "volume": "per_element"}
     stiff = {**MATERIALS["linear"], "young_modulus": 4.0e5}
     mapping["body"]["materials"] = [
         {**stiff, "box": {"minimum": [-1, -1, 0.06], "maximum": [1, 1, 1]}}

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh, block_mesh
+from softrobot_twin.geometry.smoothed_mesh import edge_rings
 from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
 from softrobot_twin.study.locking_study import COOK_SHEAR, cook
 from softrobot_twin.study.specimens import (
@@ -253,9 +254,27 @@ def test_a_cylinder_is_twisted_at_fixed_length(kind, count, layers, share):
         assert force[:, 2].sum() == pytest.approx(-0.25 * np.pi * twist**2, rel=2.0 * share)
 
 
-def test_nafems_le10():
-    """A thick elliptic plate under 1 MPa, as soft as steel: σ_yy = -5.38 MPa at the point D."""
-    shear, bulk = 210e9 / 2.6, 210e9 / 1.2
+ELASTICA = {1: (0.30172, 0.05643), 2: (0.49346, 0.16064), 5: (0.71379, 0.38763), 10: (0.81061, 0.55500)}
+
+
+@pytest.mark.parametrize("kind, count, share", [("smoothed", 4, 0.01), ("quadratic", 2, 0.02)])
+def test_a_cantilever_under_a_tip_load_is_the_elastica(kind, count, share):
+    """PL²/EI against deflection and approach of the tip, both by the length; ν = 0."""
+    thick, law = 0.05, NeoHookean(1.0, 2.0 / 3.0)
+    mesh = mapped_mesh(kind, (10 * count, count, count), lambda points: points * [1.0, thick, thick])
+    x = mesh.node_positions
+    tip = x[:, 0] > 1.0 - 1e-9
+    loads = traction_loads(mesh, tip, (0.0, 0.0, 2.0 * thick**2 / 12.0))
+    beam = Specimen(mesh, law, x[:, 0] < 1e-9)
+    for load in (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0):
+        beam.solve(load * loads)
+        if load in ELASTICA:
+            moved = (beam.positions - x)[tip].mean(axis=0)
+            assert (moved[2], -moved[0]) == pytest.approx(ELASTICA[load], rel=share)
+
+
+def le10_plate(kind, cells):
+    """The plate of NAFEMS LE10 at rest, its restraints and 1 MPa on it, and its point D."""
 
     def place(points):
         angle, out = 0.5 * np.pi * points[:, 0], points[:, 1:2] ** 1.3
@@ -263,23 +282,53 @@ def test_nafems_le10():
         outer = np.column_stack([3.25 * np.cos(angle), 2.75 * np.sin(angle)])
         return np.column_stack([inner + (outer - inner) * out, 0.6 * points[:, 2]])
 
-    mesh = mapped_mesh("quadratic", (8, 5, 4), place)
+    mesh = mapped_mesh(kind, cells, place)
     x = mesh.node_positions
     rim = np.abs((x[:, 0] / 3.25) ** 2 + (x[:, 1] / 2.75) ** 2 - 1.0) < 1e-6
     held = np.abs(x) < 1e-9
     held[:, 2] = rim & (np.abs(x[:, 2] - 0.3) < 1e-9)
     held[rim, :2] = True
     loads = traction_loads(mesh, x[:, 2] > 0.6 - 1e-9, (0.0, 0.0, -1e6))
-    plate = Specimen(mesh, NeoHookean(shear, bulk), np.zeros(len(x), bool), held, by_patches=False)
+    plate = Specimen(mesh, LE10_STEEL, np.zeros(len(x), bool), held, by_patches=False)
     plate.solve(loads)
     # Strains are so small that the second correction is the last one.
     assert plate.decrements[1] < 1e-3 * plate.decrements[0]
     point = int(np.argmin(np.linalg.norm(x - [2.0, 0.0, 0.6], axis=1)))
     assert np.linalg.norm(x[point] - [2.0, 0.0, 0.6]) < 1e-9
+    return plate, point
+
+
+LE10_STEEL = NeoHookean(210e9 / 2.6, 210e9 / 1.2)
+
+
+def stress_yy(moved):
+    """σ_yy [Pa] of a gradient of displacements."""
+    shear, bulk = LE10_STEEL
+    return 2.0 * shear * moved[1, 1] + (bulk - 2.0 * shear / 3.0) * np.trace(moved)
+
+
+def test_nafems_le10():
+    """A thick elliptic plate under 1 MPa, as soft as steel: σ_yy = -5.38 MPa at the point D."""
+    plate, point = le10_plate("quadratic", (8, 5, 4))
+    mesh, x = plate.mesh, plate.mesh.node_positions
     corners, stresses = np.vstack([np.zeros(3), np.eye(3)]), []
     for cell in mesh.cells[(mesh.cells == point).any(axis=1)]:
         slopes = mesh.shape_functions.slopes(corners[cell[:4] == point])[0]
         gradients = slopes @ np.linalg.inv(x[cell].T @ slopes)
-        moved = (plate.positions - x)[cell].T @ gradients
-        stresses.append(2.0 * shear * moved[1, 1] + (bulk - 2.0 * shear / 3.0) * np.trace(moved))
+        stresses.append(stress_yy((plate.positions - x)[cell].T @ gradients))
     assert np.mean(stresses) == pytest.approx(-5.38e6, rel=0.025)
+
+
+def test_nafems_le10_of_smoothed_tetrahedra():
+    """Rings around D have their mean beside it: the error falls with the size, to nothing."""
+    found = []
+    for cells in ((8, 5, 4), (16, 10, 8)):
+        plate, point = le10_plate("smoothed", cells)
+        rings, moves = edge_rings(plate.mesh), plate.positions - plate.mesh.node_positions
+        around = (rings.cells == point).any(axis=1)
+        gradients = np.einsum("eai,eaj->eij", moves[rings.cells], rings.points.gradients[:, 0])
+        stresses = [stress_yy(gradient) for gradient in gradients[around]]
+        found.append(np.average(stresses, weights=rings.points.weights[around, 0]))
+    coarse, fine = found
+    assert coarse > fine > -5.38e6
+    assert 2.0 * fine - coarse == pytest.approx(-5.38e6, rel=0.025)

@@ -50,8 +50,11 @@ def workshop(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fetch")
     shutil.copy(ROOT / "meshes" / "fetch_1500.msh", folder)
     mapping = written_out(yaml.safe_load(SCENE_FILE.read_text()))
-    mapping["body"]["mesh"]["file"] = "fetch_1500.msh"
+    mapping["body"] |= {"mesh": {**mapping["body"]["mesh"], "file": "fetch_1500.msh"},
+                        "element": "linear"}  # fmt: skip
     mapping["body"]["vertebrae"]["degree"] = 3
+    for cavity in mapping["cavities"]:
+        cavity["pressure"] = [0.0, 5e3]
     mapping["solver"]["newton_iterations"] = 20
     path = folder / "fetch.yaml"
     path.write_text(yaml.safe_dump(mapping))
