@@ -77,18 +77,26 @@ def test_places_of_two_elements_nearest_to_each_other_are_those_of_a_search():
     seed = int(np.random.default_rng().integers(2**32))
     print(f"seed {seed}")
     random = np.random.default_rng(seed)
+    one_dip_count = 0
     for _ in range(30):
         first, second = chain(random, bend=0.05), chain(random, bend=0.05)
         # As near as what touches is: farther apart, bent elements have several equal minima.
         shift = points_of(first, 1)[200] - points_of(second, 2)[200]
         second = second._replace(places=second.places + shift + 0.005 * random.standard_normal(3))
         x, y = points_of(first, 1), points_of(second, 2)
-        least = np.linalg.norm(x[:, None] - y, axis=2).min()
+        apart = np.linalg.norm(x[:, None] - y, axis=2)
+        # Bent elements side by side may be near at two places: either may be found.
+        falls = np.diff(apart.min(axis=1)) < -1e-9
+        if (falls[1:] & ~falls[:-1]).any():
+            continue
+        one_dip_count += 1
+        least = apart.min()
         s, t = nearest_shares(first, 1, second, 2)
         away = np.array(axis_point(first, 1, s)) - axis_point(second, 2, t)
         # What makes flat minima unique adds no more than 1e-4 L² to the square; in long valleys the
         # search stops a little before their lowest place.
         assert np.linalg.norm(away) < 1.02 * np.sqrt(least**2 + 1e-4 * 0.05**2)
+    assert one_dip_count >= 10
 
 
 def test_a_straight_axis_above_a_plane_touches_with_its_nodes():
