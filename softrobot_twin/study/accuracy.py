@@ -166,7 +166,8 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
         forces, displacements = (figure.add_subplot(grid[1, column]) for column in (0, 1))
         _draw_error_against_time(forces, rows, "error_tensions")
         _draw_error_against_time(displacements, rows, "error")
-        _draw_added_against_time(figure.add_subplot(grid[2, :]), rows)
+        if any(row.knob in _KNOB_COLOURS for row in rows):
+            _draw_added_against_time(figure.add_subplot(grid[2, :]), rows)
 
 
 def curve(rows: Sequence[AccuracyRow], element: str, law: str) -> list[AccuracyRow]:

@@ -692,10 +692,14 @@ def stiffness_cases() -> list[BenchCase]:
 
 
 def reduced_cases() -> list[BenchCase]:
-    """The Diamond reduced to modes; its full model is the default scene."""
-    path = default_scene_path().parent / "diamond_reduced.yaml"
-    return [BenchCase("diamond_reduced", load_scene(path), "the Diamond, reduced",
-                      paper=_REDUCED_DIAMOND)]
+    """The Diamond reduced to modes, after its full model."""
+    reduced = load_scene(default_scene_path().parent / "diamond_reduced.yaml")
+    body = reduced.body.model_copy(update={"reduced": None})
+    return [
+        BenchCase("diamond_quadratic", reduced.model_copy(update={"body": body}),
+                  "the Diamond, quadratic"),
+        BenchCase("diamond_reduced", reduced, "the Diamond, reduced", paper=_REDUCED_DIAMOND),
+    ]
 
 
 def standard_cases(folder: Path) -> list[BenchCase]:

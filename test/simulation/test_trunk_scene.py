@@ -20,11 +20,12 @@ MAPPINGS = {
 
 @pytest.fixture
 def trunk():
-    """Makes a simulation of one of the Trunk's scenes, on its coarsest mesh."""
+    """Makes a simulation of one of the Trunk's scenes, of linear elements on its coarsest mesh."""
 
     def make(name="trunk", change=None, newton_iterations=1) -> Simulation:
         mapping = copy.deepcopy(MAPPINGS[name])
         mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
+        mapping["body"]["element"] = "linear"
         mapping["solver"] = {"newton_iterations": newton_iterations}
         if change is not None:
             change(mapping)

@@ -47,7 +47,7 @@ def test_a_beam_that_kept_out_of_balance_for_ever_comes_to_rest(seed):
 
 
 @pytest.mark.parametrize("count, most_worse, most_restless", [
-    (4, 3, 1), pytest.param(40, 7, 2, marks=pytest.mark.slow),
+    (4, 3, 1), pytest.param(40, 7, 2, marks=[pytest.mark.slow, pytest.mark.timeout(900)]),
 ])  # fmt: skip
 def test_random_robots_rest_near_the_best_place_or_tell_it(drawn_rng, count, most_worse, most_restless):
     found = []
