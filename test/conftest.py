@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import runpy
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -592,3 +593,13 @@ def drawn_rng():
     seed = int(os.environ.get("DRAWN_SEED", np.random.SeedSequence().entropy % 2**32))
     print(f"DRAWN_SEED={seed}")
     return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def fatigue(monkeypatch):
+    """Adds an effect from a file outside of the package to all scenes."""
+    from softrobot_twin.simulation.effects import EFFECTS
+
+    effect = runpy.run_path(Path(__file__).with_name("fatigue_effect.py"))["Fatigue"]
+    monkeypatch.setattr("softrobot_twin.simulation.effects.EFFECTS",
+                        [*EFFECTS, lambda model: [effect(model)]])  # fmt: skip

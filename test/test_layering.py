@@ -65,23 +65,18 @@ class Import(NamedTuple):
         module: Absolute dotted name of the imported module.
         line: Line number.
         lazy: It is inside a function, so importing the file does not run it.
-        for_types: It is under TYPE_CHECKING and is never run.
     """
 
     module: str
     line: int
     lazy: bool
-    for_types: bool = False
 
 
 @cache
 def read_imports(path: Path) -> list[Import]:
     """All imports of a module, also those inside functions and those by name."""
     tree = ast.parse(path.read_text(), str(path))
-    for_types = {id(inner) for node, _ in statements(tree) if isinstance(node, ast.If)
-                 and ast.unparse(node.test).endswith("TYPE_CHECKING")
-                 for statement in node.body for inner in ast.walk(statement)}
-    found = [Import(name, node.lineno, lazy, id(node) in for_types)
+    found = [Import(name, node.lineno, lazy)
              for node, lazy in statements(tree) for name in imported_names(node, path)]
     if {"importlib", "importlib.import_module"} & {item.module for item in found}:
         # A name that is imported may come from a table: every string of its form counts.
@@ -168,12 +163,12 @@ def module_name(path: Path) -> str:
 
 
 def imported_modules() -> dict[str, set[str]]:
-    """Modules of ours that each of ours imports when it runs, at its top or later."""
+    """Modules of ours that each of ours imports: at its top, later, or for types alone."""
     names = {module_name(path) for path in MODULES}
     graph = {}
     for path in MODULES:
         modules = {found.module if found.module in names else found.module.rpartition(".")[0]
-                   for found in read_imports(path) if not found.for_types}
+                   for found in read_imports(path)}
         graph[module_name(path)] = modules & names
     return graph
 

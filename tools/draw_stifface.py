@@ -81,9 +81,9 @@ DURATION = 18.0
 def press(simulation: Simulation, depth: float = PRESS_DEPTH) -> float:
     """Force by depth of a press along z [N/m]; the simulation is as it was afterwards."""
     before = simulation.state
-    none = np.full_like(before.touches.points, np.nan)
+    none = np.full_like(simulation.touches.points, np.nan)
     for share in np.linspace(0.0, 1.0, PRESS_STEPS + 1)[1:].tolist() + [1.0, 1.0]:
-        place = before.touches.points.copy()
+        place = before.memory["touches.points"].copy()
         place[:, 2] -= share * depth
         command = CommandSetpoints(before.setpoints, TIME_STEP)
         result = simulation.step(command, None, Touched(none, place))

@@ -38,6 +38,7 @@ no potential. `Linearized` makes the condensed system symmetric, and exact at it
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -399,8 +400,9 @@ class FrictionCables(ElasticCables):
         held_forces: Force term of the forces at the told tensions.
     """
 
-    yields = False
+    yields = conserves = may_rest = False
     takes_efforts = True
+    memory_name = "cable_friction"
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
@@ -427,17 +429,24 @@ class FrictionCables(ElasticCables):
         self._strains, self._beyond = np.zeros(count), np.zeros(count)
         self._force_slopes, self._length_slopes = np.ones(count), np.ones(count)
         self._stick = np.zeros((count, widest))
-        self.begin(rest_positions, np.zeros(len(paths)), np.zeros(count))
+        self.recall(self.memory_at_rest(), rest_positions, np.zeros(len(paths)))
         self.held_forces = HeldCableForces(self)
 
-    def begin(self, positions: np.ndarray, efforts: np.ndarray, shares: np.ndarray) -> None:
+    def memory_at_rest(self) -> dict[str, np.ndarray]:
+        """Shares z of the friction that acts, -1 to 1; see `recall`."""
+        return {"shares": np.zeros(len(self._cable))}
+
+    def recall(
+        self, memory: Mapping[str, np.ndarray], positions: np.ndarray, efforts: np.ndarray
+    ) -> None:
         """Let a step begin.
 
         Args:
-            positions: Node positions [m], shape (node_count, 3).
-            efforts: Tensions at the winches [N], shape (row_count,).
-            shares: z there, shape (segment_count,).
+            memory: `shares`, z where the step begins, shape (segment_count,).
+            positions: Node positions there [m], shape (node_count, 3).
+            efforts: Tensions at the winches [N], shape (row_count or more,).
         """
+        shares = memory["shares"]
         self._begin_shares = np.array(shares)
         self._begin_beyond = np.zeros(len(shares))
         self._measure(positions)
@@ -450,8 +459,8 @@ class FrictionCables(ElasticCables):
             )  # fmt: skip
             write_beyond(self._lengths[own], strains[own], self._begin_beyond[own])
 
-    def shares_at(self, positions: np.ndarray, efforts: np.ndarray) -> np.ndarray:
-        """z at a state of this step, shape (segment_count,).
+    def memory_after(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
+        """z at a state of this step, as `recall` takes it.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -459,7 +468,7 @@ class FrictionCables(ElasticCables):
         """
         self.tell_efforts(efforts[: self.row_count])
         self.solve(positions)
-        return self.shares.copy()
+        return {"shares": self.shares.copy()}
 
     def _measure(self, positions: np.ndarray) -> None:
         write_turns(

@@ -23,6 +23,8 @@ class ConstraintTerm(Protocol):
         name: Name of the term in reports.
         group: Purpose of its rows.
         varies: Whether its rows differ from state to state: then the term is a `VaryingTerm`.
+        conserves: Whether equilibria at held values of its rows are minima of an energy.
+        memory_name: Under which name a state holds what it remembers, see `step_part`; else empty.
         row_count: Number of its rows k.
         row_capacity: Number of rows that memory is allocated for, at least k.
         entry_capacity: Number of entries of H that memory is allocated for.
@@ -36,6 +38,8 @@ class ConstraintTerm(Protocol):
     name: str
     group: ClassVar[Group]
     varies: ClassVar[bool]
+    conserves: ClassVar[bool]
+    memory_name: ClassVar[str]
     row_count: int
     row_capacity: int
     entry_capacity: int
@@ -99,6 +103,8 @@ class ConstantRows:
     """Base of terms with the same rows and entries in all states: memory is allocated for these."""
 
     varies: ClassVar[bool] = False
+    conserves: ClassVar[bool] = True
+    memory_name: ClassVar[str] = ""
     row_count: int
     entry_rows: np.ndarray
     entry_nodes: np.ndarray

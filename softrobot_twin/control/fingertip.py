@@ -80,7 +80,7 @@ class Fingertip:
         if self._has_left:
             return None
         if self._origin is None:
-            self._origin = np.array(self._simulation.state.touches.points[self._index])
+            self._origin = np.array(self._simulation.touches.points[self._index])
         course = (share - PAUSE) / (1.0 - PAUSE)
         depth = 0.5 * self._presses.depth * (1.0 - np.cos(2.0 * np.pi * course))
         shape = (len(self._simulation.touch_names), 3)

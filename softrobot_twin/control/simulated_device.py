@@ -237,7 +237,7 @@ class SimulatedDevice:
 
     def touches(self) -> TouchState:
         """Forces and displacements of the touches; see `TouchedDevice`. Sensors are exact."""
-        return self.simulation.state.touches
+        return self.simulation.touches
 
     def _step(self, command: CommandSetpoints | Hold, now: float) -> StepResult:
         """Steps the body, pressed by the fingertip as it is at a time [s]."""

@@ -34,7 +34,7 @@ class TouchInput:
         self.refusals, self.timed_out = RefusalCounts(), 0
         self.names = simulation.touch_names
         self._limits = np.array([touch.force_limit for touch in simulation.scene.touches])
-        touches = simulation.state.touches
+        touches = simulation.touches
         self._rest = np.empty((0, 3)) if touches is None else np.array(touches.points)
         self._farthest = FARTHEST * simulation.model.nodes.size
         count = len(self.names)

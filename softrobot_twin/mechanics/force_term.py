@@ -45,6 +45,8 @@ class ForceTerm(Protocol):
         is_slender: True for a term of parts that are much stiffer along than across, such as
             beams. A part that turns on the straight line of a move is stretched a little on its
             way: its energy rises, and falls with the next move.
+        memory_name: Under which name a state holds what the term remembers, see `step_part`; empty
+            for one that remembers nothing.
         nearly_flat_count: Points at which the barrier against flat elements acts, at the state
             whose forces were taken last.
         crossed_count: Elements there that are beyond the barrier at a place between their points;
@@ -58,6 +60,7 @@ class ForceTerm(Protocol):
     is_inertia: bool = False
     stays_upright: bool = False
     is_slender: bool = False
+    memory_name: str = ""
     nearly_flat_count: int = 0
     crossed_count: int = 0
     dense_rows: DenseRows | None = None

@@ -1,14 +1,14 @@
 """Elements of a material that remembers what was done to it: viscosity, softening, or both.
 
-What points remember is part of the state of a simulation: `begin_history` takes it from there
-before a step, and `history_after` gives it at the step's end. Within a step it is constant, so that
+What points remember is part of the state of a simulation: `recall` takes it from there before a
+step, and `memory_after` gives it at the step's end. Within a step it is constant, so that
 forces and stiffness are exact derivatives of one potential; see `viscosity.py` and `softening.py`.
 With both, the overstresses follow the stress of the softened law.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import NamedTuple
 
@@ -149,10 +149,10 @@ class RememberingElements(Elements):
     Attributes:
         viscosity: Terms of the Prony series; empty for a material that is not viscous.
         softening: Constants of the softening; None for a material that does not soften.
-        history_size: Number of values that all points remember.
     """
 
-    remembers_start = True
+    remembers_start = may_rest = True
+    memory_name = "material"
 
     def __init__(
         self, mesh, free_index: np.ndarray, law: tuple, viscosity: tuple[ViscousTerm, ...] = (),
@@ -180,7 +180,6 @@ class RememberingElements(Elements):
         self._greatest = np.zeros((batches, points, BATCH if softening else 0))
         self._overstresses = np.zeros((len(self.viscosity), batches, points, 9 * BATCH))
         self._memory = np.zeros((batches, points, 9 * BATCH if self.viscosity else 0))
-        self.history_size = self._overstresses.size + self._greatest.size
         self._unwrapped = law
         self._recording = recording_of(type(law))
         self._begin_positions = mesh.node_positions.copy()
@@ -213,15 +212,21 @@ class RememberingElements(Elements):
         """Modulus at once over the modulus after a long time."""
         return 1.0 + float(instant_shares(self.viscosity).sum()) if self.viscosity else 1.0
 
-    def begin_history(self, history: np.ndarray) -> None:
+    def memory_at_rest(self) -> dict[str, np.ndarray]:
+        """What points of new material remember: overstresses [Pa] of the terms of the series, and the
+        greatest energies [J/m³]; see `recall`."""
+        return {"overstresses": np.zeros_like(self._overstresses),
+                "greatest": np.zeros_like(self._greatest)}  # fmt: skip
+
+    def recall(self, memory: Mapping[str, np.ndarray], positions, efforts) -> None:
         """Take what points remember, before `begin_step`.
 
         Args:
-            history: As `history_after` gave it, or zeros for new material, shape (history_size,).
+            memory: As `memory_after` or `memory_at_rest` gave it.
+            positions: Not needed.
+            efforts: Not needed.
         """
-        split = self._overstresses.size
-        self._overstresses[:] = history[:split].reshape(self._overstresses.shape)
-        self._greatest[:] = history[split:].reshape(self._greatest.shape)
+        self._overstresses[:], self._greatest[:] = memory["overstresses"], memory["greatest"]
         self._forget()
 
     def begin_step(
@@ -243,11 +248,12 @@ class RememberingElements(Elements):
             )  # fmt: skip
         self._forget()
 
-    def history_after(self, positions: np.ndarray) -> np.ndarray:
-        """What points remember after the step that began last, shape (history_size,).
+    def memory_after(self, positions: np.ndarray, efforts) -> dict[str, np.ndarray]:
+        """What points remember after the step that began last.
 
         Args:
             positions: Node positions at its end [m], shape (node_count, 3).
+            efforts: Not needed.
         """
         after, overstresses = positions - self._reference, np.empty_like(self._overstresses)
         if self.viscosity:
@@ -261,4 +267,4 @@ class RememberingElements(Elements):
                 self._unwrapped._replace(bulk_modulus=0.0), after, self._cells, self._gradients,
                 greatest,
             )  # fmt: skip
-        return np.concatenate([overstresses.ravel(), greatest.ravel()])
+        return {"overstresses": overstresses, "greatest": greatest}

@@ -13,6 +13,9 @@ f in a step, divided by s.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
@@ -21,6 +24,38 @@ from softrobot_twin.geometry.vector3 import row, scaled
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils
+
+
+class TouchState(NamedTuple):
+    """What a step needs to know of the touches before it, and tells of those in it.
+
+    Attributes:
+        forces: Forces on the robot [N], zero along axes without touch, shape (touch_count, 3).
+        origins: Where each touched point was when its touch began [m], NaN where there is no touch,
+            same shape.
+        points: Where the points are now [m], same shape.
+    """
+
+    forces: np.ndarray
+    origins: np.ndarray
+    points: np.ndarray
+
+    @classmethod
+    def of(cls, memory: Mapping[str, np.ndarray]) -> TouchState | None:
+        """That in the memory of a state; None in a scene without touches."""
+        keys = [f"touches.{field}" for field in cls._fields]
+        return cls(*(memory[key] for key in keys)) if keys[0] in memory else None
+
+    @property
+    def is_touched(self) -> np.ndarray:
+        """Whether each point is touched, shape (touch_count,)."""
+        return np.isfinite(self.origins).all(axis=1)
+
+    @property
+    def displacements(self) -> np.ndarray:
+        """Displacement of each point since its touch began [m], zero without a touch, shape
+        (touch_count, 3)."""
+        return np.where(self.is_touched[:, None], self.points - self.origins, 0.0)
 
 
 @njit(**KERNEL)

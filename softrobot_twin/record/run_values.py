@@ -80,6 +80,7 @@ QUANTITIES: dict[str, Quantity] = {
     "is_late": Quantity(),
     "inverted_count": Quantity(ONE),
     "contact_count": Quantity(ONE),
+    "figures": Quantity(),
     "step_count": Quantity(ONE),
     "time": Quantity("s"),
     COMPUTE_TIME: Quantity("s"),
@@ -190,6 +191,7 @@ def _result_values(result: StepResult) -> dict[str, object]:
         "inverted_count": report.inverted_count,
         "contact_count": report.contact_count,
         "qp_solver": report.qp_solver,
+        "figures": dict(report.figures) or None,
         "step_count": result.state.step_count,
         "time": result.state.time,
         COMPUTE_TIME: report.compute_time,
@@ -200,6 +202,6 @@ def _result_values(result: StepResult) -> dict[str, object]:
 def state_digest(state: State) -> str:
     """A word that differs for any two states, even in one bit of one node."""
     made = hashlib.blake2b(digest_size=16)
-    for array in (state.positions, state.velocities, state.slips, state.history):
+    for array in (state.positions, state.velocities, *state.memory.values()):
         made.update(np.ascontiguousarray(array).data)
     return made.hexdigest()

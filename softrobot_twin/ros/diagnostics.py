@@ -5,7 +5,8 @@ message.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -17,7 +18,8 @@ from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.ros.ticking_node import publisher_names
+from softrobot_twin.ros.thread_priority import ThreadPriority
+from softrobot_twin.ros.ticking_node import Clash, publisher_names
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.actuators import Actuators
@@ -26,7 +28,7 @@ from softrobot_twin.simulation.vertebrae_watch import LARGE_BY_SIZE, LARGE_SHARE
 
 if TYPE_CHECKING:
     from softrobot_twin.record.run_recorder import RunRecorder
-    from softrobot_twin.ros.twin_node import TwinNode
+    from softrobot_twin.ros.run_recording import RunRecording
     from softrobot_twin.ros.view_feed import ViewFeed
 
 
@@ -99,6 +101,24 @@ def setpoint_differences(actuators: Actuators, differences: np.ndarray) -> dict[
     return largest
 
 
+class RunningTwin(Protocol):
+    """What diagnostics read of the node that runs the loop, a `TickingNode`; see there."""
+
+    priority: ThreadPriority
+    clock_steps: int
+    last_clock_step: float
+    failed_ticks: int
+    failure: str
+    refused_requests: int
+    is_simulated_time: bool
+    recording: RunRecording | None
+    clashes: list[Clash]
+
+    def get_fully_qualified_name(self) -> str: ...
+
+    def topics_of_targets(self) -> Iterable[str]: ...
+
+
 class TwinDiagnostics:
     """Writes one status for each part of the twin.
 
@@ -115,7 +135,7 @@ class TwinDiagnostics:
 
     def __init__(
         self, loop: TwinLoop, clock: TickClock, window: DiagnosticsWindow, feed: ViewFeed | None,
-        mesh_error: MeshErrorWatch | None = None, node: TwinNode | None = None,
+        mesh_error: MeshErrorWatch | None = None, node: RunningTwin | None = None,
         reduction: ReductionErrorWatch | None = None,
     ):
         self._loop, self._clock, self._window, self._feed = loop, clock, window, feed
@@ -190,7 +210,7 @@ class TwinDiagnostics:
             self._node, level, message, values
         )
 
-    def _of_running(self, node: TwinNode, level: bytes, message: str, values: dict):
+    def _of_running(self, node: RunningTwin, level: bytes, message: str, values: dict):
         """Adds the values of the node to the loop's status: priority, clocks, refused requests."""
         if self._new("given_back", node.priority.times_given_back):
             level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
@@ -483,7 +503,7 @@ class TwinDiagnostics:
                 found.append(f"{topic} ({names})")
         return ", ".join(found)
 
-    def _of_graph(self, node: TwinNode):
+    def _of_graph(self, node: RunningTwin):
         clashes = node.clashes
         values = {clash.key: clash.sentence for clash in clashes}
         if not clashes:

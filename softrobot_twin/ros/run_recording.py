@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rclpy.publisher import Publisher
 
+from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.record.run_clock import RecordedClock
 from softrobot_twin.record.run_description import describe
@@ -16,9 +16,7 @@ from softrobot_twin.record.run_file import INSTALL, SUFFIX, RunFileError, Topic
 from softrobot_twin.record.run_recorder import RunRecorder
 from softrobot_twin.ros.marker_bytes import to_bytes
 from softrobot_twin.ros.message_definitions import definition, type_name
-
-if TYPE_CHECKING:
-    from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.ros.ticking_node import TickingNode
 
 PARAMETER = "record"
 
@@ -32,7 +30,7 @@ class RunRecording:
         recorder: Writes the file; None until `begin`.
     """
 
-    def __init__(self, node: TwinNode, name: str):
+    def __init__(self, node: TickingNode, name: str):
         """Checks that the file can be written, before anything takes long.
 
         Args:
@@ -56,10 +54,11 @@ class RunRecording:
                 PARAMETER, name, "", "exists already; move it away, or name another file"
             )
 
-    def begin(self, parameters: Mapping[str, object]) -> None:
-        """Opens the file; the loop is built and warmed up, and no topic is open yet.
+    def begin(self, loop: TwinLoop, parameters: Mapping[str, object]) -> None:
+        """Opens the file, before any topic is open.
 
         Args:
+            loop: The twin's loop, built and warmed up.
             parameters: All parameters of the node, by name.
 
         Raises:
@@ -67,12 +66,12 @@ class RunRecording:
         """
         node = self._node
         description = describe(
-            node.loop, node.get_fully_qualified_name(), node.ros_time(),
+            loop, node.get_fully_qualified_name(), node.ros_time(),
             {"use_sim_time": node.is_simulated_time, **parameters},
         )  # fmt: skip
         try:
             self.recorder = RunRecorder(
-                self.path, node.loop, self.clock, description, node.ros_time, to_bytes
+                self.path, loop, self.clock, description, node.ros_time, to_bytes
             )
         except RunFileError as error:
             raise ParameterError(PARAMETER, str(self.path), "", error.reason) from None

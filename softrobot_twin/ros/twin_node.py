@@ -306,7 +306,7 @@ class TwinNode(TickingNode):
             self.get_logger().warning(note)
         simulation.warm_up()
         if self.recording is not None:
-            self.recording.begin(values)
+            self.recording.begin(self.loop, values)
         self.feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
         self.window = DiagnosticsWindow()

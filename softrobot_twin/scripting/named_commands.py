@@ -471,7 +471,7 @@ class CommandReader:
             CommandError: A name is unknown, or a value is not 3 finite numbers.
         """
         _check_mapping("touches", touches, "fingertip_force_N=[0, 0, -1]")
-        before, names = self._simulation.state.touches, self._simulation.touch_names
+        before, names = self._simulation.touches, self._simulation.touch_names
         known = {f"{name}_{word}": (index, word) for index, name in enumerate(names)
                  for word in ("force_N", "displacement_m", "place_m")}
         if not touches:

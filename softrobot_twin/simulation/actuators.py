@@ -114,6 +114,11 @@ class Actuators:
         parts = [np.asarray(getattr(group, field), float) for group in self.groups]
         return np.concatenate([np.empty(width), *parts])
 
+    @property
+    def conserves(self) -> bool:
+        """Whether equilibria at held displacements are minima of an energy."""
+        return all(term.conserves for term in self.terms)
+
     def stalled(self, efforts: np.ndarray) -> np.ndarray:
         """Whether each of the first actuators stalls, shape (n,).
 

@@ -27,7 +27,7 @@ with the rows D of displacements, which are H but for cables with friction.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,21 +35,17 @@ from scipy.sparse.linalg import splu
 
 from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.simulation.apparent_stiffness import SHARING
 from softrobot_twin.simulation.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
+from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization, NodeRows, laid_out_like
 from softrobot_twin.solvers.superlu import SuperLU
-
-if TYPE_CHECKING:
-    from softrobot_twin.simulation.simulation import Simulation
 
 # A contact with less than this share of the greatest force does not press.
 PRESSES = 1.0e-9
 # A contact with more than this share of the greatest friction slides.
 SLIDES = 1.0 - 1.0e-6
-# Rows that say the same make W_hh singular. With this share of their own compliance they share the
-# load; it is far below what any result could show.
-SHARING = 1.0e-10
 # Stiffness of what nothing holds, as a share of the mean stiffness.
 FREE_SHARE = 1.0e-10
 
@@ -193,8 +189,8 @@ class EffectorCompliance:
         """Which rows hold at the state; evaluates all rows there."""
         model, state = self._model, self._simulation.state
         rows, actuators, limits = model.rows, model.actuators, model.actuators.limits
-        if model.cable_friction is not None:
-            model.cable_friction.begin(state.positions, state.efforts, state.slips)
+        for part in self._simulation.parts:
+            part.recall(state)
         if rows.varies:
             rows.detect(state.positions)
             rows.choose_stiffness(True)

@@ -37,11 +37,13 @@ import numpy as np
 from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack, add_row_forces
 from softrobot_twin.mechanics.force_term import SECOND_DIFFERENCE
-from softrobot_twin.simulation.apparent_compliance import SHARING
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.factorization import Factorization
 
+# Rows that say the same make W_hh singular. With this share of their own compliance they share the
+# load; it is far below what any result could show.
+SHARING = 1.0e-10
 # Largest displacement of a node that rows and forces are differentiated over, as a share of the
 # body's size: differences of fourth order then have about ten digits.
 REACH = 2.0e-4
@@ -289,7 +291,7 @@ def why_no_stiffness(model: Model) -> str:
         return "contact"
     if model.slides is not None:
         return "slides"
-    if model.cable_friction is not None:
+    if not model.actuators.conserves:
         return "friction along cables"
     if rows.told is not None or any(getattr(term, "yields", False) for term in rows.terms):
         return "actuators that yield, such as cables that stretch"

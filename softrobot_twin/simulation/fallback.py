@@ -14,7 +14,6 @@ begin where the coordinates place them. Back, coordinates are those of the neare
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,9 +29,7 @@ from softrobot_twin.simulation.reduction_error import (
     step_held,
 )
 from softrobot_twin.simulation.state import State
-
-if TYPE_CHECKING:
-    from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.simulation.steppable import Steppable
 
 # Steps between two looks at the other model, each of which takes the time of one of its steps.
 CHECK_EVERY = 10
@@ -48,7 +45,7 @@ def bodies_with_fallback(model: Model) -> tuple[Body, ...]:
     )
 
 
-def build_fallback(simulation: Simulation) -> Fallback | None:
+def build_fallback(simulation: Steppable) -> Fallback | None:
     """The other model of a simulation; None where its scene names none.
 
     Raises:
@@ -77,7 +74,7 @@ class Fallback:
         limits: Names that tell so among the active limits of a step, such as ``body.enrich``.
     """
 
-    def __init__(self, simulation: Simulation, bodies: tuple[Body, ...]):
+    def __init__(self, simulation: Steppable, bodies: tuple[Body, ...]):
         """Build the better model.
 
         Args:
@@ -100,7 +97,7 @@ class Fallback:
         """Run every path of the other model once; see `Simulation.warm_up`."""
         self.other.warm_up()
 
-    def choose(self, simulation: Simulation) -> None:
+    def choose(self, simulation: Steppable) -> None:
         """Before a step: look at the other model when due, and change to it where it is called for.
 
         Args:
@@ -127,19 +124,19 @@ class Fallback:
             self.other.restore(other)
             self._exchange(simulation)
 
-    def fit(self, simulation: Simulation, state: State) -> None:
+    def fit(self, simulation: Steppable, state: State) -> None:
         """Change to the model that a state is of, before it is restored."""
         count = len(state.positions)
         if count != len(simulation.state.positions) and count == len(self.other.state.positions):
             self._exchange(simulation)
 
-    def reset(self, simulation: Simulation) -> None:
+    def reset(self, simulation: Steppable) -> None:
         """Go back to the reduced model, without a state."""
         self._until_check = CHECK_EVERY
         if self.is_active:
             self._exchange(simulation)
 
-    def _exchange(self, simulation: Simulation) -> None:
+    def _exchange(self, simulation: Steppable) -> None:
         """Exchange what the two simulations are made of; this object stays with its own."""
         other, own = vars(self.other), vars(simulation)
         other["fallback"], own["fallback"] = self, None
@@ -216,7 +213,7 @@ def _refuse(model: Model, bodies: tuple[Body, ...]) -> None:
         "guided rigid bodies and slides": model.guides is not None or model.slides is not None,
         "contact": scene.contact is not None,
         "sealed cavities": bool(scene.sealed_cavities),
-        "friction along cables": model.cable_friction is not None,
+        "friction along cables": not model.actuators.conserves,
         "two kinds of fallback": len(kinds) > 1,
     }
     for what, is_there in beside.items():

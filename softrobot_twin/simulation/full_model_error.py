@@ -17,7 +17,7 @@ is for the slack of a loop (`control/reduction_error_watch.py`) or for studies.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,9 +31,7 @@ from softrobot_twin.simulation.reduction_error import (
     step_held,
 )
 from softrobot_twin.simulation.state import State
-
-if TYPE_CHECKING:
-    from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.simulation.steppable import Steppable
 
 # A linearization that moves the effectors by at most this share of their distance from the reduced
 # model is the last, and the most linearizations.
@@ -66,7 +64,7 @@ class FullModelError:
         linearizations: Linearizations that the last estimate took.
     """
 
-    def __init__(self, simulation: Simulation):
+    def __init__(self, simulation: Steppable):
         """Build the full model.
 
         Args:

@@ -709,7 +709,7 @@ class CommandTable:
             time: The time [s].
             simulation: Its touches may have begun already.
         """
-        before, names = simulation.state.touches, simulation.touch_names
+        before, names = simulation.touches, simulation.touch_names
         forces, places = (np.full((len(names), 3), np.nan) for _ in range(2))
         for name, columns in self.touches.items():
             index, value = names.index(name), columns.at(time)

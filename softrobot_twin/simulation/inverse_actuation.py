@@ -358,11 +358,11 @@ class InverseActuation:
         self._may_hang &= actuators.limits.effort_min[:count] <= 0.0
         self._scales = actuators.limits.drive_scale
         self._effort_scales = actuators.effort_scale[:count]
-        alone = not model.rows.varies and model.slides is None and model.cable_friction is None
+        alone = not model.rows.varies and model.slides is None and model.actuators.conserves
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
         self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
-        if model.cable_friction is not None:
+        if not model.actuators.conserves:
             self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
         if model.weighs_stiffness:
             self._least_weight = max(self._least_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)

@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softrobot_twin.constraints.cable_friction import FrictionCables
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
-from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.scene.schema import Scene
@@ -77,20 +75,9 @@ class Model:
         return self.actuators.moves
 
     @property
-    def cable_friction(self) -> FrictionCables | None:
-        """Constraint term of the cables where some have friction along their paths; else None."""
-        return next((term for term in self.rows.terms if isinstance(term, FrictionCables)), None)
-
-    @property
     def has_motors_of_hinges(self) -> bool:
         """True when a motor turns a hinge, which perhaps nothing else holds."""
         return any(isinstance(term, HingeAngles) for term in self.rows.terms)
-
-    @property
-    def remembering(self) -> tuple[RememberingElements, ...]:
-        """Force terms of the materials that remember; empty without any."""
-        terms = (term.on_points for term in self.forces)
-        return tuple(term for term in terms if isinstance(term, RememberingElements))
 
     @property
     def strain_watches(self) -> tuple[StrainWatch, ...]:

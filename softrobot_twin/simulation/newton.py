@@ -106,7 +106,7 @@ class Newton:
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
-            and model.cable_friction is None
+            and model.actuators.conserves
         )
         self.move = Move(model)
         has_merit = self._has_merit()
@@ -115,7 +115,7 @@ class Newton:
         self._step_limit = self._whole_limit
         self._time_step = self._last_move = self._slope = 0.0
         self._moves_to_make = 0
-        self._has_cable_friction = model.cable_friction is not None
+        self._conserves = model.actuators.conserves
         self._judged: Actuation | None = None
         self._judges_projection = False
         # A single point has no size, and no round-off that could be told from a move.
@@ -126,7 +126,7 @@ class Newton:
         self._augmented, self._held = self._augmented_tangent(), None
         self._projects_in_part = (
             any(term.is_slender for term in model.forces) and self._dense is None
-            and not (model.is_dynamic or self._has_cable_friction)
+            and not model.is_dynamic and self._conserves
         )  # fmt: skip
         self._was_folded = False
         self.projected_tangent = self.is_augmented = False
@@ -154,7 +154,7 @@ class Newton:
         needs_lu = bool((is_held & ~actuators.one_sided[: actuators.row_count]).any())
         if rows.reaches_carried_points:
             # The rows of cables at points of frames are not those that cables write.
-            needs_lu = needs_lu or not self._model.is_dynamic and self._model.cable_friction is None
+            needs_lu = needs_lu or not self._model.is_dynamic and self._model.actuators.conserves
             if not (needs_lu and is_held.any()):
                 return None
         if needs_lu:
@@ -166,7 +166,7 @@ class Newton:
         if not rows.terms:
             return None
         first = rows.terms[0]
-        if not isinstance(first, Cables) or self._model.cable_friction is not None:
+        if not isinstance(first, Cables) or not self._model.actuators.conserves:
             return None
         contacts = self._model.contacts if rows.varies else None
         if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
@@ -177,7 +177,7 @@ class Newton:
         """The augmented tangent where A is dense; None where no row of an actuator is."""
         model, rows = self._model, self._rows
         actuators = model.actuators
-        if not actuators.row_count or model.cable_friction is not None:
+        if not actuators.row_count or not model.actuators.conserves:
             return None
         contacts = model.contacts if rows.varies else None
         if contacts is not None and contacts.rows_per_contact > 1:
@@ -205,10 +205,9 @@ class Newton:
         their energy may rise in between, 4 to 19 for the elastica from rest instead of 14 to 42.
         """
         model = self._model
-        has_friction = self._rows.varies and model.contacts.rows_per_contact > 1
+        rubs = self._rows.varies and model.contacts.rows_per_contact > 1
         is_slender = any(term.is_slender for term in model.forces)
-        has_friction = has_friction or model.cable_friction is not None
-        return not (model.is_dynamic or has_friction or is_slender)
+        return model.actuators.conserves and not (model.is_dynamic or rubs or is_slender)
 
     def _columns_of_effectors(self) -> np.ndarray | None:
         """Effector displacement by slide, shape (effector_row_count, slide_count)."""
@@ -233,7 +232,7 @@ class Newton:
     def static_factorization(self) -> Factorization | None:
         """The factorization, where it holds the exact tangent of statics; else None."""
         is_other = self._model.is_dynamic or self.is_augmented or self.projected_tangent
-        if is_other or self._has_cable_friction or self.factor_age is None:
+        if is_other or not self._conserves or self.factor_age is None:
             return None
         return self._model.factorization
 
@@ -552,10 +551,9 @@ class Newton:
         """
         if actuation.are_efforts_given:
             is_judged = is_judged and (self.projected_tangent or self.is_nearly_flat)
-        has_friction = self._has_cable_friction
-        is_searched = has_friction and is_judged and not actuation.are_efforts_given
+        is_searched = not self._conserves and is_judged and not actuation.are_efforts_given
         self._judges_projection = self._projects_in_part and self.projected_tangent
-        needs_slope = self._model.is_dynamic or has_friction or self._judges_projection
+        needs_slope = self._model.is_dynamic or not self._conserves or self._judges_projection
         if needs_slope or (self.merit is not None and is_judged):
             self._load(actuation)
             self._slope = float(np.vdot(self.forces, self.move.displacement))

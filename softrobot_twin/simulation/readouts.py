@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.appearance import (
@@ -24,7 +25,6 @@ from softrobot_twin.simulation.reduction_error import (
     has_spare_modes,
     reduced_bodies,
     reduced_states,
-    with_spare_modes,
 )
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.stiffness_targets import stiffness_of_scene
@@ -117,6 +117,11 @@ class Readouts:
         return tuple(touch.name for touch in self.scene.touches)
 
     @property
+    def touches(self) -> TouchState | None:
+        """The touches now; None in a scene without any."""
+        return TouchState.of(self.state.memory)
+
+    @property
     def rest_setpoints(self) -> np.ndarray:
         """Setpoints at rest, such as lengths of cables [m], shape (actuator_count,)."""
         return self.model.actuators.rest_setpoints
@@ -186,8 +191,7 @@ class Readouts:
         """What estimates the error of reduced bodies, built at the first call; None without any
         spare modes."""
         if self._reduction_errors is None and has_spare_modes(self.model):
-            extended = type(self)(with_spare_modes(self.scene), with_warnings=False)
-            self._reduction_errors = ReductionErrors(self, extended)
+            self._reduction_errors = ReductionErrors(self)
         return self._reduction_errors
 
     def effector_positions(self) -> np.ndarray:

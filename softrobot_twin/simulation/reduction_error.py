@@ -22,10 +22,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.deformable_body import Body
@@ -33,11 +34,9 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.reduced_body import with_reduced_entries, without_fallback
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.steppable import Steppable
 from softrobot_twin.simulation.touches import Touched
 from softrobot_twin.simulation.vertebrae_watch import LARGE_BY_SIZE, ReductionState
-
-if TYPE_CHECKING:
-    from softrobot_twin.simulation.simulation import Simulation
 
 # Duration of a step that no rate limits [s].
 LONG = 1.0e3
@@ -98,7 +97,7 @@ def with_spare_modes(scene: Scene) -> Scene:
     return extended.model_copy(update={"solver": solver})
 
 
-def step_held(simulation: Simulation, state: State) -> StepResult:
+def step_held(simulation: Steppable, state: State) -> StepResult:
     """One step of another model of a scene, with what holds its actuators and touches it kept.
 
     Args:
@@ -106,10 +105,11 @@ def step_held(simulation: Simulation, state: State) -> StepResult:
         state: A state of the scene, whose setpoints and forces of touches are kept.
     """
     touched = None
-    if state.touches is not None:
-        forces = state.touches.forces
+    before = TouchState.of(state.memory)
+    if before is not None:
+        forces = before.forces
         touched = Touched(forces, np.full_like(forces, np.nan))
-    return simulation.step(CommandSetpoints(state.setpoints, LONG), touched=touched)
+    return simulation.step(CommandSetpoints(state.setpoints, LONG), measured=touched)
 
 
 def has_spare_modes(model: Model) -> bool:
@@ -124,13 +124,13 @@ class ReductionErrors:
         extended: That simulation.
     """
 
-    def __init__(self, simulation: Simulation, extended: Simulation):
-        """Find which of its nodes are those of the other.
+    def __init__(self, simulation: Steppable):
+        """Build it, and find which of its nodes are those of the other.
 
         Args:
             simulation: The simulation that is judged.
-            extended: The one of the scene that `with_spare_modes` makes of its scene.
         """
+        extended = type(simulation)(with_spare_modes(simulation.scene), with_warnings=False)
         self.extended, self._model = extended, simulation.model
         self._inserted = np.empty(0, np.int64)
         for own, more in zip(simulation.model.bodies, extended.model.bodies, strict=True):

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softrobot_twin.mechanics.strain_watch import StrainOutside
+from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.simulation.state import State
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.contact_forces import ContactForces
-    from softrobot_twin.simulation.touches import TouchState
 
 # Ending of the name of a limit that only delays a motion.
 RATE = ".rate"
@@ -98,6 +99,7 @@ class StepReport:
         driven_by: What drove the step: ``targets``, ``setpoints``, ``efforts`` or ``hold``.
         is_resting: True when the step was not made, because it would have changed nothing.
         is_exploring: True when the same step was made elsewhere in place, to look for a nearer pose.
+        figures: What optional effects tell, by "part.figure"; see `step_part`.
     """
 
     stage_times: dict[str, float]
@@ -120,6 +122,7 @@ class StepReport:
     driven_by: str = ""
     is_resting: bool = False
     is_exploring: bool = False
+    figures: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_overloaded(self) -> bool:
@@ -171,4 +174,4 @@ class StepResult:
     @property
     def touches(self) -> TouchState | None:
         """Forces and displacements of the touches; None if the scene has none."""
-        return self.state.touches
+        return TouchState.of(self.state.memory)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -28,6 +28,7 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
+from softrobot_twin.simulation.effects import step_parts
 from softrobot_twin.simulation.exploration import NEARER, Exploration
 from softrobot_twin.simulation.fallback import Fallback, build_fallback
 from softrobot_twin.simulation.generalized_alpha import GeneralizedAlpha
@@ -39,6 +40,7 @@ from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import PastMotion, State
+from softrobot_twin.simulation.step_part import StepPart
 from softrobot_twin.simulation.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step_status import Balance, balance
 from softrobot_twin.simulation.stiffness_targets import (
@@ -49,7 +51,6 @@ from softrobot_twin.simulation.stiffness_targets import (
 from softrobot_twin.simulation.target_trust import CALM, NO_LOADS, Approach
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
-from softrobot_twin.simulation.touches import Touched, Touches, touch_term
 from softrobot_twin.simulation.warm_up import run_every_path, tell_of_compilation
 from softrobot_twin.solvers.factorization import Factorization
 
@@ -136,17 +137,14 @@ class Simulation(Readouts):
         self._motion = _motion_of(self.model)
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
-        self._cable_friction = self.model.cable_friction
-        touch_loads = touch_term(self.model)
-        self._touches = None if touch_loads is None else Touches(self.model, touch_loads)
-        self._remembering = self.model.remembering
+        self.parts: tuple[StepPart, ...] = step_parts(self.model)
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self.newton = Newton(self.model)
         self.direct = DirectActuation(self.model)
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self.newton)
         self.inverse = build_inverse(self.model, self.direct, qp_solvers)
-        self._results = StepResults(self.model, self.newton, self.inverse)
+        self._results = StepResults(self.model, self.parts, self.newton, self.inverse)
         self._optimises = "optimise" in self.model.stages
         self._stiffness = None
         if self.model.weighs_stiffness:
@@ -154,12 +152,12 @@ class Simulation(Readouts):
         self._reading = Interpretation(self.model)
         self._find_surface()
         self.fallback: Fallback | None = None
-        # Dynamic scenes, contacts, friction along cables and guided bodies remember more than a
-        # state that is kept tells of.
+        # Dynamic scenes, contacts, guided bodies and some parts remember more than a state that is
+        # kept tells of.
         guides = self.model.guides
         self.may_rest = not (
             self.model.is_dynamic or self.model.rows.varies or (guides is not None and guides.limits)
-            or self._cable_friction is not None
+            or not all(part.may_rest for part in self.parts)
         )
         self._explores = self.model.scene.solver.exploration
         self.reset()
@@ -182,22 +180,18 @@ class Simulation(Readouts):
         count = len(self.actuator_names)
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
-            velocities=self._motion.at_rest(), slips=self._slips_at_rest(),
-            touches=self._untouched(),
-            history=np.zeros(sum(term.history_size for term in self._remembering)),
+            velocities=self._motion.at_rest(), memory=self._memory(
+                part.remembered(part.memory_at_rest()) for part in self.parts
+            ),
         )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
         self._begin_anew()
 
-    def _slips_at_rest(self) -> np.ndarray:
-        friction = self._cable_friction
-        return np.zeros(0 if friction is None else len(friction.shares))
-
-    def _untouched(self):
-        if self._touches is None:
-            return None
-        return self._touches.untouched(self.model.nodes.rest_positions)
+    @staticmethod
+    def _memory(parts: Iterable[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """The memory of all parts; see `State`."""
+        return {key: array for part in parts for key, array in part.items()}
 
     def restore(self, state: State) -> None:
         """Put a saved state back.
@@ -214,9 +208,7 @@ class Simulation(Readouts):
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
             or state.velocities.shape != self.state.velocities.shape
-            or state.slips.shape != self.state.slips.shape
-            or (state.touches is None) != (self._touches is None)
-            or state.history.shape != self.state.history.shape
+            or _shapes(state.memory) != _shapes(self.state.memory)
             or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
@@ -264,7 +256,7 @@ class Simulation(Readouts):
         self._time_budget = TimeBudget()
 
     def step(
-        self, command: Command, budget: float | None = None, touched: Touched | None = None
+        self, command: Command, budget: float | None = None, measured: object | None = None
     ) -> StepResult:
         """Advance by one command: eq. (9) to (18), as often as time and scene allow.
 
@@ -278,38 +270,35 @@ class Simulation(Readouts):
         Args:
             command: What is asked. Its arrays must fit this scene.
             budget: Time for this step [s], or None.
-            touched: What is measured of the scene's touches; None without any touch. A touch may
-                replace a command to follow targets; see `Touches`.
+            measured: What is measured beside the state, such as the scene's touches; None without
+                any. A part may replace the command by it.
 
         Returns:
             The new state and what led to it; with a failure status, the last safe one.
 
         Raises:
-            CommandError: The command or the touch does not fit this scene, or is not finite.
+            CommandError: The command or what is measured does not fit this scene, or is not finite.
         """
         clock = StageClock(self.now)
         if self._exploration is not None:
-            if not self._goes_on_exploring(command, touched):
+            if not self._goes_on_exploring(command, measured):
                 self._end_exploration()
             elif self._exploration.trial is None:
                 return self._stay(command, self._exploration.result)
             elif not self._exploration.is_found:
-                return self._explore(command, budget, touched)
+                return self._explore(command, budget, measured)
         if self.fallback is not None:
             self.fallback.choose(self)
             clock.mark("fallback")
-        command, holds_others = self._touch(command, touched)
+        command, is_stiffer = self._begin_parts(command, measured)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
-        self._recall()
         is_changed = self._begin(
             positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
         )
-        if is_changed or holds_others:
+        if is_changed or is_stiffer:
             self.newton.factor_age = None
-        if self._cable_friction is not None:
-            self._cable_friction.begin(positions, self.state.efforts, self.state.slips)
         newton, time_budget = self.newton, self._time_budget
         if self.inverse is not None:
             self._begin_inverse(positions)
@@ -346,7 +335,7 @@ class Simulation(Readouts):
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
 
-    def stay(self, command: Command, touched: Touched | None = None) -> StepResult | None:
+    def stay(self, command: Command, measured=None) -> StepResult | None:
         """The result of a step that would keep the state, to the bit, without making it.
 
         A step depends on the state, the command and what the solvers remember. A step that kept the
@@ -356,14 +345,14 @@ class Simulation(Readouts):
 
         Args:
             command: What is asked.
-            touched: What is measured of the scene's touches; None without any touch.
+            measured: As in `step`; whether it says anything is its `is_any`.
 
         Returns:
             The result, at which `report.is_resting`; None where the step must be made.
         """
         if self._rest is None or not self._asks_as(self._kept_by, command):
             return None
-        if touched is not None and touched.is_any:
+        if measured is not None and measured.is_any:
             return None
         if self._exploration is not None and self._exploration.trial is not None:
             return None
@@ -378,16 +367,16 @@ class Simulation(Readouts):
 
     def _asks_as(self, before: Command, command: Command) -> bool:
         """Whether a command asks for the same as one before, of a state that is kept."""
-        # Where materials have no memory, it is the same how long actuators are held, and how long
-        # a step is that would have had time to move them.
+        # Where nothing depends on time, it is the same how long actuators are held, and how long a
+        # step is that would have had time to move them.
         is_held = isinstance(command, Hold) or (may_move(command) and may_move(before))
-        is_any_time = is_held and not self._remembering
+        is_any_time = is_held and not any(part.depends_on_time for part in self.parts)
         return are_same(command, before, TIMES if is_any_time else ())
 
-    def _goes_on_exploring(self, command: Command, touched: Touched | None) -> bool:
+    def _goes_on_exploring(self, command: Command, measured) -> bool:
         """Whether a command asks for the targets from which nearer poses are sought."""
-        is_touched = touched is not None and touched.is_any
-        return not is_touched and self._asks_as(self._exploration.command, command)
+        is_other = measured is not None and measured.is_any
+        return not is_other and self._asks_as(self._exploration.command, command)
 
     def _end_exploration(self) -> None:
         if not self._exploration.is_found:
@@ -414,7 +403,7 @@ class Simulation(Readouts):
             self.inverse.trust.depart(trial.goal, trial.follows, near)
 
     def _explore(
-        self, command: Command, budget: float | None, touched: Touched | None
+        self, command: Command, budget: float | None, measured: object | None
     ) -> StepResult:
         """Make a step of a trial in place of one of the robot, which would keep its state."""
         exploration, newton, trust = self._exploration, self.newton, self.inverse.trust
@@ -422,7 +411,7 @@ class Simulation(Readouts):
         self.state, newton.factor_age = exploration.state, exploration.factor_age
         self._exploration = self._kept_by = None
         try:
-            tried = self.step(command, budget, touched)
+            tried = self.step(command, budget, measured)
             moved = np.abs(self.state.setpoints - exploration.state.setpoints)
             exploration.state = self.state
         except Exception:
@@ -458,30 +447,38 @@ class Simulation(Readouts):
         if guides is not None and guides.limits:
             guided = guides.points(positions)
         is_stable = not self.newton.projected_tangent
-        if self._touches is None:
+        loads = [part.loads for part in self.parts if part.loads is not None]
+        if not loads:
             self.inverse.begin_step(self._is_balanced, is_stable, guided=guided)
             return
-        own = self._touches.load + self.actuators.load(self.state.efforts)
+        own = self._load_of_parts() + self.actuators.load(self.state.efforts)
         self.inverse.begin_step(
-            self._is_balanced, is_stable, self._touches.loads, self.newton.constant_load + own, guided
+            self._is_balanced, is_stable, np.concatenate(loads), self.newton.constant_load + own, guided
         )
 
-    def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:
-        """Set the loads of touches.
+    def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
+        """Let all parts begin a step.
 
         Args:
             command: What is asked.
-            touched: What is measured.
+            measured: What is measured; one part takes it.
 
         Returns:
-            What is to be done, and whether other points are held than before.
+            What is to be done, and whether the stiffness is another than before.
         """
-        if self._touches is None:
-            if touched is not None:
-                raise CommandError("touched", "this scene has no touches")
-            return command, False
-        changes = self._touches.begin(touched, self.state)
-        return self._touches.command(command, self.state), changes
+        taken, changes = measured is None, False
+        for part in self.parts:
+            takes = part.takes is not None and isinstance(measured, part.takes)
+            part.recall(self.state)
+            changes |= part.begin(self.state, measured if takes else None)
+            command, taken = part.command(command, self.state), taken or takes
+        if not taken:
+            what = type(measured).__name__.lower()
+            raise CommandError(what, f"nothing in this scene can be {what}")
+        return command, changes
+
+    def _load_of_parts(self) -> float:
+        return sum((part.load for part in self.parts), 0.0)
 
     def _iterate(
         self, positions: np.ndarray, efforts: np.ndarray, command: Command, asked: Asked,
@@ -509,8 +506,7 @@ class Simulation(Readouts):
         held = self.direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
         state = rows = None
-        is_held = self._touches is not None and self._touches.hold_points
-        if asked.stiffness is not None and not is_held:
+        if asked.stiffness is not None and not any(part.hides_stiffness for part in self.parts):
             state = self.newton.linearized_state(positions, efforts)
             rows = self._stiffness.rows(state, asked.stiffness)
             clock.mark("stiffness")
@@ -615,9 +611,9 @@ class Simulation(Readouts):
         )  # fmt: skip
 
     def _load(self, actuation: Actuation) -> float:
-        """Sum of the forces of actuators, contacts and touches, by magnitude [N]."""
-        own = 0.0 if self._touches is None else self._touches.load
-        return self.actuators.load(actuation.efforts) + actuation.contact.load + own
+        """Sum of the forces of actuators, contacts and parts, by magnitude [N]."""
+        own = self.actuators.load(actuation.efforts) + actuation.contact.load
+        return own + self._load_of_parts()
 
     def _begin(
         self, positions: np.ndarray, velocities: np.ndarray, past: PastMotion | None,
@@ -627,13 +623,6 @@ class Simulation(Readouts):
         return self._motion.begin_step(
             self._beginners, positions, velocities, past, time_step, follows_targets
         )
-
-    def _recall(self) -> None:
-        """Let materials that remember take what the state holds of theirs."""
-        first = 0
-        for term in self._remembering:
-            term.begin_history(self.state.history[first : first + term.history_size])
-            first += term.history_size
 
     def _actuate(
         self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None,
@@ -747,9 +736,10 @@ class Simulation(Readouts):
             outcome.positions,
             self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
-            motion.velocities, motion.past, self._slips(outcome),
-            None if self._touches is None else self._touches.end(outcome.positions),
-            self._history(outcome.positions),
+            motion.velocities, motion.past, self._memory(
+                part.remembered(part.end(outcome.positions, outcome.actuation.efforts))
+                for part in self.parts
+            ),
         )  # fmt: skip
         is_kept = self._is_kept(command, asked, outcome, state)
         self.state = before.kept_through(command.time_step) if is_kept else state
@@ -780,7 +770,7 @@ class Simulation(Readouts):
             return False
         if self.newton.inverted_count:
             return False
-        if state.touches is not None and state.touches.is_touched.any():
+        if not all(part.may_keep(before, state) for part in self.parts):
             return False
         follows = isinstance(command, FollowTargets)
         share = KEPT_SHARE_TOWARDS_TARGETS if follows else KEPT_SHARE
@@ -793,7 +783,6 @@ class Simulation(Readouts):
             and not (follows and self._is_slow(asked, slack))
             and bool((np.abs(state.positions - before.positions) <= share * size).all())
             and bool((np.abs(state.efforts - before.efforts) <= share * self.limits.effort_scale).all())
-            and np.array_equal(state.history, before.history)
         )
 
     def _is_slow(self, asked: Asked, slack: np.ndarray) -> bool:
@@ -836,18 +825,6 @@ class Simulation(Readouts):
             if isinstance(command, FollowTargets) and explores:
                 self._may_explore(command, self._rest)
 
-    def _slips(self, outcome: Outcome) -> np.ndarray:
-        """Shares of friction along cables where a step ended; see `State`."""
-        if self._cable_friction is None:
-            return self.state.slips
-        return self._cable_friction.shares_at(outcome.positions, outcome.actuation.efforts)
-
-    def _history(self, positions: np.ndarray) -> np.ndarray:
-        """What materials remember where a step ended; see `State`."""
-        if not self._remembering:
-            return self.state.history
-        return np.concatenate([term.history_after(positions) for term in self._remembering])
-
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
@@ -874,3 +851,7 @@ def _why_kept(actuation: Actuation) -> tuple[Status, tuple[str, ...]]:
     if actuation.is_refused:
         return Status.REFUSED, (INVERSION,)
     return Status.DIVERGED, ()
+
+
+def _shapes(memory: Mapping[str, np.ndarray]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    return {key: (array.shape, array.dtype) for key, array in memory.items()}

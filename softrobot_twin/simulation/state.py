@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from softrobot_twin.simulation.touches import TouchState
 
 
 @dataclass(frozen=True)
@@ -50,11 +47,7 @@ class State:
         past: What a scheme of second order needs of the steps before; None at its start, and in
             all other scenes. Whoever changes positions or velocities leaves it out: it would
             belong to another motion.
-        slips: Share of the friction that acts at each point of each cable, -1 to 1; see
-            `cable_friction`, shape (segment_count,), or empty without friction along cables.
-        touches: Touches of the last step; None in a scene without touches.
-        history: What the points of viscous and softening materials remember, term after term; see
-            `remembering_elements`, shape (value_count,), or empty without such materials.
+        memory: What optional effects remember, by "part.field"; see `step_part`.
     """
 
     positions: np.ndarray
@@ -64,13 +57,11 @@ class State:
     time: float = 0.0
     velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     past: PastMotion | None = None
-    slips: np.ndarray = field(default_factory=lambda: np.empty(0))
-    touches: TouchState | None = None
-    history: np.ndarray = field(default_factory=lambda: np.empty(0))
+    memory: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self):
-        arrays = (self.positions, self.setpoints, self.efforts, self.velocities, self.slips)
-        for array in (*arrays, self.history, *(self.touches or ())):
+        arrays = (self.positions, self.setpoints, self.efforts, self.velocities)
+        for array in (*arrays, *self.memory.values()):
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:

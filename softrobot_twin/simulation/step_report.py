@@ -31,6 +31,7 @@ from softrobot_twin.simulation.result import (
     StepResult,
 )
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step_part import StepPart
 from softrobot_twin.simulation.step_status import (
     ENERGY,
     REACH,
@@ -81,15 +82,16 @@ class Outcome(NamedTuple):
 class StepResults:
     """Makes the results of a simulation's steps."""
 
-    def __init__(self, model: Model, newton: Newton, inverse):
+    def __init__(self, model: Model, parts: tuple[StepPart, ...], newton: Newton, inverse):
         """Store the objects from which results are read.
 
         Args:
             model: The built scene.
+            parts: Its optional effects.
             newton: Linearizes it.
             inverse: Finds λ that leads to targets, or None.
         """
-        self._model, self._newton = model, newton
+        self._model, self._parts, self._newton = model, parts, newton
         self._strain_watches = model.strain_watches
         self._coordinate_ranges = coordinate_ranges(model)
         self._inverse = inverse
@@ -142,6 +144,8 @@ class StepResults:
         active = (*active, *dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in strains))
         if isinstance(command, CommandEfforts) and newton.projected_tangent:
             active = (*active, UNSTABLE)
+        reports = {part.name: part.report(state) for part in self._parts}
+        active = (*active, *(limit for report in reports.values() for limit in report.limits))
         touching = None
         if model.contacts is not None:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
@@ -157,6 +161,8 @@ class StepResults:
             qp_solver=actuation.qp_solver,
             sampled_range=max(ranges.values(), default=0.0), strains=strains,
             driven_by=_DRIVEN_BY[type(command)],
+            figures={f"{name}.{figure}": value for name, report in reports.items()
+                     for figure, value in report.figures.items()},
             **_of_contacts(actuation.contact, touching),
         )  # fmt: skip
         # The rows were evaluated last where the step ended.

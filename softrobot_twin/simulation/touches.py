@@ -11,15 +11,17 @@ cannot follow a target: the finger decides where it is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.mechanics.touch_loads import TouchLoads
+from softrobot_twin.mechanics.touch_loads import TouchLoads, TouchState
 from softrobot_twin.simulation.command import Command, CommandSetpoints, FollowTargets
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step_part import StepPart
 
 
 class Touched(NamedTuple):
@@ -42,40 +44,22 @@ class Touched(NamedTuple):
         return bool(np.nan_to_num(self.forces).any() or (~np.isnan(self.places)).any())
 
 
-class TouchState(NamedTuple):
-    """What a step needs to know of the touches before it, and tells of those in it.
-
-    Attributes:
-        forces: Forces on the robot [N], zero along axes without touch, shape (touch_count, 3).
-        origins: Where each touched point was when its touch began [m], NaN where there is no touch,
-            same shape.
-        points: Where the points are now [m], same shape.
-    """
-
-    forces: np.ndarray
-    origins: np.ndarray
-    points: np.ndarray
-
-    @property
-    def is_touched(self) -> np.ndarray:
-        """Whether each point is touched, shape (touch_count,)."""
-        return np.isfinite(self.origins).all(axis=1)
-
-    @property
-    def displacements(self) -> np.ndarray:
-        """Displacement of each point since its touch began [m], zero without a touch, shape
-        (touch_count, 3)."""
-        return np.where(self.is_touched[:, None], self.points - self.origins, 0.0)
-
-
 def touch_term(model: Model) -> TouchLoads | None:
     """The force term of the touches of a scene; None without any."""
     terms = (term.on_points for term in model.forces)
     return next((term for term in terms if isinstance(term, TouchLoads)), None)
 
 
-class Touches:
+def touches_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene with touches."""
+    if (term := touch_term(model)) is not None:
+        yield Touches(model, term)
+
+
+class Touches(StepPart):
     """Reads the touches of each step of one scene."""
+
+    name, takes = "touches", Touched
 
     def __init__(self, model: Model, term: TouchLoads):
         """Take the term.
@@ -84,24 +68,25 @@ class Touches:
             model: The built scene.
             term: Its force term of touches.
         """
-        self._term, self.names = term, tuple(touch.name for touch in model.scene.touches)
+        self._term, self._rest = term, model.nodes.rest_positions
+        self._names = tuple(touch.name for touch in model.scene.touches)
         holds = [touch.while_touched == "hold_actuators" for touch in model.scene.touches]
         self._holds = np.array(holds)
         self._origins = np.empty((0, 3))
 
-    def untouched(self, positions: np.ndarray) -> TouchState:
-        """The touches of a state [m] that nothing touches."""
-        count = len(self.names)
+    def memory_at_rest(self) -> dict[str, np.ndarray]:
+        """The fields of a `TouchState` that nothing touches."""
+        count = len(self._names)
         return TouchState(
-            np.zeros((count, 3)), np.full((count, 3), np.nan), self._term.points(positions)
-        )
+            np.zeros((count, 3)), np.full((count, 3), np.nan), self._term.points(self._rest)
+        )._asdict()
 
-    def begin(self, touched: Touched | None, state: State) -> bool:
+    def begin(self, state: State, measured: Touched | None) -> bool:
         """Set the loads of a step.
 
         Args:
-            touched: What is measured; None without any touch.
             state: Where the step begins.
+            measured: What is measured; None without any touch.
 
         Returns:
             Whether other points are held at their places than in the step before.
@@ -110,10 +95,10 @@ class Touches:
             CommandError: An array has another shape, or holds infinite values, or a touch has both a
                 force and a place.
         """
-        before, count = state.touches, len(self.names)
+        before, count = TouchState(**self.recalled(state)), len(self._names)
         forces, places = np.zeros((count, 3)), np.full((count, 3), np.nan)
-        if touched is not None:
-            forces, places = self._checked(touched)
+        if measured is not None:
+            forces, places = self._checked(measured)
         is_held = np.isfinite(places).all(axis=1)
         forces = np.where(np.isfinite(forces).all(axis=1)[:, None], forces, 0.0)
         acts = is_held | (forces[:, :] * self._term.axes != 0.0).any(axis=1)
@@ -124,7 +109,7 @@ class Touches:
 
     def _checked(self, touched: Touched) -> tuple[np.ndarray, np.ndarray]:
         """Forces [N] and places [m], of the scene's shape and not infinite."""
-        shape, checked = (len(self.names), 3), []
+        shape, checked = (len(self._names), 3), []
         for name, array in zip(("touch forces", "touch places"), touched, strict=True):
             array = np.array(array, dtype=float)
             if array.shape != shape:
@@ -135,9 +120,15 @@ class Touches:
         forces, places = checked
         both = np.isfinite(forces).all(axis=1) & np.isfinite(places).all(axis=1)
         if both.any():
-            name = self.names[int(np.argmax(both))]
+            name = self._names[int(np.argmax(both))]
             raise CommandError("touch forces", f"{name} has a force and a place: give one of them")
         return forces, places
+
+    def measurements_to_warm_up(self, state: State) -> tuple[Touched, Touched]:
+        """A force and a place that change nothing."""
+        here = TouchState(**self.recalled(state)).points
+        none = np.full_like(here, np.nan)
+        return Touched(np.zeros_like(here), none), Touched(none, here)
 
     def command(self, command: Command, state: State) -> Command:
         """The command that is carried out while the points are touched.
@@ -152,15 +143,18 @@ class Touches:
         return command
 
     @property
-    def hold_points(self) -> bool:
-        """Whether a finger holds a point at its place now: there the robot shows no stiffness of its
-        own."""
+    def hides_stiffness(self) -> bool:
+        """Whether a finger holds a point at its place now."""
         return bool(self._term.is_held.any())
 
-    def end(self, positions: np.ndarray) -> TouchState:
-        """The touches where a step ended, at node positions [m]."""
+    def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
+        """The fields of the `TouchState` where a step ended."""
         forces = np.where(self._term.axes, self._term.forces(positions), 0.0)
-        return TouchState(forces, self._origins, self._term.points(positions))
+        return TouchState(forces, self._origins, self._term.points(positions))._asdict()
+
+    def may_keep(self, before: State, after: State) -> bool:
+        """Whether nothing touches."""
+        return not TouchState(**self.recalled(after)).is_touched.any()
 
     @property
     def loads(self) -> np.ndarray:

@@ -10,7 +10,6 @@ import numpy as np
 from softrobot_twin.kernel_cache import count_kept
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.interpretation import why_not_followed
-from softrobot_twin.simulation.touches import Touched
 
 # Positive, and short enough to change the state little [s].
 TIME_STEP = 1.0e-3
@@ -39,11 +38,9 @@ def run_every_path(simulation) -> None:
         simulation.step(CommandSetpoints(setpoints, TIME_STEP))
         none = np.where(actuators.takes_efforts, 0.0, np.nan)
         simulation.step(CommandEfforts(none, TIME_STEP))
-    if simulation.touch_names:
-        none = np.full((len(simulation.touch_names), 3), np.nan)
-        here = simulation.state.touches.points
-        simulation.step(Hold(TIME_STEP), None, Touched(np.zeros_like(none), none))
-        simulation.step(Hold(TIME_STEP), None, Touched(none, here))
+    for part in simulation.parts:
+        for measured in part.measurements_to_warm_up(simulation.state):
+            simulation.step(Hold(TIME_STEP), None, measured)
     if not why_not_followed(simulation.model):
         here, turns = simulation.effector_positions(), simulation.effector_orientations()
         simulation.step(FollowTargets(here, TIME_STEP, None, turns))

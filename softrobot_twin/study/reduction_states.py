@@ -467,7 +467,7 @@ class StateFinder:
         targets, forces, gravity = columns.split(sample)[1:]
         has_targets = np.isfinite(targets).any()
         before, gravity_before = simulation.state, self._gravity
-        loads = forces if before.touches is None else before.touches.forces
+        loads = self._forces_or(forces)
         best, missed = None, np.nan
         tries = [(way, before), *([(FINE_WAY, before)] if has_targets else []), (FINE_WAY, None)]
         for parts, start in tries:
@@ -497,11 +497,16 @@ class StateFinder:
         known = distances[np.isfinite(distances)]
         return float(known.max()) if len(known) else np.nan
 
+    def _forces_or(self, others: np.ndarray) -> np.ndarray:
+        """Forces of the touches now [N]; other ones in a scene without touches."""
+        touches = self.simulation.touches
+        return others if touches is None else touches.forces
+
     def _find(self, sample: np.ndarray, way: int) -> bool:
         """Go to a sample in so many parts; whether the equilibrium is reached."""
         setpoints, targets, forces, gravity = self._columns.split(sample)
         begin = self.simulation.state
-        loads = forces if begin.touches is None else begin.touches.forces
+        loads = self._forces_or(forces)
         weight, start = self._gravity.copy(), self.simulation.effector_positions()
         for share in np.arange(1, way + 1) / way:
             self._load(loads + share * (forces - loads), weight + share * (gravity - weight))
@@ -521,7 +526,7 @@ class StateFinder:
             self._weight.weights[:] = np.tensordot(gravity, self._unit_weights, 1)
 
     def _step(self, command):
-        result = self.simulation.step(command, touched=self._touched)
+        result = self.simulation.step(command, measured=self._touched)
         self._iterations += result.report.iterations
         return result
 

@@ -343,13 +343,13 @@ def test_an_invalid_result_of_a_step_is_not_published(
     def spoilt(command, budget=None):
         return replace(step(command, budget), setpoints=wrong)
 
-    def spoilt_at_rest(command, touched=None):
+    def spoilt_at_rest(command, measured=None):
         assert (result := stay(command, touched)) is not None
         return replace(result, setpoints=wrong)
 
     monkeypatch.setattr(simulation, "step", spoilt)
     monkeypatch.setattr(
-        simulation, "stay", spoilt_at_rest if at_rest else lambda command, touched=None: None
+        simulation, "stay", spoilt_at_rest if at_rest else lambda command, measured=None: None
     )
     assert driver.outcomes[-1].result.report.is_resting
     outcome = driver.tick()

@@ -182,7 +182,7 @@ def test_a_model_with_non_finite_tensions_is_not_synchronised(drive, monkeypatch
     def spoilt(command, budget=None):
         return replace(step(command, budget), efforts=np.full(4, np.nan))
 
-    def spoilt_at_rest(command, touched=None):
+    def spoilt_at_rest(command, measured=None):
         result = stay(command, touched)
         return result and replace(result, efforts=np.full(4, np.nan))
 

@@ -136,8 +136,8 @@ class MaterialPoint:
         positions = self.corners @ np.asarray(F).T
         self.elements.begin_step(self.elements._begin_positions, np.empty(0), time_step)
         P = self.stress(F)
-        history = self.elements.history_after(positions)
-        self.elements.begin_history(history)
+        memory = self.elements.memory_after(positions, None)
+        self.elements.recall(memory, None, None)
         self.elements._begin_positions[:] = positions
         self.time += time_step
         return P

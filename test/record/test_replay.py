@@ -451,3 +451,13 @@ def test_the_description_names_scene_files_parameters_and_machine(recorded):
     parameters = description.parameters
     again = asdict(describe(live, "/twin", START, parameters))
     assert again == asdict(description)
+
+
+def test_a_recorded_run_with_a_part_replays_to_the_bit(fatigue, scene_file, tmp_path):
+    live = Live(scene_file, tmp_path / "run.mcap")
+    drive(live, 8)
+    live.recorder.close()
+    told = [outcome.result.report.figures["fatigue.steps"] for outcome in live.outcomes[3:]]
+    assert told[-1] > told[0] >= 1.0
+    found = Replay(RunFile(tmp_path / "run.mcap")).all_ticks()
+    assert found.is_equal and found.ticks == 8

@@ -86,6 +86,6 @@ def test_the_digest_of_a_state_changes_with_one_bit_of_one_node(recorded):
     positions = state.positions.copy()
     positions[-1, 2] = np.nextafter(positions[-1, 2], 1.0)
     assert state_digest(type(state)(positions, state.setpoints, state.efforts,
-                                    velocities=state.velocities, slips=state.slips,
-                                    history=state.history)) != before  # fmt: skip
+                                    velocities=state.velocities,
+                                    memory=state.memory)) != before  # fmt: skip
     assert state_digest(state) == before

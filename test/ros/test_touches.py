@@ -59,7 +59,7 @@ def test_a_force_is_answered_with_a_displacement_and_its_place_with_the_force(wo
     wait_for(world, answers, 15)
     moved = answers[-1].position[1]
     assert moved > 1e-4
-    touches = twin.loop.simulation.state.touches
+    touches = twin.loop.simulation.touches
     place, begin = touches.points[0].copy(), touches.origins[0].copy()
     places.publish(place_message(world, 0.5 * (place + begin)))
     world.until(lambda: answers[-1].effort[1] < 0.015)

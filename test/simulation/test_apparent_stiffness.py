@@ -167,7 +167,7 @@ def test_a_finger_that_presses_the_pad_meets_it():
     for force in (1e-3, -1e-3):
         for _ in range(3):
             touched = Touched(np.array([[0.0, 0.0, force]]), np.full((1, 3), np.nan))
-            simulation.step(CommandSetpoints(lengths, 10.0), touched=touched)
+            simulation.step(CommandSetpoints(lengths, 10.0), measured=touched)
         moved.append(simulation.effector_positions()[0, 2])
     assert moved[0] - moved[1] == pytest.approx(2e-3 * compliance, rel=1e-4)
 

@@ -8,6 +8,8 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Status
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 
+SHARES = "cable_friction_0.shares"
+
 
 def rubbing(friction=0.3, iterations=60, tolerance=1e-8, **more):
     def change(mapping):
@@ -23,7 +25,8 @@ def rubbing(friction=0.3, iterations=60, tolerance=1e-8, **more):
 
 
 def term_of(simulation) -> FrictionCables:
-    return simulation.model.cable_friction
+    (term,) = (term for term in simulation.terms if isinstance(term, FrictionCables))
+    return term
 
 
 def pull(simulation, *shortenings):
@@ -63,7 +66,7 @@ def test_a_loop_of_pulling_and_releasing_closes(beam):
 
 def test_without_friction_the_term_bends_the_beam_as_plain_cables_do(beam):
     plain, tiny = beam(rubbing(0.0)), beam(rubbing(1e-9))
-    assert term_of(plain) is None
+    assert plain.model.actuators.conserves and not tiny.model.actuators.conserves
     a, b = (pull(simulation, 0.008, 0.002, 0.0, 0.0) for simulation in (plain, tiny))
     np.testing.assert_allclose(a.efforts, b.efforts, atol=1e-5)
     np.testing.assert_allclose(a.state.positions, b.state.positions, atol=1e-8)
@@ -130,16 +133,16 @@ def test_restored_states_go_on_as_they_did(beam):
     for shortening in (0.006, 0.009, 0.0085):
         pull(simulation, shortening, 0.0, 0.0, 0.0)
     state = simulation.state
-    assert len(state.slips) and np.abs(state.slips).max() > 0.0
+    assert np.abs(state.memory[SHARES]).max() > 0.0
     first = [pull(simulation, s, 0.001, 0.0, 0.0) for s in (0.008, 0.0075)]
     simulation.restore(state)
     second = [pull(simulation, s, 0.001, 0.0, 0.0) for s in (0.008, 0.0075)]
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.state.positions, other.state.positions)
-        np.testing.assert_array_equal(one.state.slips, other.state.slips)
+        np.testing.assert_array_equal(one.state.memory[SHARES], other.state.memory[SHARES])
         np.testing.assert_array_equal(one.efforts, other.efforts)
     simulation.reset()
-    assert not simulation.state.slips.any()
+    assert not simulation.state.memory[SHARES].any()
 
 
 def test_a_beam_in_motion_comes_to_rest_at_the_capstan_equation(beam):
@@ -160,8 +163,8 @@ def test_a_beam_in_motion_comes_to_rest_at_the_capstan_equation(beam):
 
 def test_scenes_without_friction_have_none_of_it(beam):
     simulation = beam()
-    assert simulation.model.cable_friction is None
-    assert simulation.state.slips.shape == (0,)
+    assert simulation.model.actuators.conserves
+    assert simulation.state.memory == {} and simulation.parts == ()
     assert not any(term.name == "cable_friction" for term in simulation.terms)
     assert not isinstance(simulation.model.factorization, DenseStiffness)
     assert simulation.model.rows.displacement_rows() is None

@@ -38,7 +38,7 @@ def wound(simulation, shortening, force=(0.0, 0.0, 0.0)):
     touched = Touched(np.array([force], float), np.full((1, 3), np.nan))
     for share in (0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0):
         lengths = simulation.rest_setpoints - share * shortening
-        result = simulation.step(CommandSetpoints(lengths, ANY_TIME), touched=touched)
+        result = simulation.step(CommandSetpoints(lengths, ANY_TIME), measured=touched)
     assert result.report.residual < 1.0e-5
     return result.effector_positions[0]
 

@@ -48,7 +48,7 @@ def stiffness_of(pad) -> float:
 
 
 def held_below(pad, depth, origin=None) -> Touched:
-    place = np.array(pad.state.touches.points if origin is None else origin)
+    place = np.array(pad.touches.points if origin is None else origin)
     place[:, 2] -= depth
     return Touched(NONE, place)
 
@@ -111,7 +111,7 @@ def test_the_force_of_a_press_and_its_place_are_the_same_relation(pad):
     follow(pad, 300.0, 40)
     before = pad.state
     for _ in range(6):
-        by_place = pad.step(Hold(STEP), None, held_below(pad, 0.003, before.touches.points))
+        by_place = pad.step(Hold(STEP), None, held_below(pad, 0.003, before.memory["touches.points"]))
     pad.restore(before)
     for _ in range(6):
         by_force = pad.step(Hold(STEP), None, Touched(by_place.touches.forces, NONE))

@@ -192,11 +192,11 @@ def test_while_a_finger_holds_a_point_no_stiffness_is_looked_for():
     follow = FollowTargets(tip + WHERE, 0.02)
     assert pad.step(follow).effector_stiffness is not None
     pressed = Touched(NOWHERE, pad.effector_positions() - [[0.0, 0.0, 1e-4]])
-    result = pad.step(follow, touched=pressed)
+    result = pad.step(follow, measured=pressed)
     assert result.effector_stiffness is None and not result.status.is_failure
     weight = Touched(np.array([[0.0, 0.0, -0.02]]), NOWHERE)
     for _ in range(40):
-        result = pad.step(follow, touched=weight)
+        result = pad.step(follow, measured=weight)
     assert result.effector_stiffness[0, 2] == pytest.approx(250.0, rel=1e-3)
     assert result.effector_errors[0] < 1e-5
 

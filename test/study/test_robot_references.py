@@ -55,7 +55,8 @@ FACETED = pytest.mark.xfail(
 )  # fmt: skip
 ROBOTS = (
     ("diamond", "diamond_200.vtk"), ("diamond", "diamond_400.vtk"), ("springy", "springy_400.msh"),
-    ("octoleg", "octoleg_120.vtk"), ("octoleg", "octoleg_400.vtk"), ("finger", "finger_99.msh"),
+    ("octoleg", "octoleg_120.vtk"), ("octoleg", "octoleg_173.vtk"), ("octoleg", "octoleg_400.vtk"),
+    ("finger", "finger_99.msh"),
 )  # fmt: skip
 
 

@@ -137,10 +137,15 @@ def test_vertebrae_that_do_not_fit_are_refused(scene):
 # --- a soft part ----------------------------------------------------------------------------------
 
 
+def soft_part_of(scene) -> SoftPartModel:
+    """The first soft part of the Fetch."""
+    division = divisions(scene)[0]
+    return SoftPartModel(division, division.parts[0])
+
+
 @pytest.fixture(scope="module")
 def soft_part(workshop):
-    division = divisions(load_scene(workshop))[0]
-    return SoftPartModel(division, division.parts[0])
+    return soft_part_of(load_scene(workshop))
 
 
 REACH = np.array([2e-3, -3e-3, 6e-3, 0.15, 0.1, 0.04, 3000.0])
@@ -155,11 +160,35 @@ def test_deformations_and_poses_are_inverse():
 
 
 def test_slopes_of_a_sample_are_those_of_its_enthalpy(soft_part):
+    check_slopes(soft_part)
+
+
+def check_slopes(soft_part) -> None:
     slopes = soft_part.sample_towards(REACH)[-1].slopes
     for k, step in enumerate(1e-4 * np.abs(REACH)):
         up, down = (soft_part.sample_towards(REACH + sign * step * np.eye(7)[k])[-1].enthalpy
                     for sign in (1.0, -1.0))  # fmt: skip
         assert slopes[k] == pytest.approx((up - down) / (2.0 * step), rel=1e-5)
+
+
+def test_a_soft_part_has_the_elements_and_volumes_of_its_scene(scene):
+    """The less its elements lock, the softer it is."""
+
+    def part(element, volume):
+        def choose(mapping):
+            mapping["body"] |= {"element": element, "volume": volume}
+
+        return soft_part_of(scene(choose))
+
+    linear, smoothed, patches = (
+        part(*chosen) for chosen in
+        (("linear", "per_element"), ("smoothed", "per_element"), ("smoothed", "patches"))
+    )  # fmt: skip
+    check_slopes(smoothed)
+    check_slopes(patches)
+    bent = np.array([0.0, 0.0, 0.0, 0.15, 0.1, 0.0, 0.0])
+    stored = [one.sample_towards(bent)[-1].enthalpy for one in (linear, smoothed, patches)]
+    assert stored[0] > 1.2 * stored[1] and stored[1] > 1.02 * stored[2] > 0.0
 
 
 def test_a_superelement_has_the_forces_and_volumes_of_its_part(soft_part, reduced):
