@@ -72,6 +72,12 @@ AUGMENTATION = 10.0
 LEAST_DEFINITE = 1.0e-6
 
 
+# Where a tangent is hardly definite, efforts move the body along its softest way by so much that its
+# energy decides in place of the targets, and an inverse problem is left to the augmented tangent. It
+# is where the stiffness that the actuators see is below this share of ρ, and stays so up to another.
+NEARLY_INDEFINITE, SAFELY_DEFINITE = 0.01, 0.02
+
+
 class HeldActuators(NamedTuple):
     """Actuators whose displacements are prescribed, or whose displacements a step starts from.
 
@@ -300,11 +306,15 @@ class AugmentedTangent:
             share[own] = self._share
             compliance[own, own] -= self._share[:, None] * self._cables.compliance
             compliance /= np.outer(share, share)
-        try:
-            np.linalg.cholesky(np.eye(len(root)) - compliance * np.outer(root, root))
-        except np.linalg.LinAlgError:
-            return True
-        return False
+        return not _is_below(compliance, root, 1.0 - SAFELY_DEFINITE)
+
+    def is_near(self, W_aa: np.ndarray) -> bool:
+        """Whether the tangent without the augmentation is definite by too little for an inverse.
+
+        Args:
+            W_aa: Its compliance of the actuators [m/N], shape (actuator_row_count,) twice.
+        """
+        return _is_soft(W_aa[self.rows, self.rows], AUGMENTATION * self._own)
 
 
 class AugmentedLU:
@@ -408,6 +418,10 @@ class AugmentedLU:
     def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
         """Zeros: contacts are not augmented."""
         return np.zeros(len(gaps))
+
+    def is_near(self, W_aa: np.ndarray) -> bool:
+        """False: the tangent alone serves wherever it is definite."""
+        return False
 
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether A is indefinite."""
@@ -519,16 +533,16 @@ class AugmentedDense:
             return np.zeros(len(gaps))
         return -self.contact_stiffness * gaps
 
+    def is_near(self, W_aa: np.ndarray) -> bool:
+        """Whether A is definite by too little for an inverse; see `AugmentedTangent`."""
+        return _is_soft(W_aa, np.where(self._by_effort, 0.0, AUGMENTATION * self._own))
+
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether the tangent without the augmentation is indefinite."""
         contacts = first_contact + np.arange(len(self.contact_stiffness))
         rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
         root = np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
-        try:
-            np.linalg.cholesky(np.eye(len(root)) - W[np.ix_(rows, rows)] * np.outer(root, root))
-        except np.linalg.LinAlgError:
-            return True
-        return False
+        return not _is_below(W[np.ix_(rows, rows)], root, 1.0 - SAFELY_DEFINITE)
 
 
 class AugmentedHinges:
@@ -592,12 +606,45 @@ class AugmentedHinges:
         """Zeros: contacts are not augmented."""
         return np.zeros(len(gaps))
 
+    def is_near(self, W_aa: np.ndarray) -> bool:
+        """False: the tangent alone serves wherever it is definite."""
+        return False
+
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether A is indefinite, or nearly singular."""
         root = np.sqrt(self.stiffness)
         own = slice(0, len(root))
         left = np.eye(len(root)) - W[own, own] * np.outer(root, root)
         return bool(np.linalg.eigvalsh(left)[0] < LEAST_DEFINITE)
+
+
+def _is_below(W: np.ndarray, root: np.ndarray, limit: float) -> bool:
+    """Whether all eigenvalues of √ρ W √ρ are below a limit.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        root: √ρ [(N/m)^½], shape (n,).
+        limit: The limit.
+    """
+    try:
+        np.linalg.cholesky(limit * np.eye(len(root)) - W * np.outer(root, root))
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def _is_soft(W: np.ndarray, stiffness: np.ndarray) -> bool:
+    """Whether a body yields to its actuators by more than 1 / `NEARLY_INDEFINITE` times 1/ρ.
+
+    Args:
+        W: Compliance of the actuators [m/N], shape (n, n).
+        stiffness: ρ of each [N/m], shape (n,).
+    """
+    most = 1.0 / NEARLY_INDEFINITE
+    # No eigenvalue is above their sum.
+    if float(W.diagonal() @ stiffness) < most:
+        return False
+    return not _is_below(W, np.sqrt(stiffness), most)
 
 
 def _orthogonal_to_ones(n: int) -> np.ndarray:

@@ -333,11 +333,18 @@ class Newton:
         multipliers = self._rows.multipliers(efforts)
         may_augment = self._augmented is not None and held is not None
         self.is_augmented = self.projected_tangent = False
+        is_inverse = may_augment and not held.is_prescribed
+        may_augment = may_augment and (not is_inverse or self._measure_stiffness(clock))
         if not (self._is_indefinite and may_augment):
             self._rows.limit_stiffness(False)
             if self._factor(positions, multipliers, clock):
-                self._is_indefinite = False
-                return self._condense(positions, multipliers)
+                linear = self._condense(positions, multipliers)
+                self._is_indefinite = (
+                    is_inverse and may_augment and self._augmented.is_near(linear.W_aa)
+                    and self._augmented.choose(efforts, held)
+                )
+                if not self._is_indefinite:
+                    return linear
         self._rows.limit_stiffness(True)
         may_augment = may_augment and self._measure_stiffness(clock)
         may_augment = may_augment and self._augmented.choose(efforts, held)

@@ -1,15 +1,22 @@
 """Facts of the tangent that is augmented by the rows of held cables."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import CommandSetpoints
+from softrobot_twin.scene import load_scene
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.augmented_tangent import (
+    AUGMENTATION,
+    AugmentedDense,
     AugmentedLU,
     AugmentedTangent,
     HeldActuators,
 )
 from softrobot_twin.solvers.factorization import NodeRows
+
+SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
 @pytest.fixture
@@ -211,3 +218,33 @@ def test_a_beam_that_its_contacts_stabilise_rests_without_projection(leaning, wo
     simulation, result = leaning("quadratic", wound)
     assert result.report.residual < 1e-6
     assert simulation.newton.is_augmented and not simulation.newton.projected_tangent
+
+def test_beside_the_limit_of_stability_an_inverse_neither_chatters_nor_misses():
+    """The Diamond at its working height is stable at given tensions in one place and not in the
+    next: by the plain tangent the cables go back and forth by 0.5 mm there."""
+    simulation = Simulation(load_scene(SCENES / "diamond.yaml"))
+    time = np.arange(0.0, 3.0, 0.01)
+    turn = 2.0 * np.pi * time / 7.5
+    path = 0.020 * np.stack([np.cos(turn), np.sin(turn) * np.cos(turn), 6.8 + 0.0 * turn], axis=1)
+    for _ in range(200):
+        simulation.step(FollowTargets(path[:1], 0.01))
+    found = [simulation.step(FollowTargets(target[None], 0.01)) for target in path]
+    assert max(result.effector_errors[0] for result in found) < 1e-6
+    setpoints = np.array([result.setpoints for result in found])
+    assert np.abs(np.diff(setpoints, 2, axis=0)).max() < 1e-5
+
+
+def test_a_tangent_that_is_hardly_definite_is_left_to_the_augmented_one_with_hysteresis():
+    """Its softest way yields 1 / NEARLY_INDEFINITE times 1/ρ at most, and comes back at a half."""
+    tangent = AugmentedDense.__new__(AugmentedDense)
+    tangent._own, tangent._by_effort = np.array([2.0, 5.0]), np.zeros(2, bool)
+    stiffness = AUGMENTATION * tangent._own
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    for softest, near in ((99.0, False), (101.0, True)):
+        W = turn @ np.diag([softest, 1.0]) @ turn.T / np.sqrt(np.outer(stiffness, stiffness))
+        assert tangent.is_near(W) is near
+    tangent.stiffness, tangent.contact_stiffness = stiffness, np.empty(0)
+    for softest, needed in ((48.0, False), (50.0, True), (-3.0, True)):
+        augmented = turn @ np.diag([softest / (1.0 + softest), 0.5]) @ turn.T
+        W = augmented / np.sqrt(np.outer(stiffness, stiffness))
+        assert tangent.is_needed(W, 2) is needed
