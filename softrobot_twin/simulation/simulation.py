@@ -39,6 +39,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
+from softrobot_twin.simulation.stability_check import stability_notes
 from softrobot_twin.simulation.state import PastMotion, State
 from softrobot_twin.simulation.step_part import StepPart
 from softrobot_twin.simulation.step_report import Outcome, StepResults
@@ -124,7 +125,8 @@ class Simulation(Readouts):
             now: Gives the time that stages and budgets are measured by [s].
             factorization_type: Class to factorize with, in place of the scene's.
             qp_solvers: Solvers in the order they are asked, in place of the scene's.
-            with_warnings: Whether to look for what looks wrong; see `build_model`.
+            with_warnings: Whether to look for what looks wrong, see `build_model`, and for a body that
+                buckles at given tensions.
 
         Raises:
             SceneError: An entry does not fit the mesh.
@@ -161,6 +163,8 @@ class Simulation(Readouts):
         )
         self._explores = self.model.scene.solver.exploration
         self.reset()
+        if with_warnings:
+            self.model.notes.extend(stability_notes(self))
         self.fallback = build_fallback(self)
 
     @classmethod

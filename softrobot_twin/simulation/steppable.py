@@ -10,6 +10,7 @@ import numpy as np
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
 
@@ -18,6 +19,7 @@ class Steppable(Protocol):
     """A `Simulation`; see there."""
 
     model: Model
+    newton: Newton
     state: State
     now: Callable[[], float]
 
@@ -27,6 +29,8 @@ class Steppable(Protocol):
     def scene(self) -> Scene: ...
 
     def step(self, command: Command, *, measured: object | None = None) -> StepResult: ...
+
+    def reset(self) -> None: ...
 
     def restore(self, state: State) -> None: ...
 
