@@ -302,6 +302,9 @@ def add_bench(commands) -> None:
                         help="steps to time for each size (default 1000)")
     parser.add_argument("--commands", metavar="FILE.csv", type=Path,
                         help="time the longest hold of this commands file in place of a circle")
+    parser.add_argument("--compare", metavar="FILE.csv", type=Path,
+                        help="bench.csv of an earlier run: steps that are slower by a tenth, in "
+                        "units of SuperLU, or make more calls of Python are marked")
     parser.add_argument("--contacts", action="store_true",
                         help="time steps over numbers of contacts; with --output contacts.csv "
                         "and contacts.png")
@@ -314,10 +317,11 @@ def _bench(chosen: argparse.Namespace) -> int:
     if not chosen.scenes or chosen.contacts:
         refuse(chosen, "a scene to time", "commands")
     if chosen.contacts:
+        refuse(chosen, "without --contacts", "compare")
         if chosen.scenes:
             raise OptionError("--contacts", "times a block of its own and takes no scene")
         return bench_contacts(chosen.steps, chosen.output)
-    return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands)
+    return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands, chosen.compare)
 
 
 def add_plot(commands) -> None:

@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 
 from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.topics import TWIN_TOPICS
 from softrobot_twin.simulation import Simulation
 
@@ -86,6 +87,7 @@ class TransformOutput:
         prefix: Put before each name of a frame but `frame_id`.
         base_frame: Parent of `frame_id`; empty for none.
         base_pose: Where `frame_id` is in it [m] and its rotation (x, y, z, w), seven numbers.
+        audience: Who receives what.
 
     Raises:
         ParameterError: The names of the frames clash, or the pose is none.
@@ -93,9 +95,9 @@ class TransformOutput:
 
     def __init__(
         self, node: Node, simulation: Simulation, frame_id: str, wanted: str, prefix: str,
-        base_frame: str, base_pose: Sequence[float],
+        base_frame: str, base_pose: Sequence[float], audience: Audience,
     ):  # fmt: skip
-        self._simulation, self.publisher = simulation, None
+        self._simulation, self._audience, self.publisher = simulation, audience, None
         if wanted == "off":
             return
         try:
@@ -118,7 +120,7 @@ class TransformOutput:
 
     def publish(self, outcome: TickOutcome, header: Header) -> bool:
         """Publishes a tick to those who listen; false where nobody does."""
-        if self.publisher is None or not self.publisher.get_subscription_count():
+        if self.publisher is None or not self._audience.hears(self.publisher):
             return False
         positions, turns = self._simulation.rigid_poses()
         ends = outcome.result.effector_positions

@@ -33,6 +33,7 @@ from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.claim import TopicClaim
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.marker_bytes import to_bytes
@@ -73,46 +74,60 @@ class RepeatedMessages:
     """Publishes messages with a header, and again with another stamp while nothing else changes.
 
     To make and convert a message takes longer than to publish its bytes. What nobody receives is not
-    published again; who subscribes is found after `_LOOK_EVERY` ticks.
+    published again, and but for commands not even made.
+
+    Args:
+        audience: Who receives what.
     """
 
-    _LOOK_EVERY = 10
     _STAMP, _PLACE = struct.Struct("<iI"), 4
     """A stamp, and its place after the encapsulation of a message."""
 
-    def __init__(self) -> None:
+    def __init__(self, audience: Audience) -> None:
+        self._audience = audience
         self._sent: list[tuple[Publisher, object]] = []
         self._contents: list[tuple[Publisher, bytearray]] = []
-        self._heard: list[tuple[Publisher, bytearray]] = []
-        self._times = 0
+        self._left_out: list[Publisher] = []
 
     def send(self, publisher: Publisher, message: object) -> None:
         """Publishes a message, whose first field is its header."""
         publisher.publish(message)
         self._sent.append((publisher, message))
 
+    def offer(self, publisher: Publisher, make: Callable[..., object], *values: object) -> None:
+        """Makes and publishes a message if somebody receives it."""
+        if self._is_heard(publisher):
+            self.send(publisher, make(*values))
+        else:
+            self._left_out.append(publisher)
+
+    def _is_heard(self, publisher: Publisher) -> bool:
+        """Whether messages are received or, as those of a recorded run, kept."""
+        return type(publisher) is not Publisher or self._audience.hears(publisher)
+
     def forget(self) -> None:
         """The messages that are sent from now on are those to publish again."""
-        self._sent, self._contents, self._times = [], [], 0
+        self._sent, self._contents, self._left_out = [], [], []
 
-    def send_again(self, stamp: int) -> None:
-        """Publishes all messages since `forget` again, with another stamp [ns]."""
+    def send_again(self, stamp: int) -> bool:
+        """Publishes all messages since `forget` again, with another stamp [ns].
+
+        Returns:
+            Whether it did: somebody may have subscribed to what was not made.
+        """
+        if self._audience.hears_any(self._left_out):
+            return False
         if not self._contents:
             self._contents = [
                 (publisher, bytearray(to_bytes(message))) for publisher, message in self._sent
             ]
-        if self._times % self._LOOK_EVERY == 0:
-            self._heard = [sent for sent in self._contents if _is_heard(sent[0])]
-        self._times += 1
         time = divmod(stamp, NANOSECONDS)
-        for publisher, content in self._heard:
+        for publisher, content in self._contents:
+            if not self._is_heard(publisher):
+                continue
             self._STAMP.pack_into(content, self._PLACE, *time)
             publisher.publish(bytes(content))
-
-
-def _is_heard(publisher: Publisher) -> bool:
-    """Whether messages are received or, as those of a recorded run, kept."""
-    return type(publisher) is not Publisher or publisher.get_subscription_count() > 0
+        return True
 
 
 class SolidOutputs:
@@ -121,13 +136,14 @@ class SolidOutputs:
     Args:
         node: The twin.
         simulation: Its model.
+        audience: Who receives what.
 
     Attributes:
         commands: Publishers of the commanded poses.
     """
 
-    def __init__(self, node: Node, simulation: Simulation):
-        self._simulation = simulation
+    def __init__(self, node: Node, simulation: Simulation, audience: Audience):
+        self._simulation, self._audience = simulation, audience
         self._bodies = [
             open_publisher(node, TOPICS["~/bodies/<rigid body>"], name)
             for name in simulation.rigid_names
@@ -149,11 +165,12 @@ class SolidOutputs:
             Whether anything was published.
         """
         # An arm of hubs has many rigid bodies, and each message takes time of the tick.
-        is_heard = any(publisher.get_subscription_count() for publisher in self._bodies)
+        hears = self._audience.hears
+        is_heard = self._audience.hears_any(self._bodies)
         if is_heard:
             poses = zip(*self._simulation.rigid_poses(), strict=True)
             for publisher, pose in zip(self._bodies, poses, strict=True):
-                if publisher.get_subscription_count():
+                if hears(publisher):
                     publisher.publish(pose_message(*pose, header))
         if outcome.command is not None:
             for name, pose in outcome.guided_poses.items():
@@ -172,17 +189,18 @@ class CablePathOutput:
     Args:
         node: The twin.
         simulation: Its model.
+        audience: Who receives what.
     """
 
-    def __init__(self, node: Node, simulation: Simulation):
-        self._actuators = simulation.actuators
+    def __init__(self, node: Node, simulation: Simulation, audience: Audience):
+        self._actuators, self._audience = simulation.actuators, audience
         self._publisher = None
         if any(kind.one_sided for kind in self._actuators.kinds):
             self._publisher = open_publisher(node, TOPICS["~/cable_paths"])
 
     def publish(self, outcome: TickOutcome, header: Header) -> bool:
         """Publishes a tick if somebody listens; false where nobody does."""
-        if self._publisher is None or not self._publisher.get_subscription_count():
+        if self._publisher is None or not self._audience.hears(self._publisher):
             return False
         paths = self._actuators.path_lengths(outcome.result.state.positions)
         self._publisher.publish(
@@ -198,13 +216,14 @@ class ComplianceOutputs:
     Args:
         node: The twin.
         loop: Its loop.
+        audience: Who receives what.
     """
 
     _WORLD = ("x_m", "y_m", "z_m")
     _FORCES = ("fx_N", "fy_N", "fz_N")
 
-    def __init__(self, node: Node, loop: TwinLoop):
-        self._loop = loop
+    def __init__(self, node: Node, loop: TwinLoop, audience: Audience):
+        self._loop, self._audience = loop, audience
         self._compliance: EffectorCompliance | None = None
         self._compliances, self._jacobians = (
             [open_publisher(node, TOPICS[f"~/{topic}/<effector>"], name)
@@ -214,8 +233,7 @@ class ComplianceOutputs:
 
     def publish(self, outcome: TickOutcome, header: Header) -> bool:
         """Publishes a tick to those who listen; false where nobody does."""
-        publishers = (*self._compliances, *self._jacobians)
-        if not any(publisher.get_subscription_count() for publisher in publishers):
+        if not self._audience.hears_any((*self._compliances, *self._jacobians)):
             return False
         loop = self._loop
         if self._compliance is None:
@@ -231,7 +249,7 @@ class ComplianceOutputs:
 
     def _send(self, publishers, matrices: np.ndarray, columns, header: Header) -> None:
         for publisher, matrix in zip(publishers, matrices, strict=True):
-            if publisher.get_subscription_count():
+            if self._audience.hears(publisher):
                 publisher.publish(matrix_message(matrix, self._WORLD, columns, header))
 
 
@@ -351,7 +369,8 @@ class TwinNode(TickingNode):
 
     def _open_outputs(self) -> None:
         simulation = self.loop.simulation
-        self._repeated = RepeatedMessages()
+        self._audience = Audience()
+        self._repeated = RepeatedMessages(self._audience)
         self.cables = open_publisher(self, TOPICS["~/cables"])
         self.pressures = {
             name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
@@ -381,16 +400,16 @@ class TwinNode(TickingNode):
             open_publisher(self, TOPICS["~/touch/<touch>"], name)
             for name in simulation.touch_names
         ]
-        self._solids = SolidOutputs(self, simulation)
-        self._compliances = ComplianceOutputs(self, self.loop)
-        self._cable_paths = CablePathOutput(self, simulation)
+        self._solids = SolidOutputs(self, simulation, self._audience)
+        self._compliances = ComplianceOutputs(self, self.loop, self._audience)
+        self._cable_paths = CablePathOutput(self, simulation, self._audience)
         values = self._values
         self.visualization = VisualizationOutput(
             self, simulation, self.loop_frame, float(values["visualization_rate"])
         )
         self._transforms = TransformOutput(
             self, simulation, self.loop_frame, str(values["tf"]), str(values["tf_prefix"]),
-            str(values["tf_base_frame"]), values["tf_base_pose"],
+            str(values["tf_base_frame"]), values["tf_base_pose"], self._audience,
         )  # fmt: skip
         self.status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
@@ -618,11 +637,11 @@ class TwinNode(TickingNode):
             self.recording.pass_on()
 
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:
-        if self.loop.is_repeating and not self._has_listeners:
-            self._repeated.send_again(stamp)
+        may_repeat = self.loop.is_repeating and not self._has_listeners
+        if may_repeat and self._repeated.send_again(stamp):
             return
         self._repeated.forget()
-        send = self._repeated.send
+        offer = self._repeated.offer
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
             self._publish_command(outcome.command, header)
@@ -630,21 +649,21 @@ class TwinNode(TickingNode):
                 self.last_command.keep(*outcome.command, outcome.guided_poses)
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
         for name, pressure in sealed.items():
-            send(self.pressures[name], pressure_message(pressure, header))
+            offer(self.pressures[name], pressure_message, pressure, header)
         positions = outcome.result.effector_positions
         for publisher, position in zip(self._effectors, positions, strict=True):
-            send(publisher, point_message(position, header))
+            offer(publisher, point_message, position, header)
         turns = outcome.result.effector_orientations
         for index, publisher in self._effector_poses.items():
-            send(publisher, pose_message(positions[index], turns[index], header))
+            offer(publisher, pose_message, positions[index], turns[index], header)
         reached = outcome.result.effector_stiffness
         for index, publisher in self._stiffness.items():
             if reached is not None:
-                send(publisher, vector_message(reached[index], header))
+                offer(publisher, vector_message, reached[index], header)
         for index, publisher in enumerate(self._touches):
-            send(publisher, touch_message(outcome.result.touches, index, header))
+            offer(publisher, touch_message, outcome.result.touches, index, header)
         # A cloud takes a tenth of a millisecond to make.
-        wants_markers = self._markers is not None and self._markers.get_subscription_count() > 0
+        wants_markers = self._markers is not None and self._audience.hears(self._markers)
         if wants_markers:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))

@@ -56,7 +56,9 @@ from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.dense_cholesky import DenseCholesky, write_rows
+from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import (
     Condensed,
     Factorization,
@@ -119,8 +121,124 @@ class Augmentation(NamedTuple):
         return solved - self.stiffness * (displacements - self.reference)
 
 
-class AugmentedTangent:
-    """A + Hᵀ ρ H, seen from constraint rows, by a factor of B.
+class AugmentedRows:
+    """A + Hᵀ ρ H of rows of actuators, where A or the sum itself is factorized; base of the others.
+
+    Attributes:
+        stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
+        contact_stiffness: ρ of each contact, shape (contact_count,); empty where none is augmented.
+        comes_first: Whether a scene begins with the augmented tangent.
+    """
+
+    comes_first = False
+
+    def __init__(
+        self, factorization: Factorization, may_be_held: np.ndarray, own: np.ndarray | None = None
+    ):
+        """Take the rows.
+
+        Args:
+            factorization: Holds the tangent A in its storage.
+            may_be_held: Whether each actuator row is augmented where it holds its displacement,
+                shape (row_count,).
+            own: Stiffness of the bodies along the actuators, same shape; None before `measure`.
+        """
+        self._factorization, self._may_be_held, self._own = factorization, may_be_held, own
+        self.rows = slice(0, len(may_be_held))
+        self.stiffness, self.contact_stiffness = np.zeros(len(may_be_held)), np.empty(0)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the stiffness of the bodies along their actuators is known."""
+        return self._own is not None
+
+    def measure(self, W_aa: np.ndarray) -> None:
+        """Take the stiffness of the bodies along their actuators from the compliance at rest."""
+        self._own = 1.0 / np.maximum(W_aa.diagonal()[self.rows], np.finfo(float).tiny)
+
+    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
+        """Augment what holds its displacement by an effort within bounds: a taut cable that does
+        not slip.
+
+        Args:
+            efforts: Efforts of the actuators, in their units, shape (actuator_count,).
+            held: What holds them.
+
+        Returns:
+            Whether there is any.
+        """
+        a = self.rows
+        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
+        self.stiffness = np.where(inside & self._may_be_held, AUGMENTATION * self._own, 0.0)
+        self.contact_stiffness = np.empty(0)
+        return bool(self.stiffness.any())
+
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
+        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
+
+    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
+        """W and the free violations of the augmented tangent; see `Factorization.condense`.
+
+        Raises:
+            numpy.linalg.LinAlgError: The augmented tangent is not positive definite.
+        """
+        return self._factorization.condense(H, b)
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
+        return self._factorization.expand(multipliers)
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
+        return self._factorization.solve(b)
+
+    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
+        """What turns λ̂ into λ.
+
+        Args:
+            held: What holds the actuators.
+            row_count: Number of actuator rows.
+        """
+        return Augmentation(self.stiffness, held.displacements[:row_count])
+
+    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
+        """-ρ δ(q) of the contacts [N].
+
+        Args:
+            gaps: δ(q) of their rows [m], shape (count,).
+        """
+        if not len(self.contact_stiffness):
+            return np.zeros(len(gaps))
+        return -self.contact_stiffness * gaps
+
+    def is_near(self, W_aa: np.ndarray) -> bool:
+        """Whether the tangent without the augmentation is definite by too little for an inverse.
+
+        Args:
+            W_aa: Its compliance of the actuators [m/N], shape (actuator_row_count,) twice.
+        """
+        stiffness = np.where(self._may_be_held, AUGMENTATION * self._own, 0.0)
+        return _is_soft(W_aa[self.rows, self.rows], stiffness)
+
+    def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
+        """Whether the tangent without the augmentation is indefinite, or nearly.
+
+        Args:
+            W: Compliance of the augmented tangent [m/N], shape (row_count, row_count).
+            first_contact: First row of the contacts.
+        """
+        rows, root = self._augmented_rows(first_contact)
+        return not _is_below(W[np.ix_(rows, rows)], root, 1.0 - SAFELY_DEFINITE)
+
+    def _augmented_rows(self, first_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of actuators and contacts that may be augmented, and √ρ of each."""
+        contacts = first_contact + np.arange(len(self.contact_stiffness))
+        rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
+        return rows, np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
+
+
+class AugmentedTangent(AugmentedRows):
+    """A + Hᵀ ρ H of cables, seen from constraint rows, by a factor of B.
 
     Attributes:
         rows: The rows of the cables among all rows, and their places among all actuators.
@@ -137,45 +255,22 @@ class AugmentedTangent:
             factorization: Holds the factor of B when the system is condensed.
             contacts: The term of contacts with round shapes, without friction; else None.
         """
-        self._cables, self._factorization = cables, factorization
-        self._contacts, self.contact_stiffness = contacts, np.empty(0)
-        self._own, self._share = None, None
+        super().__init__(factorization, np.ones(cables.row_count, bool))
+        self._cables, self._contacts, self._share = cables, contacts, None
         self._stretches = getattr(cables, "yields", False)
-        self.rows = slice(0, cables.row_count)
-        self.stiffness = np.zeros(cables.row_count)
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether the stiffness of the body along its cables is known."""
-        return self._own is not None
-
-    def measure(self, W_aa: np.ndarray) -> None:
-        """Take the stiffness of the body along its cables from its compliance at rest [m/N]."""
-        self._own = 1.0 / np.maximum(W_aa.diagonal()[self.rows], np.finfo(float).tiny)
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
-        """Augment the cables whose efforts are within their bounds: taut and not slipping.
-
-        Args:
-            efforts: Efforts of the actuators [N], shape (actuator_count,).
-            held: What holds them.
-
-        Returns:
-            Whether there is such a cable.
-        """
-        a = self.rows
-        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
-        self.stiffness = np.where(inside, AUGMENTATION * self._own, 0.0)
+        """See `AugmentedRows`; also contacts that press, where displacements are prescribed."""
+        holds = super().choose(efforts, held)
         if self._stretches:
             own_compliance = self._cables.compliance.diagonal()
             self.stiffness /= 1.0 + self.stiffness * own_compliance
-        self.contact_stiffness = np.empty(0)
         contacts = self._contacts
         if contacts is not None and contacts.count and held.is_prescribed:
             pressing = contacts.last_multipliers > 0.0
             pressing &= contacts.curvature.couples_one_facet(contacts)
             self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
-        return bool(inside.any() or self.contact_stiffness.any())
+        return holds or bool(self.contact_stiffness.any())
 
     def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
         """Add ρ n Σ h_s h_sᵀ to the system matrix."""
@@ -198,9 +293,6 @@ class AugmentedTangent:
         """
         self._add(positions, self._factorization.storage)
         return self._factorization.factor()
-
-    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
-        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """W and the free violations of the augmented tangent; see `Factorization.condense`.
@@ -280,26 +372,9 @@ class AugmentedTangent:
         share[self.rows] = self._share
         return Augmentation(stiffness / share, reference, share)
 
-    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
-        """-ρ δ(q) of the contacts [N], shape (count,).
-
-        Args:
-            gaps: δ(q) of their rows [m], shape (count,).
-        """
-        if not len(self.contact_stiffness):
-            return np.zeros(len(gaps))
-        return -self.contact_stiffness * gaps
-
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
-        """Whether the tangent without the augmentation is indefinite.
-
-        Args:
-            W: Compliance of the augmented tangent [m/N], shape (row_count, row_count).
-            first_contact: First row of the contacts.
-        """
-        contacts = first_contact + np.arange(len(self.contact_stiffness))
-        rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
-        root = np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
+        """See `AugmentedRows`; of cables that stretch, that of their paths."""
+        rows, root = self._augmented_rows(first_contact)
         compliance = W[np.ix_(rows, rows)]
         if self._share is not None:
             own, share = self.rows, np.ones(len(rows))
@@ -308,62 +383,18 @@ class AugmentedTangent:
             compliance /= np.outer(share, share)
         return not _is_below(compliance, root, 1.0 - SAFELY_DEFINITE)
 
-    def is_near(self, W_aa: np.ndarray) -> bool:
-        """Whether the tangent without the augmentation is definite by too little for an inverse.
 
-        Args:
-            W_aa: Its compliance of the actuators [m/N], shape (actuator_row_count,) twice.
-        """
-        return _is_soft(W_aa[self.rows, self.rows], AUGMENTATION * self._own)
-
-
-class AugmentedLU:
+class AugmentedLU(AugmentedRows):
     """A + Hᵀ ρ H of actuators of any kind, by an LU of A; see `AugmentedTangent` for the methods.
 
     It has the same number of negative eigenvalues as A less those of 1/ρ + H A⁻¹ Hᵀ (the inertia of
     [[A, Hᵀ], [H, -1/ρ]] from both sides; Nocedal and Wright, section 16.3).
-
-    Attributes:
-        stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
-        contact_stiffness: Empty: contacts are not augmented.
     """
 
-    def __init__(
-        self, factorization: Factorization, is_effort_driven: np.ndarray,
-        stretches: np.ndarray | None = None,
-    ):  # fmt: skip
-        """Take the rows.
-
-        Args:
-            factorization: Holds the tangent A in its storage.
-            is_effort_driven: Whether each actuator row holds an effort, and no displacement,
-                shape (row_count,).
-            stretches: Whether each has a compliance of its own, same shape; None without any.
-                Such a row is not augmented.
-        """
-        self._factorization, self._by_effort = factorization, is_effort_driven
-        if stretches is not None:
-            self._by_effort = is_effort_driven | stretches
-        self._own: np.ndarray | None = None
+    def __init__(self, factorization: Factorization, may_be_held: np.ndarray):
+        """See `AugmentedRows`."""
+        super().__init__(factorization, may_be_held)
         self._lu: SuperLU | None = None
-        self.stiffness = np.zeros(len(is_effort_driven))
-        self.contact_stiffness = np.empty(0)
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether the stiffness of the bodies along their actuators is known."""
-        return self._own is not None
-
-    def measure(self, W_aa: np.ndarray) -> None:
-        """Take the stiffness of the bodies along their actuators from the compliance at rest."""
-        self._own = 1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny)
-
-    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
-        """Augment what holds its displacement by an effort within bounds."""
-        a = slice(0, len(self._by_effort))
-        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
-        self.stiffness = np.where(inside & ~self._by_effort, AUGMENTATION * self._own, 0.0)
-        return bool(self.stiffness.any())
 
     def factor(self, positions: np.ndarray) -> bool:
         """Factorize A; False only where it is singular."""
@@ -373,9 +404,6 @@ class AugmentedLU:
         self._lu.storage[:] = self._factorization.storage[self._places]
         self._lu.factor()
         return self._lu.negative_count is not None
-
-    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
-        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `AugmentedTangent.condense`."""
@@ -411,14 +439,6 @@ class AugmentedLU:
         np.subtract.at(forces, H.node_index, H.blocks * loads[H.row_index][:, None])
         return self._lu.solve(forces)
 
-    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
-        """What turns λ̂ into λ; see `AugmentedTangent`."""
-        return Augmentation(self.stiffness, held.displacements[:row_count])
-
-    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
-        """Zeros: contacts are not augmented."""
-        return np.zeros(len(gaps))
-
     def is_near(self, W_aa: np.ndarray) -> bool:
         """False: the tangent alone serves wherever it is definite."""
         return False
@@ -441,17 +461,13 @@ def add_squared_rows(H, stiffness, matrix):
                     matrix[j, i] += factor * H[r, i]
 
 
-class AugmentedDense:
+class AugmentedDense(AugmentedRows):
     """A + Hᵀ ρ H of actuators of any kind, where A is dense; see `AugmentedTangent` for the methods.
-
-    Attributes:
-        stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
-        contact_stiffness: ρ of each contact, shape (contact_count,); empty where none is augmented.
     """
 
     def __init__(
         self, rows: RowStack, contacts: Contacts | None, factorization: DenseCholesky,
-        is_effort_driven: np.ndarray, stretches: np.ndarray | None,
+        may_be_held: np.ndarray,
     ):  # fmt: skip
         """Take the rows.
 
@@ -459,37 +475,18 @@ class AugmentedDense:
             rows: All rows; evaluated where the tangent is assembled.
             contacts: The term of contacts without friction; else None.
             factorization: Holds the tangent A in its storage.
-            is_effort_driven: Whether each actuator row holds an effort, and no displacement,
-                shape (row_count,).
-            stretches: Whether each has a compliance of its own, same shape; None without any.
-                Such a row is not augmented.
+            may_be_held: See `AugmentedRows`.
         """
-        self._rows, self._contacts, self._factorization = rows, contacts, factorization
-        self._by_effort = is_effort_driven if stretches is None else is_effort_driven | stretches
-        self._own: np.ndarray | None = None
-        self.stiffness = np.zeros(len(is_effort_driven))
-        self.contact_stiffness = np.empty(0)
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether the stiffness of the bodies along their actuators is known."""
-        return self._own is not None
-
-    def measure(self, W_aa: np.ndarray) -> None:
-        """Take the stiffness of the bodies along their actuators from the compliance at rest."""
-        self._own = 1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny)
+        super().__init__(factorization, may_be_held)
+        self._rows, self._contacts = rows, contacts
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
-        """Augment what holds its displacement by an effort within bounds, and what presses."""
-        a = slice(0, len(self._by_effort))
-        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
-        self.stiffness = np.where(inside & ~self._by_effort, AUGMENTATION * self._own, 0.0)
-        self.contact_stiffness = np.empty(0)
-        contacts = self._contacts
+        """See `AugmentedRows`; also contacts that press, where displacements are prescribed."""
+        holds, contacts = super().choose(efforts, held), self._contacts
         if contacts is not None and contacts.count and held.is_prescribed:
             pressing = contacts.last_multipliers > 0.0
             self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
-        return bool(self.stiffness.any() or self.contact_stiffness.any())
+        return holds or bool(self.contact_stiffness.any())
 
     def _row_stiffness(self) -> np.ndarray:
         """ρ of all rows, shape (row_count,)."""
@@ -508,52 +505,14 @@ class AugmentedDense:
         add_squared_rows(H, self._row_stiffness(), matrix)
         return self._factorization.factor()
 
-    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
-        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
 
-    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
-        """See `Factorization.condense`."""
-        return self._factorization.condense(H, b)
-
-    def expand(self, multipliers: np.ndarray) -> np.ndarray:
-        """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
-        return self._factorization.expand(multipliers)
-
-    def solve(self, b: np.ndarray) -> np.ndarray:
-        """(A + Hᵀ ρ H)⁻¹ b, shape (free_node_count, 3); see `Factorization`."""
-        return self._factorization.solve(b)
-
-    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
-        """What turns λ̂ into λ; see `AugmentedTangent`."""
-        return Augmentation(self.stiffness, held.displacements[:row_count])
-
-    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
-        """-ρ δ(q) of the contacts [N]; see `AugmentedTangent`."""
-        if not len(self.contact_stiffness):
-            return np.zeros(len(gaps))
-        return -self.contact_stiffness * gaps
-
-    def is_near(self, W_aa: np.ndarray) -> bool:
-        """Whether A is definite by too little for an inverse; see `AugmentedTangent`."""
-        return _is_soft(W_aa, np.where(self._by_effort, 0.0, AUGMENTATION * self._own))
-
-    def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
-        """Whether the tangent without the augmentation is indefinite."""
-        contacts = first_contact + np.arange(len(self.contact_stiffness))
-        rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
-        root = np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
-        return not _is_below(W[np.ix_(rows, rows)], root, 1.0 - SAFELY_DEFINITE)
-
-
-class AugmentedHinges:
+class AugmentedHinges(AugmentedRows):
     """A + Hᵀ ρ H of motors that turn hinges; see `AugmentedTangent` for the methods.
 
-    Attributes:
-        stiffness: ρ of each actuator row, zero where it is not augmented [N m], shape (row_count,).
-        contact_stiffness: Empty: contacts are not augmented.
+    The stiffness of the bodies along motors is known from the beams.
     """
 
-    is_measured = True
+    comes_first = True
 
     def __init__(
         self, motors: HingeAngles, rows: slice, row_count: int, factorization: Factorization
@@ -566,45 +525,15 @@ class AugmentedHinges:
             row_count: Number of actuator rows.
             factorization: Holds the tangent A in its storage.
         """
-        self._motors, self._rows, self._factorization = motors, rows, factorization
-        self._whole = np.zeros(row_count)
-        self._whole[rows] = AUGMENTATION * motors.stiffness
-        self.stiffness = np.zeros(row_count)
-        self.contact_stiffness = np.empty(0)
-
-    def measure(self, W_aa: np.ndarray) -> None:
-        """Does nothing: the stiffness is known from the beams."""
-
-    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
-        """Augment motors that hold their angle by a torque within bounds."""
-        a = slice(0, len(self.stiffness))
-        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
-        self.stiffness = np.where(inside, self._whole, 0.0)
-        return bool(self.stiffness.any())
+        self._motors, self._motor_rows = motors, rows
+        is_motor, own = np.zeros(row_count, bool), np.zeros(row_count)
+        is_motor[rows], own[rows] = True, motors.stiffness
+        super().__init__(factorization, is_motor, own)
 
     def factor(self, positions: np.ndarray) -> bool:
         """Factorize A + Hᵀ ρ H, from the tangent A in storage."""
-        self._motors.add_row_stiffness(self.stiffness[self._rows], self._factorization.storage)
+        self._motors.add_row_stiffness(self.stiffness[self._motor_rows], self._factorization.storage)
         return self._factorization.factor()
-
-    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
-        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
-
-    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
-        """See `Factorization.condense`."""
-        return self._factorization.condense(H, b)
-
-    def expand(self, multipliers: np.ndarray) -> np.ndarray:
-        """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
-        return self._factorization.expand(multipliers)
-
-    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
-        """What turns λ̂ into λ; see `AugmentedTangent`."""
-        return Augmentation(self.stiffness, held.displacements[:row_count])
-
-    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
-        """Zeros: contacts are not augmented."""
-        return np.zeros(len(gaps))
 
     def is_near(self, W_aa: np.ndarray) -> bool:
         """False: the tangent alone serves wherever it is definite."""
@@ -645,6 +574,45 @@ def _is_soft(W: np.ndarray, stiffness: np.ndarray) -> bool:
     if float(W.diagonal() @ stiffness) < most:
         return False
     return not _is_below(W, np.sqrt(stiffness), most)
+
+
+def augmented_tangent_of(model: Model) -> AugmentedRows | None:
+    """The augmented tangent of a scene with cables, given volumes or angles.
+
+    None with friction along cables: at held lengths equilibria are not minima of an energy.
+    """
+    rows, actuators, factorization = model.rows, model.actuators, model.factorization
+    is_dense, count = isinstance(factorization, DenseCholesky), actuators.row_count
+    first = 0
+    for term in actuators.terms:
+        own = slice(first, first + term.row_count)
+        first = own.stop
+        if isinstance(term, HingeAngles):
+            return AugmentedHinges(term, own, count, factorization)
+    contacts = model.contacts if rows.varies else None
+    if contacts is not None and contacts.rows_per_contact > 1:
+        contacts = None
+    is_held = ~actuators.is_effort_driven[:count]
+    stretch = rows.stretch_compliance()
+    may_be_held = is_held if stretch is None else is_held & ~(stretch > 0.0)
+    if is_dense:
+        if not count or not actuators.conserves:
+            return None
+        return AugmentedDense(rows, contacts, factorization, may_be_held)
+    needs_lu = bool((is_held & ~actuators.one_sided[:count]).any())
+    if rows.reaches_carried_points:
+        # The rows of cables at points of frames are not those that cables write.
+        needs_lu = needs_lu or not model.is_dynamic and actuators.conserves
+        if not (needs_lu and is_held.any()):
+            return None
+    if needs_lu:
+        is_plain = not isinstance(factorization, DenseStiffness)
+        return AugmentedLU(factorization, may_be_held) if is_plain else None
+    if not rows.terms or not isinstance(rows.terms[0], Cables) or not actuators.conserves:
+        return None
+    if contacts is not None and contacts.curvature is None:
+        contacts = None
+    return AugmentedTangent(rows.terms[0], factorization, contacts)
 
 
 def _orthogonal_to_ones(n: int) -> np.ndarray:

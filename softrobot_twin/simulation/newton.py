@@ -16,23 +16,14 @@ import math
 
 import numpy as np
 
-from softrobot_twin.constraints.cable import Cables
-from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.simulation import apparent_stiffness
 from softrobot_twin.simulation.actuation import Actuation
-from softrobot_twin.simulation.augmented_tangent import (
-    AugmentedDense,
-    AugmentedHinges,
-    AugmentedLU,
-    AugmentedTangent,
-    HeldActuators,
-)
+from softrobot_twin.simulation.augmented_tangent import HeldActuators, augmented_tangent_of
 from softrobot_twin.simulation.linearized import Linearized, PrescribedMoves, expected_to_press
 from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.move import Move
 from softrobot_twin.simulation.time_budget import StageClock
-from softrobot_twin.solvers.dense_cholesky import DenseCholesky
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
 
@@ -123,7 +114,7 @@ class Newton:
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
         factorization = model.factorization
         self._dense = factorization if isinstance(factorization, DenseStiffness) else None
-        self._augmented, self._held = self._augmented_tangent(), None
+        self._augmented, self._held = augmented_tangent_of(model), None
         self._projects_in_part = (
             any(term.is_slender for term in model.forces) and self._dense is None
             and not model.is_dynamic and self._conserves
@@ -137,66 +128,6 @@ class Newton:
             # Later, slender parts would take the rest shape for where their last move began.
             if not self._measure_stiffness(StageClock()):
                 self._augmented = None
-
-    def _augmented_tangent(
-        self,
-    ) -> AugmentedTangent | AugmentedLU | AugmentedHinges | AugmentedDense | None:
-        """The augmented tangent of a scene with cables, given volumes or angles.
-
-        None with friction along cables: at held lengths equilibria are not minima of an energy.
-        """
-        rows, actuators = self._rows, self._model.actuators
-        if self._model.has_motors_of_hinges:
-            return self._augmented_hinges()
-        if isinstance(self._model.factorization, DenseCholesky):
-            return self._augmented_dense()
-        is_held = ~actuators.is_effort_driven[: actuators.row_count]
-        needs_lu = bool((is_held & ~actuators.one_sided[: actuators.row_count]).any())
-        if rows.reaches_carried_points:
-            # The rows of cables at points of frames are not those that cables write.
-            needs_lu = needs_lu or not self._model.is_dynamic and self._model.actuators.conserves
-            if not (needs_lu and is_held.any()):
-                return None
-        if needs_lu:
-            if self._dense is not None:
-                return None
-            stretch = rows.stretch_compliance()
-            stretches = None if stretch is None else stretch > 0.0
-            return AugmentedLU(self._model.factorization, ~is_held, stretches)
-        if not rows.terms:
-            return None
-        first = rows.terms[0]
-        if not isinstance(first, Cables) or not self._model.actuators.conserves:
-            return None
-        contacts = self._model.contacts if rows.varies else None
-        if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
-            contacts = None
-        return AugmentedTangent(first, self._model.factorization, contacts)
-
-    def _augmented_dense(self) -> AugmentedDense | None:
-        """The augmented tangent where A is dense; None where no row of an actuator is."""
-        model, rows = self._model, self._rows
-        actuators = model.actuators
-        if not actuators.row_count or not model.actuators.conserves:
-            return None
-        contacts = model.contacts if rows.varies else None
-        if contacts is not None and contacts.rows_per_contact > 1:
-            contacts = None
-        stretch = rows.stretch_compliance()
-        return AugmentedDense(
-            rows, contacts, model.factorization, actuators.is_effort_driven[: actuators.row_count],
-            None if stretch is None else stretch > 0.0,
-        )  # fmt: skip
-
-    def _augmented_hinges(self) -> AugmentedHinges:
-        """The augmented tangent of a scene with motors of hinges."""
-        model, first = self._model, 0
-        for term in model.actuators.terms:
-            rows = slice(first, first + term.row_count)
-            first = rows.stop
-            if isinstance(term, HingeAngles):
-                motors, own = term, rows
-        return AugmentedHinges(motors, own, model.actuators.row_count, model.factorization)
 
     def _has_merit(self) -> bool:
         """Whether equilibria at held actuators are minima of an energy that falls on the way.
@@ -245,7 +176,7 @@ class Newton:
         self._projection = 1.0
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
-        self._is_indefinite = isinstance(self._augmented, AugmentedHinges)
+        self._is_indefinite = self._augmented is not None and self._augmented.comes_first
         if self.merit is not None:
             self.merit.forget()
         self._rows.forget()

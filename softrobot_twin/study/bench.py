@@ -27,6 +27,7 @@ from softrobot_twin.study.bench_measurement import (
     measure,
     standard_cases,
 )
+from softrobot_twin.simulation.input_tables import TableFileError
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import OutputError
@@ -39,7 +40,7 @@ COLUMNS = (
     "superlu_page_faults",
     "interrupted_share",
     "factor_flop", "solves_flop", "dgemm_flop_per_s", "share_of_dgemm_speed", "factor_bytes",
-    "resident_bytes", "full_ms", "ratio_to_full",
+    "resident_bytes", "full_ms", "ratio_to_full", "python_calls",
 )
 
 
@@ -78,7 +79,7 @@ def _row(
         size.interrupted_share,
         flops and flops.factor,
         flops and flops.solves, size.dense_speed, size.share_of_dense_speed, size.factor_bytes,
-        size.resident, whole and 1e3 * whole, whole and times.median / whole,
+        size.resident, whole and 1e3 * whole, whole and times.median / whole, size.calls,
     )
 
 
@@ -126,6 +127,7 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("modes, sampled points",
          lambda size: f"{size.mode_count}, {size.point_count}" if size.is_reduced else "-"),
         ("factorization", lambda size: size.factorization),
+        ("calls of Python in a step", lambda size: f"{size.calls:.0f}"),
         ("rows of H, contacts with force",
          lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
         ("paper's step / ours", lambda size: _paper_ratio(size)),
@@ -386,8 +388,54 @@ def _families_label(families: dict[str, list[SizeMeasurement]]) -> str:
     return f" (lines: {', '.join(lines)}; points: {', '.join(points)})"
 
 
+SLOWER, MORE_CALLS = 1.1, 1.02
+"""A step that is slower by more than this than an earlier one, or makes more calls, is marked."""
+
+
+def read_earlier(path: Path) -> dict[str, tuple[float, float]]:
+    """Ratio of a whole step to one SuperLU factorization, and its calls, of an earlier run.
+
+    Args:
+        path: A ``bench.csv``.
+
+    Returns:
+        Both by the scene's name; a ratio is NaN where SuperLU was not timed.
+
+    Raises:
+        TableFileError: The file cannot be used.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = [row for row in csv.DictReader(file) if row["stage"] == WHOLE_STEP]
+        return {row["scene"]: (float(row["ratio_to_superlu"] or "nan"), float(row["python_calls"]))
+                for row in rows}  # fmt: skip
+    except OSError as error:
+        raise TableFileError(path, error.strerror or str(error)) from error
+    except (KeyError, ValueError) as error:
+        raise TableFileError(path, f"is no bench.csv of this version: {error!r}") from error
+
+
+def compare_with_earlier(
+    sizes: Sequence[SizeMeasurement], earlier: dict[str, tuple[float, float]]
+) -> Table:
+    """Each step beside that of an earlier run, by SuperLU's time in the same run and by calls."""
+    made = table("An earlier run", "scene", "step / SuperLU", "then", "calls", "then", "")
+    for size in sizes:
+        if size.case.name not in earlier:
+            continue
+        ratio, calls = earlier[size.case.name]
+        marks = ["slower"] if size.superlu_count and size.ratio > SLOWER * ratio else []
+        marks += ["more calls"] if size.calls > MORE_CALLS * calls else []
+        made.add_row(
+            size.case.name, f"{size.ratio:.3f}" if size.superlu_count else "-",
+            f"{ratio:.3f}" if np.isfinite(ratio) else "-", f"{size.calls:.0f}", f"{calls:.0f}",
+            ", ".join(marks),
+        )
+    return made
+
+
 def bench(scenes: list[Path], steps: int, output: Path | None = None,
-          commands: Path | None = None) -> int:
+          commands: Path | None = None, compare: Path | None = None) -> int:
     """Times the steps of scenes, or of the standard sizes, and prints the results.
 
     Args:
@@ -395,6 +443,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         steps: Steps to time for each size.
         output: Folder for ``bench.csv`` and ``bench.png``, or None.
         commands: Commands file whose longest constant part is timed, or None for a circle.
+        compare: ``bench.csv`` of an earlier run, or None.
 
     Returns:
         Exit code, always 0: a requirement that is not met is reported, and is not a failure of the
@@ -405,6 +454,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     """
     if output is not None:
         make_folder(output)
+    earlier = read_earlier(compare) if compare is not None else {}
     with tempfile.TemporaryDirectory() as folder:
         cases = given_cases(scenes, commands) if scenes else standard_cases(Path(folder))
         sizes = _measure_all(cases, steps)
@@ -429,6 +479,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
             shown.print(compare_with_paper(size))
         if size.is_reduced:
             shown.print(compare_with_full(size, full_size(size, sizes)))
+    if earlier:
+        shown.print(compare_with_earlier(sizes, earlier))
     if output is not None:
         _write(output, sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")

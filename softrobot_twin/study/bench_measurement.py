@@ -6,6 +6,7 @@ constant part of a commands file, or follows a part of a targets file. Beside th
 
 from __future__ import annotations
 
+import cProfile
 import gc
 import math
 import sys
@@ -767,6 +768,8 @@ OUTSIDE = "outside the stages"
 _SUPERLU_SAMPLES = 20
 _SUPERLU_SECONDS = 20.0
 _FEWEST_SAMPLES = 3
+COUNTED_STEPS = 40
+"""Steps whose calls are counted."""
 INTERRUPTION = 1.0e-4
 """A step that waited longer than this for the processor was interrupted [s]."""
 # Stages of factorization and solves, to be compared with the speed of dense products.
@@ -800,6 +803,7 @@ class SizeMeasurement:
         resident: Memory of the process before the first call of SuperLU [B].
         statuses: Number of timed steps by status.
         qp_solvers: Number of timed steps by solver of the inverse problem.
+        calls: Calls of Python functions in a step, those that are written in C too, in the mean.
     """
 
     case: BenchCase
@@ -823,6 +827,7 @@ class SizeMeasurement:
     resident: int | None
     statuses: Counter[str]
     qp_solvers: Counter[str]
+    calls: float
 
     @property
     def is_reduced(self) -> bool:
@@ -892,6 +897,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     model = simulation.model
     with without_garbage_collection():
         record = _follow(simulation, commands, steps, not is_reduced(case.scene))
+        calls = _calls_in_a_step(simulation, commands)
     factorization = model.factorization
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     return SizeMeasurement(
@@ -905,7 +911,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         record.interrupted / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
         float(np.median(record.dense)), _factor_bytes(factorization), resident,
-        record.statuses, record.qp_solvers)
+        record.statuses, record.qp_solvers, calls)
 
 
 def _commands_of(simulation: Simulation, case: BenchCase):
@@ -976,6 +982,16 @@ def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) ->
         time = perf_counter() - start
         record.add(time, thread_time() - worked, result, simulation.model.rows.row_count)
     return record
+
+
+def _calls_in_a_step(simulation: Simulation, commands) -> float:
+    """Calls of Python functions in a step, which no other program changes."""
+    profile = cProfile.Profile()
+    for _ in range(COUNTED_STEPS):
+        command = commands.next()
+        with profile:
+            simulation.step(command)
+    return sum(entry.callcount for entry in profile.getstats()) / COUNTED_STEPS
 
 
 def _factor_bytes(factorization) -> int | None:

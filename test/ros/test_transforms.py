@@ -2,6 +2,7 @@
 a compiler: in most tests a class stands where its message is.
 """
 
+import itertools
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -11,6 +12,7 @@ from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.topics import TRANSFORMS
 from softrobot_twin.ros.transforms import TransformOutput, child_frames, make_transforms
 
@@ -107,8 +109,9 @@ def test_frames_have_names_of_their_own():
 
 
 def test_transforms_are_made_only_for_those_who_listen(with_tf2):
-    node, simulation = Node(), Simulation()
-    output = TransformOutput(node, simulation, "base_link", "auto", "", "", POSE)
+    node, simulation, clock = Node(), Simulation(), itertools.count(0, 2)
+    audience = Audience(clock.__next__)
+    output = TransformOutput(node, simulation, "base_link", "auto", "", "", POSE, audience)
     assert node.opened == [(TFMessage, "/tf", TRANSFORMS)]
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
     assert simulation.reads == 0 and not output.publisher.messages
@@ -122,7 +125,7 @@ def test_transforms_are_made_only_for_those_who_listen(with_tf2):
 
 def test_the_base_is_in_the_frame_that_is_given(with_tf2):
     pose = (1.0, 0.0, 0.5, 0.0, 0.0, 1.0, 0.0)
-    output = TransformOutput(Node(), Simulation(), "base_link", "on", "left/", "world", pose)
+    output = TransformOutput(Node(), Simulation(), "base_link", "on", "left/", "world", pose, Audience())
     output.publisher.listeners = 1
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
     last = output.publisher.messages[0].transforms[-1]
@@ -136,13 +139,13 @@ def test_the_base_is_in_the_frame_that_is_given(with_tf2):
 ])  # fmt: skip
 def test_a_base_that_is_no_pose_is_refused(with_tf2, pose):
     with pytest.raises(ParameterError, match="tf_base_pose"):
-        TransformOutput(Node(), Simulation(), "base_link", "auto", "", "world", pose)
+        TransformOutput(Node(), Simulation(), "base_link", "auto", "", "world", pose, Audience())
 
 
 def test_the_base_is_not_below_itself(with_tf2):
     for frame in ("base_link", "tip"):
         with pytest.raises(ParameterError, match="tf_base_frame"):
-            TransformOutput(Node(), Simulation(), "base_link", "auto", "", frame, POSE)
+            TransformOutput(Node(), Simulation(), "base_link", "auto", "", frame, POSE, Audience())
 
 
 @pytest.mark.parametrize(("wanted", "warnings"), [("auto", 0), ("on", 1), ("off", 0)])
@@ -150,7 +153,7 @@ def test_without_tf2_msgs_there_is_nothing_and_only_who_asks_is_told(
     without_tf2, wanted, warnings
 ):
     node = Node()
-    output = TransformOutput(node, Simulation(), "base_link", wanted, "", "", POSE)
+    output = TransformOutput(node, Simulation(), "base_link", wanted, "", "", POSE, Audience())
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
     assert not node.opened and len(node.warnings) == warnings
     assert all("tf2_msgs is not installed" in sentence for sentence in node.warnings)

@@ -9,8 +9,8 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.augmented_tangent import (
     AUGMENTATION,
-    AugmentedDense,
     AugmentedLU,
+    AugmentedRows,
     AugmentedTangent,
     HeldActuators,
 )
@@ -113,7 +113,7 @@ def test_the_solution_for_any_forces_is_that_of_the_condensed_system(beam, kind)
     if kind == "cables":
         augmented = AugmentedTangent(rows.terms[0], factorization)
     else:
-        augmented = AugmentedLU(factorization, np.zeros(4, bool))
+        augmented = AugmentedLU(factorization, np.ones(4, bool))
     newton.assemble(state.positions, rows.multipliers(state.efforts), False)
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
@@ -236,8 +236,7 @@ def test_beside_the_limit_of_stability_an_inverse_neither_chatters_nor_misses():
 
 def test_a_tangent_that_is_hardly_definite_is_left_to_the_augmented_one_with_hysteresis():
     """Its softest way yields 1 / NEARLY_INDEFINITE times 1/ρ at most, and comes back at a half."""
-    tangent = AugmentedDense.__new__(AugmentedDense)
-    tangent._own, tangent._by_effort = np.array([2.0, 5.0]), np.zeros(2, bool)
+    tangent = AugmentedRows(None, np.ones(2, bool), np.array([2.0, 5.0]))
     stiffness = AUGMENTATION * tangent._own
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     for softest, near in ((99.0, False), (101.0, True)):

@@ -197,3 +197,34 @@ def test_a_reduced_model_alone_is_timed(call, tmp_path):
 def test_cases_of_given_scenes_are_one_family_without_a_bar(column):
     case = given_cases([column])[0]
     assert isinstance(case, BenchCase) and not case.has_requirements
+
+
+def test_a_step_that_grew_is_marked_beside_an_earlier_run(column, tmp_path, call):
+    done = call("bench", column, "--steps", 4, "--output", tmp_path)
+    assert done.code == 0, done.errors
+    with (tmp_path / "bench.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    whole = next(row for row in rows if row["stage"] == WHOLE_STEP)
+    assert float(whole["python_calls"]) > 100.0
+
+    def earlier(name, ratio, calls):
+        path = tmp_path / f"{name}.csv"
+        with path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, rows[0].keys())
+            writer.writeheader()
+            writer.writerow(whole | {"ratio_to_superlu": ratio, "python_calls": calls})
+        return path
+
+    slow, lean = earlier("slow", 1e6, 1e6), earlier("lean", 1e-6, 1.0)
+    same = call("bench", column, "--steps", 4, "--compare", slow)
+    assert same.code == 0 and "An earlier run" in same.output and "slower" not in same.output
+    grown = call("bench", column, "--steps", 4, "--compare", lean)
+    assert "slower, more calls" in grown.output
+
+
+def test_a_file_that_is_no_bench_is_refused_before_anything_is_timed(column, tmp_path, call):
+    (tmp_path / "other.csv").write_text("stage,x\nwhole step,1\n")
+    done = call("bench", column, "--compare", tmp_path / "other.csv")
+    assert done.code == 2 and "other.csv" in done.errors and "no bench.csv" in done.errors
+    assert call("bench", column, "--compare", tmp_path / "none.csv").code == 2
+    assert call("bench", "--contacts", "--compare", tmp_path / "other.csv").code == 2

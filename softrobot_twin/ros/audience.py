@@ -1,0 +1,40 @@
+"""Who receives a topic, without asking the middleware in every tick."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+
+from rclpy.publisher import Publisher
+
+PERIOD = 1.0
+"""Time after which publishers are asked again [s]: whoever subscribes waits no longer than that."""
+
+
+class Audience:
+    """Which publishers have subscribers."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic):
+        """Ask nobody yet.
+
+        Args:
+            now: Gives the time [s].
+        """
+        self._now, self._due = now, -math.inf
+        self._heard: dict[Publisher, bool] = {}
+
+    def hears(self, publisher: Publisher) -> bool:
+        """Whether somebody has subscribed to it, as asked at most `PERIOD` ago."""
+        now = self._now()
+        if now >= self._due:
+            self._heard.clear()
+            self._due = now + PERIOD
+        heard = self._heard.get(publisher)
+        if heard is None:
+            heard = self._heard[publisher] = publisher.get_subscription_count() > 0
+        return heard
+
+    def hears_any(self, publishers: Iterable[Publisher]) -> bool:
+        """Whether somebody has subscribed to one of them."""
+        return any(map(self.hears, publishers))
