@@ -40,7 +40,7 @@ def go(term, positions, *tensions):
     """Steps over tensions at held points."""
     for tension in tensions:
         solved(term, positions, tension)
-        term.begin(positions, np.array([tension]), term.shares.copy())
+        term.recall({"shares": term.shares}, positions, np.array([tension]))
 
 
 def capstan(term, sign):
@@ -57,7 +57,7 @@ def test_over_fixed_points_pulling_and_releasing_give_the_capstan_equation():
         np.testing.assert_allclose(
             term.tensions[1:] / term.tensions[:-1], np.exp(-MU * term.angles[1:]), rtol=1e-12
         )
-        term.begin(x, np.array([tension]), term.shares.copy())
+        term.recall({"shares": term.shares}, x, np.array([tension]))
     solved(term, x, 1.0)
     assert term.tensions[-1] / term.tensions[0] == pytest.approx(capstan(term, -1), rel=1e-12)
 
@@ -93,7 +93,7 @@ def test_a_loop_of_pulling_and_releasing_closes_and_encloses_work():
         loop = []
         for tension in (*up, *down):
             loop.append((solved(term, x, tension), tension))
-            term.begin(x, np.array([tension]), term.shares.copy())
+            term.recall({"shares": term.shares}, x, np.array([tension]))
         loops.append(np.array(loop))
     np.testing.assert_allclose(loops[1], loops[0], rtol=1e-9, atol=1e-12)
     work = trapezoid(loops[1][:, 1], loops[1][:, 0])
@@ -228,4 +228,4 @@ def test_many_points_of_any_angle_are_solved(seed):
             assert np.abs(missed[1:][inside]).max(initial=0.0) < allowed
             assert (missed[1:][z[1:] == 1.0] <= allowed).all()
             assert (missed[1:][z[1:] == -1.0] >= -allowed).all()
-            term.begin(y, np.array([tension]), z.copy())
+            term.recall({"shares": z}, y, np.array([tension]))

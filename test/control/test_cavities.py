@@ -344,7 +344,7 @@ def test_an_invalid_result_of_a_step_is_not_published(
         return replace(step(command, budget), setpoints=wrong)
 
     def spoilt_at_rest(command, measured=None):
-        assert (result := stay(command, touched)) is not None
+        assert (result := stay(command, measured)) is not None
         return replace(result, setpoints=wrong)
 
     monkeypatch.setattr(simulation, "step", spoilt)

@@ -183,7 +183,7 @@ def test_a_model_with_non_finite_tensions_is_not_synchronised(drive, monkeypatch
         return replace(step(command, budget), efforts=np.full(4, np.nan))
 
     def spoilt_at_rest(command, measured=None):
-        result = stay(command, touched)
+        result = stay(command, measured)
         return result and replace(result, efforts=np.full(4, np.nan))
 
     robot.tick(70, present=False)

@@ -58,6 +58,7 @@ class Chambers:
     """V = Σ det(a - p, b - p, c - p)/6 over the triangles of each patch, δ = V - V_rest."""
 
     name, group, varies = "chambers", "actuators", False
+    conserves, memory_name = True, ""
 
     def __init__(self, patches: list, apices: list, free_index: np.ndarray, rest: np.ndarray):
         self._patches, self._apices = patches, np.array(apices, float)
