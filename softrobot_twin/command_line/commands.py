@@ -438,6 +438,7 @@ def add_choose(commands) -> None:
         "better, a trial on the coarsest mesh tells its error and the time of its training.",
         examples=(
             "config/scenes/diamond.yaml --rate 200",
+            "config/scenes/diamond.yaml --rate 100 --given forces",
         ),
     )
     add_scene(parser)
@@ -449,6 +450,9 @@ def add_choose(commands) -> None:
                         help="scene file to write (default <name>_<rate>hz.yaml here)")
     parser.add_argument("--reduced", nargs="+", default=(), metavar="FILE.npz", type=Path,
                         help="further reduced models of these meshes, written by 'reduce'")
+    parser.add_argument("--given", choices=("lengths", "forces"), default="lengths",
+                        help="choose by the error at given lengths, or volumes (default), or at given "
+                        "forces, or pressures")
     parser.add_argument("--train", action="store_true",
                         help="first train the reduced model that is expected to be the best, where "
                         "one is expected to be better than what there is; the file is beside the "
@@ -485,10 +489,13 @@ def _choose(chosen: argparse.Namespace) -> int:
         enable_interrupts()
     if chosen.targets and chosen.ranges:
         raise OptionError("--range", "has no effect with --targets")
+    if chosen.train and chosen.given == "forces":
+        raise OptionError("--train", "trains for given lengths; leave out --given forces")
     options = replace(STUDY, ranges=tuple(chosen.ranges), targets=tuple(chosen.targets),
                       load=chosen.loads, tilt=chosen.tilts)
     return choose(chosen.scene, chosen.rate, chosen.accuracy, chosen.write,
-                  reduced=chosen.reduced, train=chosen.train, options=options)
+                  reduced=chosen.reduced, train=chosen.train, options=options,
+                  forces_given=chosen.given == "forces")
 
 
 class NoRosError(SoftRobotTwinError):

@@ -264,7 +264,8 @@ class Newton:
         multipliers = self._rows.multipliers(efforts)
         may_augment = self._augmented is not None and held is not None
         self.is_augmented = self.projected_tangent = False
-        is_inverse = may_augment and not held.is_prescribed
+        # Masses hold a body in motion, and what is prescribed follows from either tangent.
+        is_inverse = may_augment and not (held.is_prescribed or self._model.is_dynamic)
         may_augment = may_augment and (not is_inverse or self._measure_stiffness(clock))
         if not (self._is_indefinite and may_augment):
             self._rows.limit_stiffness(False)

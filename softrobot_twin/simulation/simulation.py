@@ -294,14 +294,14 @@ class Simulation(Readouts):
         if self.fallback is not None:
             self.fallback.choose(self)
             clock.mark("fallback")
-        command, is_stiffer = self._begin_parts(command, measured)
+        command, has_other_stiffness = self._begin_parts(command, measured)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
         is_changed = self._begin(
             positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
         )
-        if is_changed or is_stiffer:
+        if is_changed or has_other_stiffness:
             self.newton.factor_age = None
         newton, time_budget = self.newton, self._time_budget
         if self.inverse is not None:

@@ -20,7 +20,7 @@ SHARES, STEPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), 3
 # Duration of a step that no rate limits [s].
 LONG = 1.0e3
 # The check takes the time of some steps: of larger scenes nobody waits for it.
-MOST_FREE_NODES = 5000
+MOST_FREE_NODES = 2000
 
 
 def stability_notes(simulation: Steppable) -> Iterator[str]:

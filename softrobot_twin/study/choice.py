@@ -473,7 +473,7 @@ class Models:
 def choose(
     scene_path: Path, rate: float, accuracy_file: Path | None = None, write: Path | None = None,
     measure: Callable[[Scene, float, int], Measured] | None = None, reduced: Sequence[Path] = (),
-    train: bool = False, options: TrainingOptions = STUDY,
+    train: bool = False, options: TrainingOptions = STUDY, forces_given: bool = False,
 ) -> int:  # fmt: skip
     """Times the candidates, prints the best one and writes its scene.
 
@@ -488,6 +488,8 @@ def choose(
         train: Train the reduced model that is expected to be the best, where one is expected to be
             better than what there is.
         options: Of such a training.
+        forces_given: Choose by the error at given forces, in place of that at given displacements;
+            then nothing is trained.
 
     Returns:
         Exit code, always 0.
@@ -509,6 +511,8 @@ def choose(
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     hexahedra = hexahedral_family(held)
     known = _rows(levels, hexahedra, accuracy_file)
+    if forces_given:
+        known = [judged_by_forces(row) for row in known]
     check_reference([row for row in known if row.knob == MESH], scene.name)
     models = Models(levels, hexahedra)
     known = [row for row in known if row.mesh in models]
@@ -528,9 +532,11 @@ def choose(
     rows = [row for row in full if row.step_ms < _MUCH_TOO_SLOW * 1e3 / rate] + models.rows(known)
     unsure = reference_uncertainty(full)
     candidates = measure_candidates(rows, rate, measure_setting)
-    with tempfile.TemporaryDirectory() as folder:
-        foreseen = _foreseen(full, candidates, models, unsure, scene_path, options, Path(folder),
-                             measure_setting, _machine_share(full, held, clock))  # fmt: skip
+    foreseen: list[Foreseen] = []
+    if not forces_given:
+        with tempfile.TemporaryDirectory() as folder:
+            foreseen = _foreseen(full, candidates, models, unsure, scene_path, options, Path(folder),
+                                 measure_setting, _machine_share(full, held, clock))  # fmt: skip
     wanted = worth_training(foreseen, rate, _least_error(candidates), unsure)
     if train and wanted is None:
         print_to_stderr("nothing is trained: no reduced model is expected to be better")
@@ -553,8 +559,12 @@ def choose(
         raise
     chosen = models.scene(best.setting)
     words = given_words(scene)
+    if forces_given:
+        words = words[::-1]
     warned = accuracy_warnings(best, words)
     remarks = [*_remarks(best, rows, rate, scene_path, words), *warned]
+    if forces_given:
+        remarks.append(f"Chosen by the error for given {words[0]}.")
     if clock is not None:
         remarks.append("Times are those of a machine without other programs; this one was "
                        f"{clock.slowdown:.2f} times slower in the median round of the timing.")
@@ -571,6 +581,15 @@ def choose(
         shown.print(f"  {command}", soft_wrap=True)  # to be copied
     shown.print(f"written: {write}")
     return 0
+
+
+def judged_by_forces(row: AccuracyRow) -> AccuracyRow:
+    """A row whose `error` is that at given forces, and the other way round."""
+    return replace(
+        row, error_lengths=row.error_tensions, error_weightless=row.error_tensions,
+        uncertainty_lengths=row.uncertainty_tensions, uncertainty_weightless=row.uncertainty_tensions,
+        error_tensions=row.error, uncertainty_tensions=row.uncertainty,
+    )  # fmt: skip
 
 
 def _least_error(candidates: Iterable[Candidate]) -> float:
@@ -722,6 +741,7 @@ def _remarks(
     row = next(row for row in rows
                if (row.mesh, row.element, row.law, row.file) == best.setting.model)
     causes = "mesh, element, law and reduction" if row.file else "mesh, element and law"
+    advice = f": command {moved} where possible" if row.error < row.error_tensions else ""
     return [
         f"Made from {original.name} by 'choose' for {rate:g} Hz on "
         f"{describe_machine(NUMERICAL_LIBRARIES)}",
@@ -732,8 +752,8 @@ def _remarks(
         f": {100 * best.mesh_error:.2f} % by {causes}, "
         f"{100 * measured.linearization_error:.2g} % by the linearizations; the uncertainty of the "
         f"reference is {100 * row.uncertainty:.2f} %.",
-        f"For given {pressed} the same model has an error of {100 * row.error_tensions:.1f} %: "
-        f"command {moved} where possible.",
+        f"For given {pressed} the same model has an error of {100 * row.error_tensions:.1f} %"
+        f"{advice}.",
     ]
 
 

@@ -220,6 +220,16 @@ def test_choose_writes_a_scene_that_loads_and_runs(family, study, tmp_path, caps
     simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.01))
 
 
+def test_choose_by_forces_says_so(family, study, tmp_path, capsys):
+    write_rows(tmp_path / "rows.csv", study.rows)
+    written = tmp_path / "chosen.yaml"
+    done = choose(family, 500.0, tmp_path / "rows.csv", written, fake_clock, forces_given=True)
+    assert done == 0 and load_scene(written).body.element == "smoothed"
+    told = capsys.readouterr().out
+    assert "Expected error of the effector for given cable tensions" in told
+    assert "Chosen by the error for given cable tensions" in told
+
+
 def test_choose_studies_a_refined_mesh_and_keeps_its_files(lonely, tmp_path, monkeypatch):
     monkeypatch.setattr(choice, "QUICK", Limits(1_000, 2_000, 8))
     rows, written = tmp_path / "rows.csv", tmp_path / "chosen.yaml"

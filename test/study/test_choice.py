@@ -9,6 +9,7 @@ from softrobot_twin.study.choice import (
     Measured,
     NoSettingError,
     foresee,
+    judged_by_forces,
     measure_candidates,
     pick,
     reference_uncertainty,
@@ -133,3 +134,13 @@ def test_a_foreseen_error_is_that_of_the_mesh_and_of_the_trial():
                     lambda row: 50.0 * row.step_ms)
     assert [one.error for one in found] == pytest.approx([0.025, 0.055, 0.105])
     assert [one.seconds for one in found] == pytest.approx([300.0, 75.0, 25.0])
+
+
+def test_a_choice_at_given_forces_goes_by_their_error():
+    soft = replace(rows()[1], error_tensions=0.01)
+    stiff = replace(rows()[2], step_ms=1.0, error_tensions=0.4)
+    found = measure_candidates(map(judged_by_forces, (soft, stiff)), 20.0, clock)
+    assert pick(found, 20.0).setting.mesh == "middle"
+    assert pick(measure_candidates((soft, stiff), 20.0, clock), 20.0).setting.mesh == "fine"
+    twice = judged_by_forces(soft)
+    assert (twice.error, twice.error_tensions) == (0.01, soft.error)
