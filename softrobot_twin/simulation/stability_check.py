@@ -39,7 +39,7 @@ def stability_notes(simulation: Steppable) -> Iterator[str]:
         model.is_dynamic or not entries or any(entry.element == "linear" for entry in entries)
         or model.nodes.free_node_count > MOST_FREE_NODES or not actuators.row_count
         or not actuators.one_sided.all() or actuators.is_effort_driven.any()
-        or not np.isfinite(travel).all() or not model.actuators.conserves
+        or not np.isfinite(travel).all() or not actuators.conserves or model.scene.motors
     ):  # fmt: skip
         return
     names = " and ".join(body.name for body in model.bodies)

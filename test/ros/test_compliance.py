@@ -5,6 +5,7 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
+from softrobot_twin.ros.audience import PERIOD
 from softrobot_twin.ros.messages import matrix_message, read_matrix, stamp_of
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
 
@@ -48,7 +49,7 @@ def test_nothing_is_computed_until_somebody_listens_and_after(world, make_twin, 
     assert computed.count(None) == 1
     world.probe.destroy_subscription(subscription)
     world.until(lambda: not twin.count_subscribers("/twin/compliance/tip"))
-    world.run(0.1)
+    world.run(1.1 * PERIOD)
     before, ticks = len(computed), len(cables)
     world.until(lambda: len(cables) > ticks + 10)
     assert len(computed) == before

@@ -17,8 +17,12 @@ BEYOND_2038 = 2**31 * 10**9
 
 
 @pytest.fixture
-def twin(world, small_scene_file):
-    """A twin without a device whose ticks are done by hand, after its first one."""
+def twin(world, small_scene_file, monkeypatch):
+    """A twin without a device whose ticks are done by hand, after its first one.
+
+    Each tick asks who listens, so that one without a publisher fails.
+    """
+    monkeypatch.setattr("softrobot_twin.ros.audience.PERIOD", 0.0)
     twin = world.add(TwinNode, scene_file=str(small_scene_file), rate=50.0)
     twin.stop()
     twin.tick()
