@@ -51,7 +51,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
@@ -65,6 +65,7 @@ from softrobot_twin.solvers.factorization import (
     NodeRows,
     laid_out_like,
 )
+from softrobot_twin.solvers.small_cholesky import backward, factorize, forward
 from softrobot_twin.solvers.superlu import SuperLU
 
 # ρ as a multiple of the stiffness that the body at rest has along an actuator.
@@ -228,13 +229,159 @@ class AugmentedRows:
             first_contact: First row of the contacts.
         """
         rows, root = self._augmented_rows(first_contact)
-        return not _is_below(W[np.ix_(rows, rows)], root, 1.0 - SAFELY_DEFINITE)
+        return not is_below(W, rows, root, 1.0 - SAFELY_DEFINITE)
 
     def _augmented_rows(self, first_contact: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows of actuators and contacts that may be augmented, and √ρ of each."""
         contacts = first_contact + np.arange(len(self.contact_stiffness))
         rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
         return rows, np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
+
+
+@njit(**KERNEL)
+def is_below(W, rows, root, limit):
+    """Whether all eigenvalues of √ρ W √ρ of some rows are below a limit.
+
+    Args:
+        W: Compliance [m/N], shape (m, m).
+        rows: The rows, shape (n,).
+        root: √ρ of each [(N/m)^½], shape (n,).
+        limit: The limit.
+    """
+    n = len(rows)
+    left = np.empty((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            left[i, j] = -root[i] * W[rows[i], rows[j]] * root[j]
+        left[i, i] += limit
+    return factorize(left, 0.0)
+
+
+@njit(**INNER)
+def _sum_stretches(values, of, share, more, sums):
+    """Add rows of stretches, times the shares of their cables, to rows of cables; others follow.
+
+    Args:
+        values: A number for each stretch and each other row, shape (m,).
+        of: Cable of each stretch, shape (stretch_count,).
+        share: Factor of each cable, shape (cable_count,).
+        more: Number of stretches less that of cables.
+        sums: Takes a number for each cable and each other row, shape (m - more,).
+    """
+    sums[: len(share)] = 0.0
+    for s in range(len(of)):
+        sums[of[s]] += share[of[s]] * values[s]
+    for i in range(len(of), len(values)):
+        sums[i - more] = values[i]
+
+
+@njit(**KERNEL)
+def without_squared_stretches(G, free, of, stiffness, share, row_count):
+    """Subtract Sᵀ U Uᵀ S from a tangent by the Woodbury identity; see the top of this file.
+
+    Args:
+        G: Compliance by B of the rows S of all stretches, then of the other rows [m/N],
+            shape (m, m).
+        free: Their free violations [m], shape (m,).
+        of: Cable of each stretch, ascending, shape (stretch_count,).
+        stiffness: ρ s of each cable [N/m], shape (cable_count,).
+        share: s of each cable, same shape.
+        row_count: Rows n in which stretches are summed to cables.
+
+    Returns:
+        Whether the whole is positive definite; W of the n rows [m/N], shape (n, n); their free
+        violations [m], shape (n,); then U, shape (m, k), and with C = I - Uᵀ G U = L Lᵀ: L, shape
+        (k, k), Z = L⁻¹ Uᵀ G, shape (k, m), and z = L⁻¹ Uᵀ δ_free, shape (k,).
+    """
+    m, stretches = len(free), len(of)
+    more, columns = m - row_count, 0
+    U = np.zeros((m, stretches))
+    first = 0
+    while first < stretches:
+        stop = first
+        while stop < stretches and of[stop] == of[first]:
+            stop += 1
+        n, rho = stop - first, stiffness[of[first]]
+        if rho != 0.0:
+            # Orthonormal columns that are orthogonal to (1, …, 1).
+            for k in range(1, n):
+                scale = np.sqrt(rho * n / (k * (k + 1.0)))
+                for i in range(k):
+                    U[first + i, columns] = scale
+                U[first + k, columns] = -k * scale
+                columns += 1
+        first = stop
+    U = U[:, :columns].copy()
+    Z, z, L = np.zeros((columns, m)), np.zeros(columns), np.zeros((columns, columns))
+    W, sums, loose = np.empty((row_count, row_count)), np.empty(row_count), free.copy()
+    for c in range(columns):
+        for s in range(stretches):
+            if U[s, c] != 0.0:
+                z[c] += U[s, c] * free[s]
+                for i in range(m):
+                    Z[c, i] += U[s, c] * G[s, i]
+        for d in range(c + 1):
+            for s in range(stretches):
+                L[c, d] -= U[s, d] * Z[c, s]
+        L[c, c] += 1.0
+    if not factorize(L, 0.0):
+        return False, W, sums, U, L, Z, z
+    forward(L, z)
+    column = np.empty(columns)
+    for i in range(m):
+        for c in range(columns):
+            column[c] = Z[c, i]
+        forward(L, column)
+        for c in range(columns):
+            Z[c, i] = column[c]
+            loose[i] += column[c] * z[c]
+    summed, row = np.empty((m, row_count)), np.empty(m)
+    for i in range(m):
+        for j in range(m):
+            row[j] = G[i, j]
+            for c in range(columns):
+                row[j] += Z[c, i] * Z[c, j]
+        _sum_stretches(row, of, share, more, summed[i])
+    for j in range(row_count):
+        for i in range(m):
+            row[i] = summed[i, j]
+        _sum_stretches(row, of, share, more, sums)
+        for i in range(row_count):
+            W[i, j] = sums[i]
+    for i in range(row_count):
+        for j in range(i):
+            W[i, j] = W[j, i] = 0.5 * (W[i, j] + W[j, i])
+    _sum_stretches(loose, of, share, more, sums)
+    return True, W, sums, U, L, Z, z
+
+
+@njit(**KERNEL)
+def loads_of_stretches(multipliers, of, share, U, L, Z, z):
+    """Multipliers of the rows by which B is expanded, shape (m,).
+
+    Args:
+        multipliers: λ̂ of the condensed rows [N], shape (n,).
+        of: This and the following: see `without_squared_stretches`.
+        share: See there.
+        U: See there.
+        L: See there.
+        Z: See there.
+        z: See there.
+    """
+    m, columns = U.shape
+    more, loads, y = m - len(multipliers), np.empty(m), z.copy()
+    for s in range(len(of)):
+        loads[s] = share[of[s]] * multipliers[of[s]]
+    for i in range(len(of), m):
+        loads[i] = multipliers[i - more]
+    for c in range(columns):
+        for i in range(m):
+            y[c] += Z[c, i] * loads[i]
+    backward(L, y)
+    for i in range(m):
+        for c in range(columns):
+            loads[i] += U[i, c] * y[c]
+    return loads
 
 
 class AugmentedTangent(AugmentedRows):
@@ -311,48 +458,34 @@ class AugmentedTangent(AugmentedRows):
         rows = np.concatenate([own, H.row_index[len(own) :] + more])
         count = H.row_count + more
         found = self._factorization.condense(NodeRows(rows, H.node_index, H.blocks, count), b)
-        G, free = found.W, found.free
-        U = self._subtracted(count)
-        GU = G @ U
-        L = np.linalg.cholesky(np.eye(U.shape[1]) - U.T @ GU)
-        Z, z = np.linalg.solve(L, GU.T), np.linalg.solve(L, U.T @ free)
-        sums = np.zeros((H.row_count, count))
-        sums[of, np.arange(len(of))] = 1.0
-        sums[np.arange(cables, H.row_count), np.arange(len(of), count)] = 1.0
-        self._U, self._L, self._Z, self._z, self._sums = U, L, Z, z, sums
-        if self._share is not None:
-            sums[self.rows] *= self._share[:, None]
-        W = sums @ (G + Z.T @ Z) @ sums.T
-        return Condensed(0.5 * (W + W.T), sums @ (free + Z.T @ z))
-
-    def _subtracted(self, count: int) -> np.ndarray:
-        """U over all condensed rows, shape (count, sum of n - 1)."""
-        of, parts = self._cables.cable_of_stretch, []
-        for cable in np.flatnonzero(self.stiffness):
-            own = np.flatnonzero(of == cable)
-            part = np.zeros((count, len(own) - 1))
-            part[own] = np.sqrt(self.stiffness[cable] * len(own)) * _orthogonal_to_ones(len(own))
-            parts.append(part)
-        return np.concatenate([np.empty((count, 0)), *parts], axis=1)
+        share = np.ones(cables) if self._share is None else self._share
+        is_definite, W, free, *self._subtracted = without_squared_stretches(
+            found.W, found.free, of, self.stiffness, share, H.row_count
+        )
+        if not is_definite:
+            raise np.linalg.LinAlgError("held cables do not stabilise the bodies")
+        return Condensed(W, free)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """The displacement for multipliers λ̂ of the condensed rows [N]; see `Factorization`."""
-        of_stretches = self._sums.T @ multipliers
-        y = np.linalg.solve(self._L.T, self._z + self._Z @ of_stretches)
-        return self._factorization.expand(of_stretches + self._U @ y)
+        of, share = self._cables.cable_of_stretch, self._share
+        share = np.ones(len(self.stiffness)) if share is None else share
+        return self._factorization.expand(
+            loads_of_stretches(multipliers, of, share, *self._subtracted)
+        )
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
-        found = self._factorization.solve(b)
-        if not self._U.shape[1]:
+        found, (U, L, _, _) = self._factorization.solve(b), self._subtracted
+        if not U.shape[1]:
             return found
         own, H = self._cables.stretch_of_entry, self._H
         nodes, blocks = H.node_index[: len(own)], H.blocks[: len(own)]
-        stretched = np.zeros(len(self._U))
+        stretched = np.zeros(len(U))
         np.add.at(stretched, own, np.einsum("ij,ij->i", blocks, found[nodes]))
-        y = np.linalg.solve(self._L.T, np.linalg.solve(self._L, self._U.T @ stretched))
+        y = np.linalg.solve(L.T, np.linalg.solve(L, U.T @ stretched))
         forces = np.array(b)
-        np.add.at(forces, nodes, blocks * (self._U @ y)[own][:, None])
+        np.add.at(forces, nodes, blocks * (U @ y)[own][:, None])
         return self._factorization.solve(forces)
 
     def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
@@ -374,14 +507,15 @@ class AugmentedTangent(AugmentedRows):
 
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """See `AugmentedRows`; of cables that stretch, that of their paths."""
+        if self._share is None:
+            return super().is_needed(W, first_contact)
         rows, root = self._augmented_rows(first_contact)
         compliance = W[np.ix_(rows, rows)]
-        if self._share is not None:
-            own, share = self.rows, np.ones(len(rows))
-            share[own] = self._share
-            compliance[own, own] -= self._share[:, None] * self._cables.compliance
-            compliance /= np.outer(share, share)
-        return not _is_below(compliance, root, 1.0 - SAFELY_DEFINITE)
+        own, share = self.rows, np.ones(len(rows))
+        share[own] = self._share
+        compliance[own, own] -= self._share[:, None] * self._cables.compliance
+        compliance /= np.outer(share, share)
+        return not is_below(compliance, np.arange(len(rows)), root, 1.0 - SAFELY_DEFINITE)
 
 
 class AugmentedLU(AugmentedRows):
@@ -547,21 +681,6 @@ class AugmentedHinges(AugmentedRows):
         return bool(np.linalg.eigvalsh(left)[0] < LEAST_DEFINITE)
 
 
-def _is_below(W: np.ndarray, root: np.ndarray, limit: float) -> bool:
-    """Whether all eigenvalues of √ρ W √ρ are below a limit.
-
-    Args:
-        W: Compliance [m/N], shape (n, n).
-        root: √ρ [(N/m)^½], shape (n,).
-        limit: The limit.
-    """
-    try:
-        np.linalg.cholesky(limit * np.eye(len(root)) - W * np.outer(root, root))
-    except np.linalg.LinAlgError:
-        return False
-    return True
-
-
 def _is_soft(W: np.ndarray, stiffness: np.ndarray) -> bool:
     """Whether a body yields to its actuators by more than 1 / `NEARLY_INDEFINITE` times 1/ρ.
 
@@ -573,7 +692,7 @@ def _is_soft(W: np.ndarray, stiffness: np.ndarray) -> bool:
     # No eigenvalue is above their sum.
     if float(W.diagonal() @ stiffness) < most:
         return False
-    return not _is_below(W, np.sqrt(stiffness), most)
+    return not is_below(np.ascontiguousarray(W), np.arange(len(W)), np.sqrt(stiffness), most)
 
 
 def augmented_tangent_of(model: Model) -> AugmentedRows | None:
@@ -613,13 +732,3 @@ def augmented_tangent_of(model: Model) -> AugmentedRows | None:
     if contacts is not None and contacts.curvature is None:
         contacts = None
     return AugmentedTangent(rows.terms[0], factorization, contacts)
-
-
-def _orthogonal_to_ones(n: int) -> np.ndarray:
-    """Orthonormal columns orthogonal to (1, …, 1), shape (n, n - 1)."""
-    columns = np.zeros((n, n - 1))
-    for k in range(1, n):
-        columns[:k, k - 1] = 1.0
-        columns[k, k - 1] = -float(k)
-        columns[:, k - 1] /= np.sqrt(k * (k + 1.0))
-    return columns

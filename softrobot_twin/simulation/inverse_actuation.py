@@ -361,6 +361,7 @@ class InverseActuation:
         alone = not model.rows.varies and model.slides is None and model.actuators.conserves
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
         self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
+        self._none = np.zeros(count)
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if not model.actuators.conserves:
             self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
@@ -645,7 +646,7 @@ class InverseActuation:
                 displacement_max=np.where(slack, np.inf, within.displacement_max),
                 effort_max=np.where(slack, 0.0, within.effort_max),
             )
-        if self._alone and linear.augmentation is None and not commanded.any():
+        if self._alone and not commanded.any():
             efforts = self._by_guess(linear, errors, weights, held, within, extra)
             if efforts is not None:
                 nothing_touches = ContactLoads(NO_FORCES, sweeps=1)
@@ -659,14 +660,16 @@ class InverseActuation:
         within: Bounds, extra: np.ndarray | None,
     ) -> np.ndarray | None:  # fmt: skip
         """Efforts from the last active set, without contacts; None where they are not proved."""
-        W, effectors = linear.W, linear.groups.effectors
+        W, effectors, stiffness, reference = linear.W, linear.groups.effectors, self._none, self._none
+        if linear.augmentation is not None:
+            stiffness, reference, _ = linear.augmentation
         if extra is not None:
             W = np.concatenate([W[: effectors.stop, : effectors.start], extra])
             effectors = slice(effectors.start, len(W))
         efforts = self._solver.efforts_by_guess(
             W, effectors, errors, weights, self._energy_now,
             self._proximal_weight(), self._centre(linear, held, self._all_free),
-            linear.actuators, within,
+            linear.actuators, within, stiffness, reference,
         )  # fmt: skip
         if efforts is not None:
             self._touching = {}

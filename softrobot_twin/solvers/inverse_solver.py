@@ -31,7 +31,7 @@ NO_CONTACTS, NO_FORCES = np.zeros(0, dtype=bool), np.zeros(0)
 @njit(**KERNEL)
 def proved_efforts(
     W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation,
-    displacement_min, displacement_max, effort_min, effort_max, active,
+    displacement_min, displacement_max, effort_min, effort_max, stiffness, reference, active,
 ):  # fmt: skip
     """What `build_inverse_problem` and `optimum_from_active_set` find without contacts and moves.
 
@@ -50,23 +50,40 @@ def proved_efforts(
         displacement_max: Greatest ones [m], shape (a,).
         effort_min: Least efforts [N], shape (a,).
         effort_max: Greatest ones [N], shape (a,).
-        active: Active bounds in the guess, of efforts and of displacements, shape (2 a,).
+        stiffness: ρ of each actuator, see `with_effort_rows`; zero without an augmented tangent,
+            shape (a,).
+        reference: δ_ref of each [m], shape (a,).
+        active: Active bounds in the guess, of efforts, of displacements, and of the efforts of
+            augmented actuators, shape (2 a + k,).
 
     Returns:
         Whether they are proved; the efforts [N], shape (a,); and the active bounds.
     """
     count = len(violation)
     motion, A = W[effectors[0] : effectors[1], :count].copy(), W[:count, :count].copy()
-    lower, upper = np.empty(count), np.empty(count)
+    more = len(active) - 2 * count
+    rows, least, most = np.empty((count + more, count)), effort_min.copy(), effort_max.copy()
+    lower, upper, k = np.empty(count + more), np.empty(count + more), count
     for i in range(count):
+        rows[i] = A[i]
         lower[i] = displacement_min[i] - violation[i]
         upper[i] = displacement_max[i] - violation[i]
+        if stiffness[i] != 0.0:
+            if k == len(rows):
+                return False, least, active
+            shift = stiffness[i] * (violation[i] - reference[i])
+            rows[k] = -stiffness[i] * A[i]
+            rows[k, i] += 1.0
+            lower[k], upper[k] = least[i] + shift, most[i] + shift
+            least[i], most[i], k = -np.inf, np.inf, k + 1
+    if k < len(rows):
+        return False, least, active
     none, no_rows = np.empty(0), np.empty((0, count))
     P, g = tracking_and_energy(
         motion, A, no_rows, errors, weights, energy_weight, proximal_weight, centre
     )
     proved, efforts, _, _, active, _ = optimum_from_active_set(
-        P, g, effort_min, effort_max, A, lower, upper, no_rows, none, none,
+        P, g, least, most, rows, lower, upper, no_rows, none, none,
         np.empty(0, dtype=np.bool_), active,
     )  # fmt: skip
     return proved, efforts, active
@@ -139,7 +156,7 @@ class InverseSolver:
     def efforts_by_guess(
         self, W: np.ndarray, effectors: slice, errors: np.ndarray, weights: np.ndarray,
         energy_weight: float, proximal_weight: float, centre: np.ndarray, violation: np.ndarray,
-        bounds: Bounds,
+        bounds: Bounds, stiffness: np.ndarray, reference: np.ndarray,
     ) -> np.ndarray | None:  # fmt: skip
         """Efforts without contacts and moves from the last active set, where they are proved.
 
@@ -153,19 +170,21 @@ class InverseSolver:
             centre: z̄ [N], shape (a,).
             violation: δ_a,free [m], shape (a,).
             bounds: Bounds of this step, with the held displacements inside.
+            stiffness: ρ of an augmented tangent, zero without, shape (a,).
+            reference: δ_ref of it [m], shape (a,).
 
         Returns:
-            Efforts [N], shape (a,); None where there is no last solution, or they are not proved.
+            λ̂, the efforts where the tangent is not augmented [N], shape (a,); None where there is no last solution, or they are not proved.
         """
         # The centre is copied: for a read-only one the kernel would be compiled again.
         active = self.active
         if not self._uses_warm_start or self._is_exact or active is None:
             return None
-        if len(active) != 2 * len(violation):
+        if len(active) < 2 * len(violation):
             return None
         proved, efforts, active = proved_efforts(
             W, (effectors.start, effectors.stop), errors, weights, energy_weight,
-            proximal_weight, np.array(centre), violation, *bounds, active,
+            proximal_weight, np.array(centre), violation, *bounds, stiffness, reference, active,
         )  # fmt: skip
         if not proved:
             return None

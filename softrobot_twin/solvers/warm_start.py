@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.solvers.small_cholesky import backward, factorize, forward
 
 # Active sets that are tried before the caller's general solver is used.
 MOST_GUESSES = 6
@@ -249,14 +250,14 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
         y[a] = -scale[a] * (g[i] + product(P[i], z))
         for b in range(a + 1):
             factor[a, b] = P[i, free[b]] * scale[a] * scale[b]
-    if not _factorize(factor):
+    if not factorize(factor, DEFINITE):
         return False
-    _forward(factor, y)
+    forward(factor, y)
     Q, L = np.empty((k, f)), np.zeros((k, k))
     for r in range(k):
         for a in range(f):
             Q[r, a] = rows[r, free[a]] * scale[a]
-        _forward(factor, Q[r])
+        forward(factor, Q[r])
         length = np.sqrt(product(Q[r], Q[r]))
         # Twice: the remainder may be short and have lost digits.
         for _ in range(2):
@@ -274,7 +275,7 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
     for turn in range(MOST_REFINEMENTS):
         for a in range(f):
             step[a] = y[a]
-        _backward(factor, step)
+        backward(factor, step)
         for a in range(f):
             z[free[a]] = scale[a] * step[a]
         met = True
@@ -288,11 +289,11 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
             left[r] = miss
         if met and turn > 0:
             return True
-        _forward(L, left)
+        forward(L, left)
         for r in range(k):
             for a in range(f):
                 y[a] -= Q[r, a] * left[r]
-        _backward(L, left)
+        backward(L, left)
         for r in range(k):
             duals[r] += left[r]
     return False
@@ -305,42 +306,3 @@ def product(a, b):
     for j in range(len(a)):
         total += a[j] * b[j]
     return total
-
-
-@njit(**INNER)
-def _factorize(matrix):
-    """Lower triangle ← its Cholesky factor; False where it is not clearly positive definite."""
-    n = len(matrix)
-    for i in range(n):
-        for j in range(i):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = value / matrix[j, j]
-        value = matrix[i, i]
-        for k in range(i):
-            value -= matrix[i, k] * matrix[i, k]
-        if not value > DEFINITE:
-            return False
-        matrix[i, i] = np.sqrt(value)
-    return True
-
-
-@njit(**INNER)
-def _forward(factor, vector):
-    """vector ← L⁻¹ vector."""
-    for i in range(len(vector)):
-        value = vector[i]
-        for j in range(i):
-            value -= factor[i, j] * vector[j]
-        vector[i] = value / factor[i, i]
-
-
-@njit(**INNER)
-def _backward(factor, vector):
-    """vector ← L⁻ᵀ vector."""
-    for i in range(len(vector) - 1, -1, -1):
-        value = vector[i]
-        for j in range(i + 1, len(vector)):
-            value -= factor[j, i] * vector[j]
-        vector[i] = value / factor[i, i]

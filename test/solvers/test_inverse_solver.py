@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.inverse_problem import (
+    Bounds,
+    InverseSystem,
+    build_inverse_problem,
+    with_effort_rows,
+)
 from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, whiten
 
@@ -76,10 +81,15 @@ def systems_around(n, seed):
         yield W, 0.01 * rng.standard_normal(3), 1e-4 * rng.standard_normal(n), held, centre, bounds
 
 
+@pytest.mark.parametrize("augmented_count", [0, 1, 3])
 @pytest.mark.parametrize("proximal_weight", [0.0, 3.0])
 @pytest.mark.parametrize("n", [1, 4, 8])
-def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proximal_weight):
+def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(
+    n, proximal_weight, augmented_count
+):
     proved = 0
+    stiffness, reference = np.zeros(n), np.zeros(n)
+    stiffness[:augmented_count] = 40.0
     by_kernel, by_problem, weights = solver_of(n), solver_of(n), np.array([1.0, 0.0, 2.0])
     for W, errors, free, held, centre, bounds in systems_around(n, 5):
         system = InverseSystem.without_contacts(W[n:, :n], W[:n, :n], errors, free)
@@ -90,10 +100,13 @@ def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proxi
         problem = build_inverse_problem(
             system, weights, 1e-4, within, centre=centre, proximal_weight=proximal_weight
         )
+        if augmented_count:
+            problem = with_effort_rows(problem, stiffness, reference, free)
         by_kernel.active = by_problem.active
         efforts = by_kernel.efforts_by_guess(
-            W, slice(n, n + 3), errors, weights, 1e-4, proximal_weight, centre, free, within
-        )
+            W, slice(n, n + 3), errors, weights, 1e-4, proximal_weight, centre, free, within,
+            stiffness, reference,
+        )  # fmt: skip
         expected = by_problem.solve(problem, np.zeros(n))
         assert (efforts is None) == (proved == 0 or expected.solver != "warm start")
         if efforts is not None:
@@ -105,7 +118,8 @@ def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proxi
 
 def test_without_a_last_solution_no_guess_is_made():
     W, errors, free, held, centre, bounds = next(systems_around(4, 1))
-    given = (W, slice(4, 7), errors, np.ones(3), 1e-4, 0.0, centre, free, bounds)
+    none = np.zeros(4)
+    given = (W, slice(4, 7), errors, np.ones(3), 1e-4, 0.0, centre, free, bounds, none, none)
     assert solver_of(4).efforts_by_guess(*given) is None
     exact = solver_of(4, is_exact=True)
     exact.active = np.zeros(8, dtype=np.int64)
