@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.simulation.limits import ActuatorLimits
+
 # Name of the limit that prevents the actuators from inverting elements.
 INVERSION = "elements.inversion"
 # An effort below this share of the largest is none.
@@ -68,18 +70,18 @@ class Actuation(NamedTuple):
     is_refused: bool = False
     are_efforts_given: bool = False
 
-    def drives(self, is_effort_driven: np.ndarray) -> np.ndarray:
+    def drives(self, limits: ActuatorLimits) -> np.ndarray:
         """What setpoints hold: displacements, or efforts of what is effort-driven.
 
         Args:
-            is_effort_driven: Whether each is effort-driven, shape (actuator_count,).
+            limits: Limits of the actuators, which know what is effort-driven.
 
         Returns:
             Shape (actuator_count,).
         """
-        if not is_effort_driven.any():
+        if not limits.has_effort_driven:
             return self.displacements
-        return np.where(is_effort_driven, self.efforts, self.displacements)
+        return np.where(limits.is_effort_driven, self.efforts, self.displacements)
 
     def blended(self, held: Actuation, share: float) -> Actuation:
         """A share of the way from what holds the actuators to this; all rows are linear in it.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.actuation import Actuation, ContactLoads
 from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.contact_solvers import FORCE_SHARE, ContactSolvers
@@ -22,6 +23,36 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 
 # A displacement beyond its limit by less, as a share of the actuator's scale, is on it.
 ROUND_OFF = 1.0e-11
+
+
+@njit(**KERNEL)
+def release_at_limits(path, least, most, round_off, by_effort, lower, upper, displacements):
+    """Let efforts deviate that hold actuators beyond limits of displacement; whether any does.
+
+    Where none does, displacements of effort-driven actuators become those of the bodies.
+
+    Args:
+        path: Displacements of the bodies, shape (n,).
+        least: Least displacements, shape (n or more,).
+        most: Greatest ones, shape (n or more,).
+        round_off: Distance from these that counts as zero, shape (n or more,).
+        by_effort: Whether each actuator is effort-driven, shape (n,).
+        lower: Least efforts, equal to the greatest where the effort is held, shape (n,); changed.
+        upper: Greatest efforts, shape (n,); changed.
+        displacements: Displacements that are held, shape (n or more,); changed.
+    """
+    is_any_beyond = False
+    for i in range(len(path)):
+        if by_effort[i] and lower[i] == upper[i]:
+            if path[i] < least[i] - round_off[i]:
+                displacements[i], upper[i], is_any_beyond = least[i], np.inf, True
+            elif path[i] > most[i] + round_off[i]:
+                displacements[i], lower[i], is_any_beyond = most[i], -np.inf, True
+    if not is_any_beyond:
+        for i in range(len(path)):
+            if by_effort[i]:
+                displacements[i] = min(max(path[i], least[i]), most[i])
+    return is_any_beyond
 
 
 class DirectActuation:
@@ -131,8 +162,6 @@ class DirectActuation:
         if (lower == upper).all():
             # All efforts are held, as where regulators hold all pressures: nothing is to be found.
             return self._free(linear, lower.copy(), displacements)
-        if self._limits.has_effort_driven and np.array_equal(lower, upper):
-            return self._free(linear, lower, displacements)
         efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
         solved = efforts is not None
         return self._free(
@@ -149,21 +178,16 @@ class DirectActuation:
         limit, and its effort deviates from the given one: an empty cavity bears on its walls.
         """
         a = linear.groups.actuators
-        by_effort, least, most = self._by_effort[a], bounds.displacement_min, bounds.displacement_max
-        lower, upper = (np.where(by_effort, drives[a], bound) for bound in (lower, upper))
-        displacements = drives.copy()
-        for _ in range(1 + a.stop):
+        by_effort, displacements = self._by_effort[a], drives.copy()
+        lower, upper = np.where(by_effort, drives[a], lower), np.where(by_effort, drives[a], upper)
+        while True:
             found = self._hold(linear, displacements, lower, upper)
             path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
-            is_held = by_effort & (lower == upper)
-            short = is_held & (path < least[a] - self._round_off[a])
-            beyond = is_held & (path > most[a] + self._round_off[a])
-            if not (short.any() or beyond.any()):
-                break
-            displacements[a] = np.where(short, least[a], np.where(beyond, most[a], displacements[a]))
-            upper, lower = np.where(short, np.inf, upper), np.where(beyond, -np.inf, lower)
-        displacements[a] = np.where(by_effort, np.clip(path, least[a], most[a]), displacements[a])
-        return found._replace(displacements=displacements)
+            if not release_at_limits(
+                path, bounds.displacement_min, bounds.displacement_max, self._round_off, by_effort,
+                lower, upper, displacements,
+            ):  # fmt: skip
+                return found._replace(displacements=displacements)
 
     def at_efforts(
         self, linear: Linearized, efforts: np.ndarray, held: Actuation, bounds: Bounds

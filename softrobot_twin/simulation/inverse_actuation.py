@@ -292,15 +292,17 @@ class Unknowns(NamedTuple):
 
     Attributes:
         commanded: Which actuators with rows are commanded, shape (actuator_row_count,).
+        has_commanded: Whether any is.
     """
 
     commanded: np.ndarray
+    has_commanded: bool
 
     def stack(
         self, efforts: np.ndarray, moves: np.ndarray, forces: np.ndarray
     ) -> np.ndarray:
         """z of efforts [N], moves [m] and contact forces [N]."""
-        if not (len(moves) or len(forces) or self.commanded.any()):
+        if not (self.has_commanded or len(moves) or len(forces)):
             return efforts
         return np.concatenate(
             [efforts[~self.commanded], moves, efforts[self.commanded], forces]
@@ -315,9 +317,9 @@ class Unknowns(NamedTuple):
         """
         count = len(self.commanded)
         first = len(z) - forces
-        commanded_count = np.count_nonzero(self.commanded)
-        if commanded_count == 0:
+        if not self.has_commanded:
             return z[:count], z[count:first], z[first:]
+        commanded_count = np.count_nonzero(self.commanded)
         efforts = np.empty(count)
         efforts[~self.commanded] = z[: count - commanded_count]
         efforts[self.commanded] = z[first - commanded_count : first]
@@ -360,7 +362,7 @@ class InverseActuation:
         self._effort_scales = actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None and model.actuators.conserves
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
-        self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
+        self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool), False)
         self._none = np.zeros(count)
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if not model.actuators.conserves:
@@ -429,7 +431,7 @@ class InverseActuation:
             stiffness = None
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         least, most = self._limits.drive_bounds(bounds)
-        commanded, drives = least == most, held.drives(self._by_effort)
+        commanded, drives = least == most, held.drives(self._limits)
         begins, self._begins = self._learns and self._begins, False
         if begins:
             if self._posed is not None:
@@ -476,7 +478,7 @@ class InverseActuation:
         )
         if self.trust.longest < np.inf:
             still = self._still(linear, held)
-            while found is not None and self.trust.is_too_long(still, found.drives(self._by_effort)):
+            while found is not None and self.trust.is_too_long(still, found.drives(self._limits)):
                 self.trust.tighten()
                 found = self._over_branches(
                     linear, errors, weights, held, within, commanded, extra, branch
@@ -505,7 +507,7 @@ class InverseActuation:
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:
         """Drives when the actuators stay; of a slack cable, the path."""
-        drives, count = held.drives(self._by_effort).copy(), linear.groups.actuators.stop
+        drives, count = held.drives(self._limits).copy(), linear.groups.actuators.stop
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
         drives[:count] = np.where(self._by_effort[:count], drives[:count], path)
         return drives
@@ -682,7 +684,8 @@ class InverseActuation:
     ) -> Actuation | None:  # fmt: skip
         """The actuation of any inverse problem; None where it has no solution."""
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
-        unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
+        own = (commanded & self._one_sided)[linear.groups.actuators]
+        unknowns = Unknowns(own, bool(own.any()))
 
         def pose(errors: np.ndarray) -> QPCC:
             return self._problem(linear, errors, weights, held, within, bounds, unknowns, extra)
@@ -700,7 +703,7 @@ class InverseActuation:
     def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
         """What becomes of it when the actuators go back to the last place on their path."""
         path = self.trust.path
-        place = held.drives(self._by_effort) if path.last is None else path.last
+        place = held.drives(self._limits) if path.last is None else path.last
         back = self._limits.drives_within(place, bounds)
         if (np.abs(back - place) <= NEAR_PLACE * self._scales).all():
             path.go_back()

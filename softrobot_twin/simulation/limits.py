@@ -19,12 +19,27 @@ HOLDING_MARGIN = 1.0e-9
 
 
 @njit(**KERNEL)
-def write_bounds(displacements, minimum, maximum, reach, lower, upper):
-    """Bounds within a reach of the present displacements; those outside are led back."""
-    for i in range(len(displacements)):
-        least, most = displacements[i] - reach[i], displacements[i] + reach[i]
-        lower[i] = min(max(minimum[i], least), most)
-        upper[i] = max(min(maximum[i], most), least)
+def write_bounds(drives, rate, time_step, is_effort_driven, limits, bounds):
+    """Bounds within a reach of what setpoints hold now; those outside are led back at their rate.
+
+    Args:
+        drives: Displacements, efforts of what is effort-driven, shape (actuator_count,).
+        rate: Greatest change of each in a second, infinite without a limit, same shape.
+        time_step: Duration of the step [s].
+        is_effort_driven: Whether each is effort-driven, same shape.
+        limits: Least and greatest displacements, least and greatest efforts,
+            shape (4, actuator_count).
+        bounds: Takes the same of this step, same shape.
+    """
+    for i in range(len(drives)):
+        # Without a rate limit, the product with a time of 0 would be NaN.
+        reach = rate[i] * time_step if time_step > 0.0 else 0.0
+        least, most = drives[i] - reach, drives[i] + reach
+        first = 2 if is_effort_driven[i] else 0
+        for k in range(4):
+            bounds[k, i] = limits[k, i]
+        bounds[first, i] = min(max(limits[first, i], least), most)
+        bounds[first + 1, i] = max(min(limits[first + 1, i], most), least)
 
 
 @njit(**KERNEL)
@@ -138,6 +153,13 @@ class ActuatorLimits:
         return tuple(effort if by_effort else moved for by_effort, effort, moved in names)
 
     @cached_property
+    def _all(self) -> np.ndarray:
+        """Limits of displacements, then of efforts, shape (4, actuator_count)."""
+        return np.array(
+            [self.displacement_min, self.displacement_max, self.effort_min, self.effort_max]
+        )
+
+    @cached_property
     def _margins(self) -> np.ndarray:
         return DISPLACEMENT_MARGIN * self.displacement_scale
 
@@ -198,19 +220,9 @@ class ActuatorLimits:
             Bounds on displacements and efforts. For an actuator outside its limits they lead back
             at its rate.
         """
-        lower, upper = np.empty(len(self.rate)), np.empty(len(self.rate))
-        write_bounds(
-            drives, self.drive_min, self.drive_max, self.reach(time_step), lower, upper
-        )
-        if not self.has_effort_driven:
-            return Bounds(lower, upper, self.effort_min, self.effort_max)
-        by_effort = self.is_effort_driven
-        return Bounds(
-            np.where(by_effort, self.displacement_min, lower),
-            np.where(by_effort, self.displacement_max, upper),
-            np.where(by_effort, lower, self.effort_min),
-            np.where(by_effort, upper, self.effort_max),
-        )
+        bounds = np.empty((4, len(self.rate)))
+        write_bounds(drives, self.rate, time_step, self.is_effort_driven, self._all, bounds)
+        return Bounds(*bounds)
 
     @cached_property
     def has_flow(self) -> bool:
@@ -238,7 +250,8 @@ class ActuatorLimits:
             drives: Displacements or efforts, NaN remains, shape (actuator_count,).
             bounds: The bounds.
         """
-        return np.clip(drives, *self.drive_bounds(bounds))
+        least, most = self.drive_bounds(bounds)
+        return np.minimum(np.maximum(drives, least), most)
 
     def drive_bounds(self, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
         """Bounds on what the setpoints hold: displacements, or efforts of what is effort-driven."""

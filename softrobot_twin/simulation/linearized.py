@@ -89,6 +89,7 @@ class Linearized:
         self._values, self._all, self._moves = stack.values, stack.groups, moves
         self._own, self._told = stack.own_compliance(), stack.told
         self._per_contact = rows_per_contact
+        self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start
         self._paths, self._present = stack.displacement_rows(), multipliers
         self._is_chosen: np.ndarray | None = None
         if not self._condense_low_rank():
@@ -263,8 +264,8 @@ class Linearized:
     ) -> np.ndarray:
         """δ of some condensed rows under multipliers; see `actuator_displacements`."""
         a = self.groups.actuators
-        if not self.contact_row_count:
-            return self.W[rows, a] @ efforts[a] + self.violation[rows]
+        if not self._has_contacts:
+            return self.compliance.W[rows, a] @ efforts[a] + self.violation[rows]
         multipliers = np.zeros(len(self.violation))
         multipliers[a] = efforts[a]
         multipliers[self.groups.contacts] = contact[self.contact_rows]

@@ -150,6 +150,11 @@ class Newton:
         return model.slides.effector_columns(model.effectors)
 
     @property
+    def asks_for_held(self) -> bool:
+        """Whether a linearization depends on what holds the actuators."""
+        return self._augmented is not None or self._rows.varies
+
+    @property
     def may_keep_factor(self) -> bool:
         """True when a linearization in a hurry may do with the factor of an earlier state.
 

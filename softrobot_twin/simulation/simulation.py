@@ -502,8 +502,9 @@ class Simulation(Readouts):
             The correction; None where the tangent cannot be factorized.
         """
         linear = self.newton.linearize(
-            positions, efforts, clock, with_stale_factor, self._held_actuators(command, asked)
-        )
+            positions, efforts, clock, with_stale_factor,
+            self._held_actuators(command, asked) if self.newton.asks_for_held else None,
+        )  # fmt: skip
         if linear is None:
             return None
         still = self.actuators.drives(self.state.setpoints)
@@ -738,7 +739,7 @@ class Simulation(Readouts):
         outcome = outcome._replace(actuation=motion.actuation)
         state = State(
             outcome.positions,
-            self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
+            self.actuators.setpoints(outcome.actuation.drives(self.limits)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             motion.velocities, motion.past, self._memory(
                 part.remembered(part.end(outcome.positions, outcome.actuation.efforts))

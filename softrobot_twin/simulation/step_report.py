@@ -188,6 +188,8 @@ class StepResults:
         is_slack = actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
         if asked.commanded is not None:
             is_slack &= np.isnan(asked.commanded)
+        if not is_slack.any():
+            return names
         return actuators.limits.binding(
             np.where(is_slack, np.nan, displacements), efforts, asked.reach
         )

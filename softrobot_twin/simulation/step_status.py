@@ -176,7 +176,7 @@ def is_met(
         errors: Distance of each effector from its target, see `misses` [m],
             shape (effector_count,).
     """
-    wanted, made = asked.wanted, actuation.drives(limits.is_effort_driven)
+    wanted, made = asked.wanted, actuation.drives(limits)
 
     def are_there(drives: np.ndarray) -> bool:
         """Whether actuators are where they should be; NaN asks nothing."""

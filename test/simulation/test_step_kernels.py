@@ -15,12 +15,24 @@ SEEDS = range(20)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_bounds_of_a_step(seed):
     rng = np.random.default_rng(seed)
-    at, least, most = rng.standard_normal(6), -rng.random(6), rng.random(6)
-    reach = np.where(rng.random(6) < 0.3, np.inf, 0.3 * rng.random(6))
-    lower, upper = np.empty(6), np.empty(6)
-    write_bounds(at, least, most, reach, lower, upper)
-    np.testing.assert_array_equal(lower, np.minimum(np.maximum(least, at - reach), at + reach))
-    np.testing.assert_array_equal(upper, np.maximum(np.minimum(most, at + reach), at - reach))
+    at, by_effort = rng.standard_normal(6), rng.random(6) < 0.5
+    limits = np.array([-rng.random(6), rng.random(6), -rng.random(6), rng.random(6)])
+    rate, time_step = np.where(rng.random(6) < 0.3, np.inf, 3.0 * rng.random(6)), 0.1
+    bounds, reach = np.empty((4, 6)), rate * time_step
+    write_bounds(at, rate, time_step, by_effort, limits, bounds)
+    for first, is_driven in ((0, ~by_effort), (2, by_effort)):
+        least, most = limits[first : first + 2]
+        lower = np.minimum(np.maximum(least, at - reach), at + reach)
+        upper = np.maximum(np.minimum(most, at + reach), at - reach)
+        np.testing.assert_array_equal(bounds[first], np.where(is_driven, lower, least))
+        np.testing.assert_array_equal(bounds[first + 1], np.where(is_driven, upper, most))
+
+
+def test_without_time_no_setpoint_moves_at_any_rate():
+    bounds, at = np.empty((4, 2)), np.array([0.1, 0.2])
+    limits = np.array([[-1.0, -1.0], [1.0, 1.0], [0.0, 0.0], [5.0, 5.0]])
+    write_bounds(at, np.array([np.inf, 3.0]), 0.0, np.zeros(2, bool), limits, bounds)
+    np.testing.assert_array_equal(bounds, [at, at, limits[2], limits[3]])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
