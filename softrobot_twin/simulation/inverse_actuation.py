@@ -27,7 +27,7 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.actuation import NO_EFFORT, NO_MOVES, Actuation, ContactLoads
 from softrobot_twin.simulation.direct_actuation import DirectActuation, widened
 from softrobot_twin.simulation.interpretation import why_not_followed
-from softrobot_twin.simulation.linearized import Linearized
+from softrobot_twin.simulation.linearized import Linearized, row_motion
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.stiffness_targets import StiffnessRows
@@ -41,7 +41,7 @@ from softrobot_twin.solvers.inverse_problem import (
     build_inverse_problem,
     with_effort_rows,
 )
-from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
+from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver, proved_efforts
 from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
@@ -234,6 +234,79 @@ def narrow(drives, reach, is_left, least, most):
             low, high = least[i], most[i]
             least[i] = max(low, min(drives[i] - reach[i], high))
             most[i] = min(high, max(drives[i] + reach[i], low))
+
+
+@njit(**KERNEL)
+def guessed_actuation(
+    W, first_effector, violation, errors, weights, energy_weight, proximal_weight, centre, held,
+    displacement_min, displacement_max, effort_min, effort_max, stiffness, reference, active,
+    may_hang, at_limit, round_off, effort_scales,
+):  # fmt: skip
+    """What `_over_branches` finds in one branch of slack cables, from the last active set.
+
+    Args:
+        W: Compliance, the rows of the actuators first [m/N], shape (n, n).
+        first_effector: First row of the effectors.
+        violation: δ_free of all rows [m], shape (n,).
+        errors: δ_e,free less the targets [m], shape (e,).
+        weights: Weight of each effector row, shape (e,).
+        energy_weight: ε.
+        proximal_weight: p.
+        centre: z̄ [N], shape (a,).
+        held: Multipliers when the actuators stay [N], shape (a or more,).
+        displacement_min: Least displacements of this step [m], shape (a or more,).
+        displacement_max: Greatest ones [m], same shape.
+        effort_min: Least efforts [N], same shape.
+        effort_max: Greatest ones [N], same shape.
+        stiffness: ρ of an augmented tangent, zero without [N/m], shape (a,).
+        reference: δ_ref of it [m], shape (a,).
+        active: Active bounds in the guess, see `proved_efforts`.
+        may_hang: Which cables may be slack, shape (a,).
+        at_limit: Distance from a greatest shortening that counts as zero [m], shape (a,).
+        round_off: Change of a displacement that counts as zero [m], shape (a,).
+        effort_scales: Scale of each effort [N], shape (a,).
+
+    Returns:
+        Whether they are proved, and no cable changes its branch; multipliers [N], shape (a,);
+        displacements within their bounds [m], shape (a,); and the active bounds.
+    """
+    a = len(centre)
+    path = row_motion(W, 0, a, held[:a], violation)
+    within, loads, slack = np.empty(a), np.empty(a), np.zeros(a, dtype=np.bool_)
+    for i in range(a):
+        loads[i] = held[i] - stiffness[i] * (path[i] - reference[i])
+        loads[i] /= effort_scales[i]
+    hang_beyond(path, loads, displacement_max, at_limit, may_hang, slack)
+    least, most, greatest = np.empty(a), np.empty(a), effort_max[:a].copy()
+    for i in range(a):
+        least[i] = min(displacement_min[i], path[i])
+        most[i] = max(displacement_max[i], path[i])
+        if slack[i]:
+            most[i], greatest[i] = np.inf, 0.0
+    effectors = (first_effector, first_effector + len(errors))
+    proved, efforts, active = proved_efforts(
+        W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation[:a], least,
+        most, effort_min[:a], greatest, stiffness, reference, active,
+    )  # fmt: skip
+    if not proved:
+        return False, efforts, within, active
+    is_augmented = False
+    for i in range(a):
+        is_augmented = is_augmented or stiffness[i] != 0.0
+    for i in range(a):
+        if not is_augmented:
+            efforts[i] = min(max(efforts[i], effort_min[i]), effort_max[i])
+    path = row_motion(W, 0, a, efforts, violation)
+    if not keep_within(path, displacement_min, displacement_max, round_off, within):
+        return False, efforts, within, active
+    for i in range(a):
+        loads[i] = efforts[i] - stiffness[i] * (path[i] - reference[i])
+        loads[i] /= effort_scales[i]
+    was_slack = np.zeros(a, dtype=np.bool_)
+    is_changed = change_slack(
+        within, loads, displacement_max, at_limit, may_hang, slack, was_slack
+    )
+    return not is_changed, efforts, within, active
 
 
 class TargetSteps:
@@ -588,6 +661,10 @@ class InverseActuation:
         A cable becomes slack at most once, and taut again at most once. Cables that are `chosen`
         are slack in any case.
         """
+        if self._alone and extra is None and chosen is None and self._solver.guess is not None:
+            found = self._guessed(linear, errors, weights, held, bounds, commanded)
+            if found is not None:
+                return found
         count, contact = linear.groups.actuators.stop, held.contact.multipliers
         path, may_hang = linear.actuator_displacements(held.efforts, contact), self._may_hang
         if commanded.any():
@@ -618,6 +695,29 @@ class InverseActuation:
                 linear, errors, weights, held, best, path, loose, bounds, commanded, extra
             )
         return best
+
+    def _guessed(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds, commanded: np.ndarray,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation from the last active set; None where `guessed_actuation` proves none."""
+        active, count = self._solver.guess, len(self._none)
+        stiffness = reference = self._none
+        if linear.augmentation is not None:
+            stiffness, reference, _ = linear.augmentation
+        if commanded.any() or len(active) < 2 * count:
+            return None
+        proved, efforts, within, active = guessed_actuation(
+            linear.W, linear.groups.effectors.start, linear.violation, errors, weights,
+            self._energy_now, self._proximal_weight(),
+            np.array(self._centre(linear, held, self._all_free)), held.efforts, *bounds, stiffness,
+            reference, active, self._may_hang, self._at_limit, self._round_off, self._effort_scales,
+        )  # fmt: skip
+        if not proved:
+            return None
+        self._solver.active, self._touching = active, {}
+        self._direct.remember(efforts)
+        return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
 
     def _solved(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
@@ -766,7 +866,10 @@ class InverseActuation:
         What the trust in the linearization restrains are moves from the held displacements: with
         the last efforts the body may not be stable.
         """
-        last = unknowns.stack(*self._last_solution(linear))
+        if unknowns is self._all_free and self._alone:
+            last, _ = self._direct.last_solution(linear)
+        else:
+            last = unknowns.stack(*self._last_solution(linear))
         if self.trust.weight == 0.0:
             return last
         still = unknowns.stack(

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.row_stack import RowGroups, RowStack
 from softrobot_twin.simulation.augmented_tangent import Augmentation
 from softrobot_twin.solvers.compliance import Compliance
@@ -33,6 +34,26 @@ CLOSE = 0.002
 # Where friction makes the compliance of a cable's path far less than that of its forces, W has at
 # least this share of the latter.
 LEAST_SYMMETRIC = 0.02
+
+
+@njit(**KERNEL)
+def row_motion(W, first, stop, efforts, violation):
+    """δ of some rows under the efforts of actuators [m], shape (stop - first,).
+
+    Args:
+        W: Compliance, the rows of the actuators first [m/N], shape (n, n).
+        first: The first row.
+        stop: The first row after them.
+        efforts: λ of the actuators [N], shape (actuator_row_count,).
+        violation: δ_free of all rows [m], shape (n,).
+    """
+    moved = np.empty(stop - first)
+    for r in range(first, stop):
+        total = 0.0
+        for j in range(len(efforts)):
+            total += W[r, j] * efforts[j]
+        moved[r - first] = total + violation[r]
+    return moved
 
 
 class PrescribedMoves(NamedTuple):
@@ -265,7 +286,9 @@ class Linearized:
         """δ of some condensed rows under multipliers; see `actuator_displacements`."""
         a = self.groups.actuators
         if not self._has_contacts:
-            return self.compliance.W[rows, a] @ efforts[a] + self.violation[rows]
+            return row_motion(
+                self.compliance.W, rows.start, rows.stop, efforts[a], self.violation
+            )
         multipliers = np.zeros(len(self.violation))
         multipliers[a] = efforts[a]
         multipliers[self.groups.contacts] = contact[self.contact_rows]

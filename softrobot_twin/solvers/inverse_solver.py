@@ -121,6 +121,11 @@ class InverseSolver:
         for solver in self._qp_solvers:
             solver.reset()
 
+    @property
+    def guess(self) -> np.ndarray | None:
+        """The last active set, where a problem without contacts may be solved from it; else None."""
+        return self.active if self._uses_warm_start and not self._is_exact else None
+
     def solve(
         self,
         problem: QPCC,
@@ -177,10 +182,8 @@ class InverseSolver:
             λ̂, the efforts where the tangent is not augmented [N], shape (a,); None where there is no last solution, or they are not proved.
         """
         # The centre is copied: for a read-only one the kernel would be compiled again.
-        active = self.active
-        if not self._uses_warm_start or self._is_exact or active is None:
-            return None
-        if len(active) < 2 * len(violation):
+        active = self.guess
+        if active is None or len(active) < 2 * len(violation):
             return None
         proved, efforts, active = proved_efforts(
             W, (effectors.start, effectors.stop), errors, weights, energy_weight,
