@@ -21,8 +21,9 @@ element's own frame, which turns with it. It follows:
   can be indefinite like the elastic one, and has the same projection.
 - At rest and for small strains it is Rayleigh's damping: β times the elastic stiffness.
 
-A step of a single linearization uses only the tangent at u = 0, where a rotation by θ has a strain
-of the order of θ²: fast rotations need more linearizations, or shorter steps.
+A step of a single linearization uses only the tangent at u = 0, which is that of small
+displacements and needs no rotation. There a rotation by θ has a strain of the order of θ²: fast
+rotations need more linearizations, or shorter steps.
 
 An element that is flat, or nearly, has no F₀⁻ᵀ or an enormous one: its rotation R₀ is used instead.
 The heat is still positive, but such an element resists rotation if it is strained. An inverted
@@ -39,7 +40,13 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
-from softrobot_twin.mechanics.element_assembly import deform, gather, transform_gradients
+from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.mechanics.element_assembly import (
+    assembly_of,
+    deform,
+    gather,
+    transform_gradients,
+)
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     matrix_at,
@@ -49,8 +56,9 @@ from softrobot_twin.mechanics.element_batches import (
     scratch,
 )
 from softrobot_twin.mechanics.element_inversion import no_corners
-from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.elements import Elements, are_same
 from softrobot_twin.mechanics.laws.corotational import Corotational
+from softrobot_twin.mechanics.laws.small_displacement import SmallDisplacement
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.polar import turn_flat
 
@@ -117,6 +125,8 @@ class StrainRateDamping(Elements):
         super().__init__(mesh, free_index, Corotational(*material))
         # The elastic term watches folds.
         self._corners, self._fold_barrier = no_corners(), None
+        self._law_at_start = SmallDisplacement(*material)
+        self._at_start = assembly_of(SmallDisplacement)
         self.name = "strain-rate damping"
         self.beta = float(beta)
 
@@ -126,6 +136,7 @@ class StrainRateDamping(Elements):
         super().bind(elimination_rank, slots)
         self._rest_gradients, self._volumes = self._gradients, self._weights
         self._gradients = self._rest_gradients.copy()
+        self._no_rotations = np.zeros((*self._volumes.shape[:2], 0))
         self._weights, self._rate = np.zeros_like(self._volumes), 0.0
 
     def begin_step(
@@ -146,6 +157,19 @@ class StrainRateDamping(Elements):
             self._rate = rate
         self._reference[:] = positions
         self._forget()
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """See `Elements`; where the step begins there is no force, and no rotation to be found."""
+        if not are_same(writable(positions), self._reference):
+            super().add(positions, forces, storage, projected)
+            return
+        self._forget()
+        self._at_start.add_stiffness(
+            self._law_at_start, self._reference, self._cells, self._free, self._gradients,
+            self._weights, self._barrier_stiffness, projected, True, self._deformations,
+            self._no_rotations, self._uprights, self._offsets, self._strides,
+            self._are_contiguous, self._forces, storage,
+        )  # fmt: skip
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -V R σ g_a [N] to the forces on the unknowns.

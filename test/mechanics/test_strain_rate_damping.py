@@ -105,6 +105,23 @@ def test_matrix_is_minus_the_derivative_of_the_force(angle, body, bind):
     np.testing.assert_allclose(A, A.T, atol=1e-13 * np.abs(A).max())
 
 
+@pytest.mark.parametrize("projected", [False, True])
+def test_where_a_step_begins_the_matrix_is_the_derivative_and_there_is_no_force(
+    projected, body, bind
+):
+    mesh = body()
+    bound = bind((damping, mesh, YOUNG, POISSON), fixed=[0, 3, 4])
+    x = strained(mesh)
+    begin(bound, x)
+    forces, A = bound.assemble(x, projected)
+    assert not forces.any()
+    A = A.toarray()
+    np.testing.assert_allclose(A, differences(bound, x), atol=2e-8 * np.abs(A).max())
+    # The general law tells the same an instant later.
+    later = bound.assemble(np.nextafter(x, np.inf), projected)[1].toarray()
+    np.testing.assert_allclose(A, later, atol=1e-12 * np.abs(A).max())
+
+
 def test_the_projected_matrix_is_never_indefinite(body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON))
