@@ -58,8 +58,8 @@ class RememberedNodes(ForceTerm):
             velocities: Velocities v₀ of the free nodes [m/s], shape (free_node_count, 3).
             time_step: h [s].
         """
-        np.take(positions, self._nodes, axis=0, out=self._start)
-        np.take(velocities, self._unknowns, axis=0, out=self._start_velocities)
+        positions.take(self._nodes, axis=0, out=self._start)
+        velocities.take(self._unknowns, axis=0, out=self._start_velocities)
         self._per_second = 1.0 / time_step
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from softrobot_twin.errors import CommandError
@@ -111,7 +113,8 @@ class Guides:
             there = self._reached(name, here, self._targets[name], time_step)
             if there is not None:
                 self._ways.append((part.index, here, there))
-        self.place(positions, 1.0)
+        if self._ways:
+            self.place(positions, 1.0)
 
     @property
     def moved(self) -> bool:
@@ -132,7 +135,7 @@ class Guides:
                 turn = rotation_from_vector(share * vector_from_rotation(there[1] @ rotation.T))
                 there = (origin + share * (there[0] - origin), turn @ rotation)
             self._frames.place(positions, index, *there)
-        if relative is not None and self._ways:
+        if relative is not None:
             self._hinged.follow(positions, relative)
         for nodes, mapping in self._attached:
             positions[nodes] = mapping.positions(positions)
@@ -143,8 +146,8 @@ class Guides:
         speed, turn_rate = self.limits[name]
         displacement = target - origin
         turn = vector_from_rotation(target_rotation @ rotation.T)
-        displacement *= _share(np.linalg.norm(displacement), speed, time_step)
-        turn *= _share(np.linalg.norm(turn), turn_rate, time_step)
+        displacement *= _share(math.sqrt(displacement @ displacement), speed, time_step)
+        turn *= _share(math.sqrt(turn @ turn), turn_rate, time_step)
         if not (displacement.any() or turn.any()):
             return None
         return origin + displacement, rotation_from_vector(turn) @ rotation
