@@ -55,8 +55,10 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
         Points on the lines to the aims [m], same shape.
     """
     differences = aims - positions
-    distances = np.linalg.norm(differences, axis=1, keepdims=True)
+    distances = np.sqrt((differences * differences).sum(axis=1, keepdims=True))
     far = distances > reach
+    if not far.any():
+        return aims
     shares = np.divide(reach, distances, out=np.ones_like(distances), where=far)
     return np.where(far, positions + shares * differences, aims)
 
@@ -159,7 +161,7 @@ class EffectorMeasurement:
         """
         seen = np.isfinite(measured).all(axis=1, keepdims=True)
         differences = self.differences(targets, np.where(seen, measured, predicted))
-        return np.linalg.norm(differences, axis=1)
+        return np.sqrt((differences * differences).sum(axis=1))
 
 
 class TargetCorrection:

@@ -14,7 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
+
+from softrobot_twin.control.loop_timing import NANOSECONDS
 
 # CDR of version 1, little-endian, without options (OMG DDSI-RTPS, section 10.5).
 _ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -146,6 +149,45 @@ def to_bytes(message: object) -> bytes:
     if isinstance(message, bytes):
         return message
     return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
+
+
+class JointStateBytes:
+    """Bytes of messages about the same joints, made once: then only stamp and numbers change."""
+
+    _STAMP, _PLACE = struct.Struct("<iI"), len(_ENCAPSULATION)
+
+    def __init__(self, names: Sequence[str], frame_id: str):
+        """Make a message.
+
+        Args:
+            names: Names of the joints.
+            frame_id: Frame of its header.
+        """
+        count = len(names)
+        # Numbers that tell where the positions and the efforts lie.
+        marks = np.arange(1.0, 2 * count + 1)
+        self._content = bytearray(exact_bytes(JointState(
+            header=Header(frame_id=frame_id), name=list(names), position=marks[:count].tolist(),
+            effort=marks[count:].tolist(),
+        )))  # fmt: skip
+        self._places = [
+            slice(place, place + 8 * count)
+            for place in map(self._content.index, (marks[:count].tobytes(), marks[count:].tobytes()))
+        ]
+
+    def message(self, stamp: int, positions: np.ndarray, efforts: np.ndarray) -> bytes:
+        """A message with these numbers.
+
+        Args:
+            stamp: Its time [ns].
+            positions: Positions of the joints, of cables their lengths [m], shape (count,).
+            efforts: Their efforts, of cables their tensions [N], same shape.
+        """
+        content = self._content
+        self._STAMP.pack_into(content, self._PLACE, *divmod(stamp, NANOSECONDS))
+        for place, numbers in zip(self._places, (positions, efforts), strict=True):
+            content[place] = np.asarray(numbers, "<f8").tobytes()
+        return bytes(content)
 
 
 class _Cut(NamedTuple):

@@ -36,10 +36,8 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.claim import TopicClaim
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.ros.marker_bytes import to_bytes
+from softrobot_twin.ros.marker_bytes import JointStateBytes, to_bytes
 from softrobot_twin.ros.messages import (
-    angles_message,
-    cables_message,
     contacts_message,
     markers_message,
     matrix_message,
@@ -90,7 +88,7 @@ class RepeatedMessages:
         self._left_out: list[Publisher] = []
 
     def send(self, publisher: Publisher, message: object) -> None:
-        """Publishes a message, whose first field is its header."""
+        """Publishes a message, serialized or not, whose first field is its header."""
         publisher.publish(message)
         self._sent.append((publisher, message))
 
@@ -372,6 +370,7 @@ class TwinNode(TickingNode):
         self._audience = Audience()
         self._repeated = RepeatedMessages(self._audience)
         self.cables = open_publisher(self, TOPICS["~/cables"])
+        self._command_bytes = JointStateBytes(simulation.actuator_names, self.loop_frame)
         self.pressures = {
             name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
@@ -379,6 +378,7 @@ class TwinNode(TickingNode):
         self._angles = None
         if self.loop.pulleys.count:
             self._angles = open_publisher(self, TOPICS["~/angles"])
+            self._angle_bytes = JointStateBytes(self.loop.pulleys.names, self.loop_frame)
         self._effectors = [
             open_publisher(self, TOPICS["~/effectors/<effector>"], name)
             for name in simulation.effector_names
@@ -644,7 +644,7 @@ class TwinNode(TickingNode):
         offer = self._repeated.offer
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
-            self._publish_command(outcome.command, header)
+            self._publish_command(outcome.command, stamp, header)
             if self.last_command is not None:
                 self.last_command.keep(*outcome.command, outcome.guided_poses)
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
@@ -672,11 +672,12 @@ class TwinNode(TickingNode):
             wants_markers, *(output.publish(outcome, header) for output in outputs)
         ])  # fmt: skip
 
-    def _publish_command(self, command: ActuatorCommand, header: Header) -> None:
-        send, names = self._repeated.send, self.loop.simulation.actuator_names
-        send(self.cables, cables_message(names, *command, header))
+    def _publish_command(self, command: ActuatorCommand, stamp: int, header: Header) -> None:
+        send, pulleys = self._repeated.send, self.loop.pulleys
+        send(self.cables, self._command_bytes.message(stamp, *command))
         if self._angles is not None:
-            send(self._angles, angles_message(self.loop.pulleys, *command, header))
+            angles, torques = pulleys.angles(command.setpoints), pulleys.torques(command.efforts)
+            send(self._angles, self._angle_bytes.message(stamp, angles, torques))
         for name, pressure in self.loop.cavities.absolute(command.efforts).items():
             send(self.pressures[name], pressure_message(pressure, header))
 
@@ -687,8 +688,9 @@ class TwinNode(TickingNode):
         if self.recording is not None:
             self.recording.pass_on()
         if command is not None:
-            stamp = stamp_of(self.ros_time())
-            self._publish_command(command, Header(stamp=stamp, frame_id=self.loop_frame))
+            stamp = self.ros_time()
+            header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
+            self._publish_command(command, stamp, header)
 
     @property
     def loop_frame(self) -> str:
