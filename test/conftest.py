@@ -536,7 +536,7 @@ def half_trained(tmp_path_factory) -> Path:
 
     from softrobot_twin.scene import load_scene
     from softrobot_twin.scene.loading import written_out
-    from softrobot_twin.simulation.body_reduction import (
+    from softrobot_twin.simulation.building.body_reduction import (
         reduction_fingerprints,
         write_body_reduction,
     )
@@ -598,8 +598,8 @@ def drawn_rng():
 @pytest.fixture
 def fatigue(monkeypatch):
     """Adds an effect from a file outside of the package to all scenes."""
-    from softrobot_twin.simulation.effects import EFFECTS
+    from softrobot_twin.simulation.effects.effects import EFFECTS
 
     effect = runpy.run_path(Path(__file__).with_name("fatigue_effect.py"))["Fatigue"]
-    monkeypatch.setattr("softrobot_twin.simulation.effects.EFFECTS",
+    monkeypatch.setattr("softrobot_twin.simulation.effects.effects.EFFECTS",
                         [*EFFECTS, lambda model: [effect(model)]])  # fmt: skip

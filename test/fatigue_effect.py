@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrobot_twin.simulation import Hold
-from softrobot_twin.simulation.step_part import PartReport, StepPart
+from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
 
 class Fatigue(StepPart):

@@ -33,6 +33,10 @@ ALLOWED_ROOMS = {
     "scripting": CORE | {"control", "study", "view"},
     "command_line": {"study", "ros", "demo_command", "replay_command"},
 }
+# Rooms inside the simulation, each of which imports only those before it and its vocabulary. The other
+# files at the top of the simulation put these rooms together, and only `runs` imports them.
+STEP_ROOMS = ("building", "step", "effects", "runs")
+VOCABULARY = {"command", "contact_forces", "result", "state"}
 # The files at the top besides commands, which put rooms together and end in "_command".
 ENTRANCE = {
     "__init__.py", "__main__.py", "blas_threads.py", "compilation.py", "errors.py",
@@ -143,6 +147,19 @@ def test_a_room_imports_only_the_rooms_it_may():
         room, other = place_of(path), room_of(found.module)
         return room and other and other not in ALLOWED_ROOMS[room] | {room} | top
     assert violations(broken) == []
+
+
+def test_rooms_inside_the_simulation_are_imported_one_way():
+    def broken(path, found):
+        parts, names = path.relative_to(PACKAGE).parts, found.module.split(".")[1:]
+        if parts[0] != "simulation" or len(parts) < 3 or names[:1] != ["simulation"]:
+            return False
+        other, own = names[1], STEP_ROOMS.index(parts[1])
+        may_import_top = parts[1] == STEP_ROOMS[-1]
+        return other not in {*STEP_ROOMS[: own + 1], *VOCABULARY} and not may_import_top
+    assert violations(broken) == []
+    rooms = {path.parent.name for path in (PACKAGE / "simulation").glob("*/__init__.py")}
+    assert rooms == set(STEP_ROOMS)
 
 
 def test_nobody_imports_the_room_for_users_but_the_entrance_of_the_package():

@@ -42,8 +42,8 @@ from softrobot_twin.study.bench_measurement import (
     without_garbage_collection,
 )
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.terminal import console, table, warn
 
 # Every set of active rows is tried up to this many unknowns.

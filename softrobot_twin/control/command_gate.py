@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.building.limits import ActuatorLimits
 
 SETPOINT_SHARE = 6.0e-5
 """Inexact solutions may exceed a position or rate limit by this share of the actuator's travel."""

@@ -16,9 +16,9 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.voices import LAG_RATE, LAG_SHARE, LAG_TIME, PlaceWatch
-from softrobot_twin.simulation.limits import ActuatorLimits
-from softrobot_twin.simulation.pulleys import Pulleys
-from softrobot_twin.simulation.touches import TouchState
+from softrobot_twin.simulation.building.limits import ActuatorLimits
+from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.effects.touches import TouchState
 
 OUTSIDE_SHARE = 0.1
 """A measured setpoint may be outside the limits by this share of the travel."""

@@ -18,7 +18,7 @@ from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Reque
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.full_model_error import FullError
-    from softrobot_twin.simulation.vertebrae_watch import ReductionState
+    from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState
 
 READY = "ready"
 """Kind of the first reply: the models are built."""
@@ -78,7 +78,7 @@ def serve(requests: Requests, reply: Replies) -> None:
     """
     from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.full_model_error import FullModelError
-    from softrobot_twin.simulation.reduced_body import without_fallback
+    from softrobot_twin.simulation.building.reduced_body import without_fallback
 
     scene = requests.read()
     if scene is None:

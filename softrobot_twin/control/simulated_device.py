@@ -13,8 +13,8 @@ from softrobot_twin.control.fingertip import Fingertip, Presses
 from softrobot_twin.control.inputs import Pose, is_pose
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
-from softrobot_twin.simulation.touches import TouchState
-from softrobot_twin.simulation.unlikely_limits import efforts_at_scale
+from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale
+from softrobot_twin.simulation.effects.touches import TouchState
 
 _QUEUE_LENGTH = 1024
 _NOTICEABLE_SHARE = 1.0e-3

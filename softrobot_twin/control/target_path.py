@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.simulation.input_tables import TableFileError, read_path
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_path
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 

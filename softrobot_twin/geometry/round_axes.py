@@ -19,7 +19,12 @@ import numpy as np
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.proximities import PairRows, write_row
-from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, CYLINDER, in_frame, shape_distance
+from softrobot_twin.geometry.shapes.distance_kernels import (
+    CAPSULE,
+    CYLINDER,
+    in_frame,
+    shape_distance,
+)
 from softrobot_twin.geometry.vector3 import (
     add,
     add_scaled,

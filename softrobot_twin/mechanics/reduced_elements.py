@@ -46,7 +46,13 @@ from softrobot_twin.mechanics.elements import are_same
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.corotational import linearize as spin_stiffness
-from softrobot_twin.mechanics.point_law import energy_density, law_at, law_of, law_projects, law_turns
+from softrobot_twin.mechanics.point_law import (
+    energy_density,
+    law_at,
+    law_of,
+    law_projects,
+    law_turns,
+)
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 from softrobot_twin.mechanics.strain_watch import extreme_squares
 

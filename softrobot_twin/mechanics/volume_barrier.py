@@ -36,7 +36,13 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import cross
-from softrobot_twin.mechanics.element_batches import BATCH, matrix_at, node_count_of, of_node, vector_at
+from softrobot_twin.mechanics.element_batches import (
+    BATCH,
+    matrix_at,
+    node_count_of,
+    of_node,
+    vector_at,
+)
 from softrobot_twin.mechanics.polar import is_upright
 
 # J₀: volume of a point, as a share of that at rest, below which the barrier acts.

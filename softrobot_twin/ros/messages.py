@@ -26,8 +26,8 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.simulation.pulleys import Pulleys
-from softrobot_twin.simulation.touches import TouchState
+from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.effects.touches import TouchState
 
 _CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])

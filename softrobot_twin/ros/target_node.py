@@ -30,7 +30,7 @@ from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TARGET_TOPICS as TOPICS
 from softrobot_twin.ros.topics import open_publisher
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.input_tables import CommandTable, read_commands
+from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
 
 _WAIT_WARNING = 5.0
 _UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])

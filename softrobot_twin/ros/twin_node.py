@@ -29,8 +29,8 @@ from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.last_command import LastCommand
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
+from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience

@@ -24,14 +24,14 @@ from softrobot_twin.simulation import (
     Simulation,
     Touched,
 )
-from softrobot_twin.simulation.input_tables import NOT_UNIT
-from softrobot_twin.simulation.pulleys import ANGLE
-from softrobot_twin.simulation.table_columns import (
+from softrobot_twin.simulation.building.pulleys import ANGLE
+from softrobot_twin.simulation.building.table_columns import (
     column,
     position_columns,
     quaternion_columns,
     stiffness_columns,
 )
+from softrobot_twin.simulation.runs.input_tables import NOT_UNIT
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]

@@ -47,15 +47,15 @@ from softrobot_twin.simulation import (
     StepResult,
 )
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
+from softrobot_twin.simulation.building.table_columns import column, position_columns
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
-from softrobot_twin.simulation.input_tables import (
+from softrobot_twin.simulation.runs.input_tables import (
     TARGETS_EXAMPLE,
     open_columns,
     read_commands,
     read_targets,
 )
-from softrobot_twin.simulation.run_columns import RunColumns, RunRow
-from softrobot_twin.simulation.table_columns import column, position_columns
+from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.unit_checks import unlikely_commands
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands, unlikely_commands_of
 from softrobot_twin.study.equilibrium import STILL

@@ -8,7 +8,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from softrobot_twin.simulation.command import Command, FollowTargets
-from softrobot_twin.simulation.run_columns import TEXT_COLUMNS, WHOLE_NUMBERS, RunColumns, RunRow
+from softrobot_twin.simulation.runs.run_columns import (
+    TEXT_COLUMNS,
+    WHOLE_NUMBERS,
+    RunColumns,
+    RunRow,
+)
 
 Table: TypeAlias = Any
 """A `pandas.DataFrame` where pandas is installed, else a structured numpy array."""

@@ -11,8 +11,8 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.scripting.named_commands import unknown
 from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
 from softrobot_twin.simulation.appearance import rigid_poses
-from softrobot_twin.simulation.run_columns import TEXT_COLUMNS, RunColumns
-from softrobot_twin.simulation.table_columns import STEP
+from softrobot_twin.simulation.building.table_columns import STEP
+from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS, RunColumns
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.contact_forces import ContactForces

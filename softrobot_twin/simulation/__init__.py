@@ -7,10 +7,10 @@ from softrobot_twin.simulation.command import (
     FollowTargets,
     Hold,
 )
+from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.touches import Touched
 
 __all__ = [
     "Command",

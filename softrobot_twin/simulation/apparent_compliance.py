@@ -35,9 +35,9 @@ from scipy.sparse.linalg import splu
 
 from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.simulation.apparent_stiffness import SHARING
-from softrobot_twin.simulation.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
+from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.simulation.step.apparent_stiffness import SHARING
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization, NodeRows, laid_out_like
 from softrobot_twin.solvers.superlu import SuperLU

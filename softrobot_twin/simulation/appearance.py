@@ -14,12 +14,12 @@ from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.beam_bodies import BeamBody
-from softrobot_twin.simulation.beam_surface import BeamSkin
-from softrobot_twin.simulation.cavity_actuator import CavityActuator
-from softrobot_twin.simulation.deformable_body import Body, surface_on_mesh
-from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.scene_layout import build_shape, triangulated
+from softrobot_twin.simulation.building.beam_bodies import BeamBody
+from softrobot_twin.simulation.building.beam_surface import BeamSkin
+from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
+from softrobot_twin.simulation.building.deformable_body import Body, surface_on_mesh
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.scene_layout import build_shape, triangulated
 from softrobot_twin.simulation.state import State
 
 # A plane is shown as a square that extends this many scene sizes to each side.

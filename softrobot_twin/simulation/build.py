@@ -10,15 +10,15 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.actuators import Actuators, build_actuators
-from softrobot_twin.simulation.apparent_stiffness import why_no_stiffness
-from softrobot_twin.simulation.constraint_building import effector_term, marker_mapping
-from softrobot_twin.simulation.contact_building import contact_term
-from softrobot_twin.simulation.force_building import force_terms
-from softrobot_twin.simulation.guided_bodies import Guides
-from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.scene_layout import Layout, lay_out
-from softrobot_twin.simulation.scene_warnings import scene_warnings
+from softrobot_twin.simulation.building.actuators import Actuators, build_actuators
+from softrobot_twin.simulation.building.constraint_building import effector_term, marker_mapping
+from softrobot_twin.simulation.building.contact_building import contact_term
+from softrobot_twin.simulation.building.force_building import force_terms
+from softrobot_twin.simulation.building.guided_bodies import Guides
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
+from softrobot_twin.simulation.building.scene_warnings import scene_warnings
+from softrobot_twin.simulation.step.apparent_stiffness import why_no_stiffness
 from softrobot_twin.simulation.unit_checks import unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_cholesky import DenseCholesky

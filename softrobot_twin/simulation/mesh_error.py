@@ -27,15 +27,15 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.actuators import build_groups
-from softrobot_twin.simulation.body_materials import cell_values
+from softrobot_twin.simulation.building.actuators import build_groups
+from softrobot_twin.simulation.building.body_materials import cell_values
+from softrobot_twin.simulation.building.constraint_building import effector_term
+from softrobot_twin.simulation.building.reduced_body import without_reductions
+from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
-from softrobot_twin.simulation.constraint_building import effector_term
-from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.reduced_body import without_reductions
-from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.simulation import Simulation
-from softrobot_twin.simulation.time_budget import StageClock
+from softrobot_twin.simulation.step.newton import Newton
+from softrobot_twin.simulation.step.time_budget import StageClock
 
 PATCH_SHARE = 0.0125
 """Radius of the patch on which a cable acts, as a share of the body's size."""

@@ -6,7 +6,6 @@ import numpy as np
 
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
     OwnSkin,
@@ -16,19 +15,20 @@ from softrobot_twin.simulation.appearance import (
     rigid_skins,
     skins,
 )
-from softrobot_twin.simulation.beam_surface import BeamSkin
-from softrobot_twin.simulation.limits import ActuatorLimits
-from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.pulleys import Pulleys
-from softrobot_twin.simulation.reduction_error import (
+from softrobot_twin.simulation.building.actuators import Actuators
+from softrobot_twin.simulation.building.beam_surface import BeamSkin
+from softrobot_twin.simulation.building.limits import ActuatorLimits
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.effects.reduction_error import (
     ReductionErrors,
     has_spare_modes,
-    reduced_bodies,
     reduced_states,
 )
+from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState, reduction_state
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.stiffness_targets import stiffness_of_scene
-from softrobot_twin.simulation.vertebrae_watch import ReductionState, reduction_state
+from softrobot_twin.simulation.step.coordinate_range import reduced_bodies
+from softrobot_twin.simulation.step.stiffness_targets import stiffness_of_scene
 
 
 class Readouts:

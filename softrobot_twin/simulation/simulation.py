@@ -13,10 +13,8 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation import apparent_stiffness
-from softrobot_twin.simulation.actuation import INVERSION, Actuation
-from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
+from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import (
     TIMES,
     Command,
@@ -27,31 +25,33 @@ from softrobot_twin.simulation.command import (
     are_same,
     may_move,
 )
-from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
-from softrobot_twin.simulation.effects import step_parts
-from softrobot_twin.simulation.exploration import NEARER, Exploration
-from softrobot_twin.simulation.fallback import Fallback, build_fallback
-from softrobot_twin.simulation.generalized_alpha import GeneralizedAlpha
-from softrobot_twin.simulation.interpretation import Asked, Interpretation
-from softrobot_twin.simulation.inverse_actuation import build_inverse
-from softrobot_twin.simulation.linearized import Linearized
-from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.effects.effects import step_parts
+from softrobot_twin.simulation.effects.exploration import NEARER, Exploration
+from softrobot_twin.simulation.effects.fallback import Fallback, build_fallback
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.stability_check import stability_notes
 from softrobot_twin.simulation.state import PastMotion, State
-from softrobot_twin.simulation.step_part import StepPart
-from softrobot_twin.simulation.step_report import Outcome, StepResults
-from softrobot_twin.simulation.step_status import Balance, balance
-from softrobot_twin.simulation.stiffness_targets import (
+from softrobot_twin.simulation.step import apparent_stiffness
+from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
+from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
+from softrobot_twin.simulation.step.direct_actuation import DirectActuation, imbalance
+from softrobot_twin.simulation.step.generalized_alpha import GeneralizedAlpha
+from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
+from softrobot_twin.simulation.step.inverse_actuation import build_inverse
+from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.simulation.step.newton import Newton
+from softrobot_twin.simulation.step.step_part import StepPart
+from softrobot_twin.simulation.step.step_report import Outcome, StepResults
+from softrobot_twin.simulation.step.step_status import Balance, balance
+from softrobot_twin.simulation.step.stiffness_targets import (
     ReachedStiffness,
     StiffnessRows,
     StiffnessTargets,
 )
-from softrobot_twin.simulation.target_trust import CALM, NO_LOADS, Approach
-from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
-from softrobot_twin.simulation.time_integration import Dynamics, Statics
+from softrobot_twin.simulation.step.target_trust import CALM, NO_LOADS, Approach
+from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
+from softrobot_twin.simulation.step.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.warm_up import run_every_path, tell_of_compilation
 from softrobot_twin.solvers.factorization import Factorization
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.mechanics.hinged_frames import WORLD, HingedFrames
-from softrobot_twin.simulation.actuators import Actuators
-from softrobot_twin.simulation.merit import OVERSHOOT
-from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.building.actuators import Actuators
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.step.merit import OVERSHOOT
 
 SIZE_RANGE = (0.002, 5.0)
 """Usual range of the size of soft robots [m]."""

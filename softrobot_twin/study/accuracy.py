@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.reduced_body import without_reductions
+from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.study.accuracy_study import (
     ASSUMED_ORDER,
     CASES,

@@ -40,20 +40,20 @@ from softrobot_twin.simulation import (
     Simulation,
     State,
 )
-from softrobot_twin.simulation.actuators import build_groups
-from softrobot_twin.simulation.deformable_body import Body, build_body
+from softrobot_twin.simulation.building.actuators import build_groups
+from softrobot_twin.simulation.building.deformable_body import Body, build_body
+from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.simulation.mesh_error import (
     LEFT_OUT,
     ActuatorLoads,
     MeshErrorEstimator,
     MeshErrorUnknown,
 )
-from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
-from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.terminal import approximate_duration, progress, warn
 
 

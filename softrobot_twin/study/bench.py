@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.simulation.runs.input_tables import TableFileError
 from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
     WHOLE_STEP,
@@ -27,7 +28,6 @@ from softrobot_twin.study.bench_measurement import (
     measure,
     standard_cases,
 )
-from softrobot_twin.simulation.input_tables import TableFileError
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import OutputError

@@ -33,12 +33,12 @@ from softrobot_twin.scene.body_entries import Body, BoxRegion, Mesh, Region
 from softrobot_twin.scene.schema import Effector
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, StepResult
 from softrobot_twin.simulation.command import Command
+from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, reach_from
 from softrobot_twin.solvers.superlu import OPTIONS
 from softrobot_twin.study.direct_run import run_commands
-from softrobot_twin.simulation.input_tables import read_commands, read_targets
 from softrobot_twin.study.machine_facts import DenseSpeed, page_faults, resident_bytes
 from softrobot_twin.study.run_summary import Spread, spread
 

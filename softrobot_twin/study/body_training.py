@@ -29,14 +29,14 @@ from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Reduced
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.body_reduction import (
+from softrobot_twin.simulation.building.body_reduction import (
     BodyReduction,
     reduction_fingerprints,
     write_body_reduction,
 )
-from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.simulation.input_tables import read_targets
-from softrobot_twin.simulation.reduced_body import with_entries, without_reductions
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.reduced_body import with_entries, without_reductions
+from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.reduction_basis import (
     Modes,

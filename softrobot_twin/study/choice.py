@@ -23,7 +23,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.reduced_body import without_reductions
+from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.study.accuracy import hold_radius, report_activity
 from softrobot_twin.study.accuracy_study import (
     MESH,

@@ -27,8 +27,8 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.terminal import console, table
 
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14)

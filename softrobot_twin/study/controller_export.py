@@ -23,13 +23,17 @@ from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
 from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gradients
 from softrobot_twin.mechanics.springs import NO_LENGTH
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.augmented_tangent import AUGMENTATION
 from softrobot_twin.simulation.build import build_model
-from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.simulation.inverse_actuation import LONGEST_REACH
-from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.reduced_body import COMMAND, ReducedNodes, without_reductions
-from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import (
+    COMMAND,
+    ReducedNodes,
+    without_reductions,
+)
+from softrobot_twin.simulation.building.scene_layout import lay_out
+from softrobot_twin.simulation.step.augmented_tangent import AUGMENTATION
+from softrobot_twin.simulation.step.inverse_actuation import LONGEST_REACH
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.body_training import output_path, reduce, reduced_scene

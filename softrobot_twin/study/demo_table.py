@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.simulation.actuator_kinds import ActuatorKind
-from softrobot_twin.simulation.table_columns import (
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind
+from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
     SETPOINTS,
     STEP,

@@ -11,8 +11,8 @@ import numpy as np
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, CommandEfforts, CommandSetpoints
-from softrobot_twin.simulation.input_tables import CommandTable, read_commands
-from softrobot_twin.simulation.run_columns import RunColumns, RunRow
+from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
+from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.unit_checks import unlikely_commands
 from softrobot_twin.study.offline_run import end_of_run, load_with_notes, print_run, run_file
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands

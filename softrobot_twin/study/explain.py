@@ -18,14 +18,14 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import AtRest, Fibre, RegionMaterial
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
-from softrobot_twin.simulation.beam_bodies import BeamBody
-from softrobot_twin.simulation.cavity_actuator import wall_details
-from softrobot_twin.simulation.body_materials import MaterialPart
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.beam_bodies import BeamBody
+from softrobot_twin.simulation.building.body_materials import MaterialPart
+from softrobot_twin.simulation.building.cavity_actuator import wall_details
+from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.full_model_error import FullModelError
-from softrobot_twin.simulation.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
-from softrobot_twin.simulation.scene_layout import build_shape
+from softrobot_twin.simulation.step.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot

@@ -10,8 +10,8 @@ from typing import Callable
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.input_tables import TargetTable, read_targets
-from softrobot_twin.simulation.run_columns import RunColumns, RunRow
+from softrobot_twin.simulation.runs.input_tables import TargetTable, read_targets
+from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.unit_checks import unlikely_commands
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.study.output_file import csv_output

@@ -12,7 +12,7 @@ import numpy as np
 from softrobot_twin.mechanics.beam_masses import BeamWeight
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.input_tables import CommandTable
+from softrobot_twin.simulation.runs.input_tables import CommandTable
 
 
 def no_commands(simulation: Simulation, seconds: float) -> CommandTable:

@@ -26,7 +26,7 @@ from softrobot_twin.mechanics.reduced_elements import (
     all_points,
     point_gradients,
 )
-from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.building.deformable_body import Body
 
 # Points whose gradients are held at once: bounds the memory of points times modes.
 CHUNK = 4096

@@ -32,10 +32,10 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import PATCHES_NOT_REDUCED
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
-from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.simulation.model_file import ModelFile, ModelFileError
-from softrobot_twin.simulation.reduced_body import rides_on_a_slide, without_reductions
-from softrobot_twin.simulation.touches import Touched
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
+from softrobot_twin.simulation.building.reduced_body import rides_on_a_slide, without_reductions
+from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.study.equilibrium import ANY_TIME
 from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
 from softrobot_twin.study.sample_workers import Job, SampleWorkers

@@ -38,7 +38,7 @@ from softrobot_twin.simulation.mesh_error import (
     still,
     with_element,
 )
-from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.study.bench_measurement import default_scene_path
 
 FILE = Path(__file__).parents[2] / "docs" / "references.yaml"

@@ -13,11 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation.actuator_kinds import actuator_kinds
-from softrobot_twin.simulation.input_tables import TableFileError, read_cells
-from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
-from softrobot_twin.simulation.table_columns import (
+from softrobot_twin.simulation.building.actuator_kinds import actuator_kinds
+from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
     STATUS,
     STEP,
@@ -31,6 +28,9 @@ from softrobot_twin.simulation.table_columns import (
     target_name,
     unit_of,
 )
+from softrobot_twin.simulation.result import Status
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_cells
+from softrobot_twin.simulation.runs.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
 from softrobot_twin.study.figure import figure_file, load_pyplot
 from softrobot_twin.study.terminal import console
 

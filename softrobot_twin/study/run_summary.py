@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation, Status
-from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity
-from softrobot_twin.simulation.run_columns import RunRow, pair_names, rigid_poses
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
+from softrobot_twin.simulation.runs.run_columns import RunRow, pair_names, rigid_poses
 
 _SHOWN = 6
 """Most rows of things that are alike; more are put together."""

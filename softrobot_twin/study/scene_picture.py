@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.appearance import fixed_ends, fixed_places
-from softrobot_twin.simulation.scene_layout import build_shape
-from softrobot_twin.simulation.touches import touch_term
+from softrobot_twin.simulation.building.scene_layout import build_shape
+from softrobot_twin.simulation.effects.touches import touch_term
 from softrobot_twin.study.figure import load_pyplot, save_figure
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize

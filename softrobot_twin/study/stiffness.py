@@ -10,8 +10,8 @@ from rich.table import Table
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, apparent_compliance
+from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.study.equilibrium import bring_to_rest
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 

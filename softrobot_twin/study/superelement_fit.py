@@ -26,8 +26,8 @@ from softrobot_twin.mechanics.superelements import (
     DEFORMATIONS,
     SuperelementFit,
 )
-from softrobot_twin.simulation.force_building import strained_terms
-from softrobot_twin.simulation.vertebrae import Division, SoftPart, joined_walls
+from softrobot_twin.simulation.building.force_building import strained_terms
+from softrobot_twin.simulation.building.vertebrae import Division, SoftPart, joined_walls
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.factorization import Factorization
 

@@ -28,15 +28,15 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from softrobot_twin.simulation.building.table_columns import STATUS, column, position_columns
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.run_columns import (
+from softrobot_twin.simulation.runs.run_columns import (
     ACTIVE_LIMITS,
     actuator_cells,
     actuator_columns,
     magnitude_column,
     pair_names,
 )
-from softrobot_twin.simulation.table_columns import STATUS, column, position_columns
 from softrobot_twin.study.equilibrium import WAY, Rest, bring_to_rest
 from softrobot_twin.study.figure import figure_file, legend_below, load_pyplot
 from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, csv_output

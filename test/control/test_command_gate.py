@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.command_gate import EFFORT_SHARE, SETPOINT_SHARE, CommandGate
-from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.building.limits import ActuatorLimits
 
 REST = np.array([0.1, 0.2])
 CABLES = {"signs": -np.ones(2), "is_effort_driven": np.zeros(2, bool),

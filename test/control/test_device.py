@@ -7,7 +7,7 @@ from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.device import MeasuredSetpoints
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.building.limits import ActuatorLimits
 
 NAMES = ("a", "b", "lift")
 REST = np.array([0.1, 0.2, 0.0])

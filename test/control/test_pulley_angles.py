@@ -10,8 +10,8 @@ from softrobot_twin.control.inputs import ActuatorInput, SelectedActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.pulley_angles import AngleInput
 from softrobot_twin.scene.actuator_entries import Pulley
-from softrobot_twin.simulation.limits import ActuatorLimits
-from softrobot_twin.simulation.pulleys import Pulleys
+from softrobot_twin.simulation.building.limits import ActuatorLimits
+from softrobot_twin.simulation.building.pulleys import Pulleys
 
 NAMES = ("a", "b", "c", "d")
 REST = np.array([0.2, 0.3, 0.25, 0.1])

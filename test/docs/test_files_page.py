@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import FollowTargets, Simulation
-from softrobot_twin.simulation.run_columns import RunColumns
+from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.passive_run import BodyReadouts
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,12 +12,12 @@ from softrobot_twin.control.twin_loop import DEVICE_LOST
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Status
-from softrobot_twin.simulation.actuation import INVERSION
-from softrobot_twin.simulation.actuator_kinds import actuator_kinds
-from softrobot_twin.simulation.fallback import ENRICH, FULL_MODEL
-from softrobot_twin.simulation.pulleys import ANGLE
+from softrobot_twin.simulation.building.actuator_kinds import actuator_kinds
+from softrobot_twin.simulation.building.pulleys import ANGLE
+from softrobot_twin.simulation.effects.fallback import ENRICH, FULL_MODEL
 from softrobot_twin.simulation.result import RATE, SAMPLED, STRAINED, UNSTABLE
-from softrobot_twin.simulation.step_status import ENERGY, REACH
+from softrobot_twin.simulation.step.actuation import INVERSION
+from softrobot_twin.simulation.step.step_status import ENERGY, REACH
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "statuses.md").read_text()

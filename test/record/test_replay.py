@@ -32,7 +32,7 @@ from softrobot_twin.record.run_file import (
 )
 from softrobot_twin.record.run_recorder import BoundedQueue
 from softrobot_twin.scene.loading import read_yaml, written_out
-from softrobot_twin.simulation.table_columns import is_output
+from softrobot_twin.simulation.building.table_columns import is_output
 
 from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
 

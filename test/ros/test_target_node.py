@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.input_tables import TableFileError
+from softrobot_twin.simulation.runs.input_tables import TableFileError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 CENTRE = [0.0, 0.0, 0.13]

@@ -16,9 +16,9 @@ from rclpy.parameter import Parameter
 from softrobot_twin.ros.diagnostics import setpoint_differences
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.simulation import Status
-from softrobot_twin.simulation.actuator_kinds import Quantity
-from softrobot_twin.simulation.cable_actuator import CableActuator
-from softrobot_twin.simulation.slide_actuator import SlideActuator
+from softrobot_twin.simulation.building.actuator_kinds import Quantity
+from softrobot_twin.simulation.building.cable_actuator import CableActuator
+from softrobot_twin.simulation.building.slide_actuator import SlideActuator
 
 PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph"}
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
-from softrobot_twin.simulation.actuation import INVERSION
+from softrobot_twin.simulation.step.actuation import INVERSION
 
 SIZE = (0.04, 0.04, 0.12)
 FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]

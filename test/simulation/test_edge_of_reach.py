@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import minimize
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
-from softrobot_twin.simulation.actuation import INVERSION
-from softrobot_twin.simulation.target_trust import GREATEST, LONG_PATIENCE, Approach
+from softrobot_twin.simulation.step.actuation import INVERSION
+from softrobot_twin.simulation.step.target_trust import GREATEST, LONG_PATIENCE, Approach
 
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 

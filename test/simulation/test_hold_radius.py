@@ -8,8 +8,8 @@ import pytest
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.deformable_body import spread_mapping
-from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.simulation.building.deformable_body import spread_mapping
+from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.study.accuracy_study import with_hold_radius, with_mesh_file
 
 ROOT = Path(__file__).resolve().parents[2]

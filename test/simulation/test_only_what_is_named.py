@@ -7,7 +7,7 @@ from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.kinematics import CarriedTerm
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold
-from softrobot_twin.simulation.contact_solvers import ContactSolvers
+from softrobot_twin.simulation.step.contact_solvers import ContactSolvers
 
 PLAIN = {"corotational elements", "gravity"}
 FLOOR = {"name": "floor", "plane": {}, "position": [0, 0, -0.011]}

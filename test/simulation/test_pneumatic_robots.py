@@ -19,8 +19,8 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
+from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.study.direct_run import run_commands
-from softrobot_twin.simulation.input_tables import read_commands, read_targets
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = CONFIG / "scenes"

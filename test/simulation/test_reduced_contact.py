@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
-from softrobot_twin.simulation.body_reduction import (
+from softrobot_twin.simulation.building.body_reduction import (
     BodyReduction,
     reduction_fingerprints,
     write_body_reduction,

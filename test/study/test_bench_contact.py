@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.study import bench
 from softrobot_twin.study.bench import draw_bench
 from softrobot_twin.study.bench_measurement import (
@@ -24,7 +25,6 @@ from softrobot_twin.study.contact_growth import (
     measure_contacts,
     write_contacts,
 )
-from softrobot_twin.simulation.input_tables import read_commands
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,13 @@ from softrobot_twin.geometry.cad_meshing import CadMesh, write_msh
 from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.body_reduction import (
+from softrobot_twin.simulation.building.body_reduction import (
     BodyReduction,
     reduction_fingerprints,
     write_body_reduction,
 )
+from softrobot_twin.simulation.building.vertebrae import reduction_path
 from softrobot_twin.simulation.command import Hold
-from softrobot_twin.simulation.vertebrae import reduction_path
 from softrobot_twin.study.accuracy_study import (
     Setting,
     hexahedral_family,

@@ -9,6 +9,9 @@ import yaml
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
+from softrobot_twin.simulation.building.table_columns import column
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands, read_targets
+from softrobot_twin.simulation.runs.run_columns import actuator_cells, actuator_columns
 from softrobot_twin.study.bench_measurement import (
     CircleTargets,
     NothingToFollowError,
@@ -17,9 +20,6 @@ from softrobot_twin.study.bench_measurement import (
     measure,
 )
 from softrobot_twin.study.explain import effects
-from softrobot_twin.simulation.input_tables import TableFileError, read_commands, read_targets
-from softrobot_twin.simulation.table_columns import column
-from softrobot_twin.simulation.run_columns import actuator_cells, actuator_columns
 from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
-from softrobot_twin.simulation.input_tables import TableFileError, read_commands
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
 
 
 @pytest.fixture(scope="module")

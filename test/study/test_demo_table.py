@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.target_path import read_waypoints
-from softrobot_twin.simulation.cable_actuator import CableActuator
+from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.study.demo_table import write_demo_table
 from softrobot_twin.study.run_plot import panels_of, read_series
 from softrobot_twin.study.tracking import TimedValues, TrackingRecord

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.study.direct_run import run_commands, step_times
 from softrobot_twin.study.run_summary import RunSummary
-from softrobot_twin.simulation.input_tables import read_commands
 
 WEIGHT = 0.05 * 9.81
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.simulation.run_columns import TEXT_COLUMNS
+from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS
 
 DENSITY, YOUNG, SIZE = 1000.0, 2.0e5, (0.02, 0.02, 0.1)
 

@@ -6,8 +6,8 @@ import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.input_tables import TableFileError, read_commands
-from softrobot_twin.simulation.run_columns import actuator_cells, actuator_columns
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
+from softrobot_twin.simulation.runs.run_columns import actuator_cells, actuator_columns
 
 RADIUS = 0.01
 

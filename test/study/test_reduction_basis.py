@@ -7,7 +7,7 @@ import yaml
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import load_scene
-from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.study import reduction_basis
 from softrobot_twin.study.reduction_basis import (

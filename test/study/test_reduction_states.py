@@ -10,7 +10,7 @@ import yaml
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.study import reduction_states
 from softrobot_twin.study.reduction_states import (
     Columns,

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.input_tables import TableFileError
+from softrobot_twin.simulation.runs.input_tables import TableFileError
 from softrobot_twin.study.figure import load_pyplot
 from softrobot_twin.study.run_plot import draw_run, panels_of, plot, read_series
 

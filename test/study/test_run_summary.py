@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.cable_actuator import CableActuator
+from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.run_columns import RunRow
+from softrobot_twin.simulation.runs.run_columns import RunRow
 from softrobot_twin.study.run_summary import RunSummary
 
 

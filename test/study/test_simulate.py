@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.input_tables import read_targets
+from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.offline_run import far_target_warning
 
 REACHED = (0.011, 0.0095, 0.097)

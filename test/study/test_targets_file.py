@@ -5,15 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.cable_actuator import CableActuator
+from softrobot_twin.simulation.building.cable_actuator import CableActuator
+from softrobot_twin.simulation.building.pulleys import Pulleys
 from softrobot_twin.simulation.command import (
     DEFAULT_TIME_STEP,
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
 )
-from softrobot_twin.simulation.input_tables import TableFileError, read_targets
-from softrobot_twin.simulation.pulleys import Pulleys
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
 
 EFFECTORS = ("tip", "side")
 CABLES = ("north", "south")

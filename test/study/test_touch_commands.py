@@ -9,8 +9,8 @@ import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.input_tables import TableFileError, read_commands
-from softrobot_twin.simulation.run_columns import RunColumns
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
+from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.offline_run import run_file
 

@@ -23,8 +23,8 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
+from softrobot_twin.simulation.building.vertebrae import without_vertebrae
 from softrobot_twin.simulation.result import SAMPLED
-from softrobot_twin.simulation.vertebrae import without_vertebrae
 from softrobot_twin.study.superelement_fit import (
     SampledRange,
     SoftPartModel,

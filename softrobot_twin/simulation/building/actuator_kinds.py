@@ -1,0 +1,197 @@
+"""The protocol of a kind of actuator, and the registered kinds.
+
+An actuator a has a displacement δ_a against rest and an effort λ_a, whose product is work: the
+shortening [m] and the tension [N] of a cable, the change of volume [m³] and the pressure [Pa] of a
+cavity. A kind makes rows of H from its entries in a scene (Coevoet 2017, eq. 2), and gives the
+names and units of its quantities in limits, files and messages. All other parts of the package use
+actuators, not cables.
+
+A new kind is one class with the members of `ActuatorKind`, and one call of `register_actuator`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from softrobot_twin.scene.actuator_entries import ActuatorEntry
+from softrobot_twin.scene.schema import add_actuator_section, remove_actuator_section
+from softrobot_twin.simulation.building.scene_layout import Layout
+
+
+class Quantity(NamedTuple):
+    """A quantity of an actuator, with its name and unit.
+
+    Attributes:
+        word: Name in limits and columns of files, such as ``tension``.
+        unit: Its SI unit, such as ``N``; in columns of files ``m3`` stands for cubic metres, ``Nm``
+            for newton metres.
+    """
+
+    word: str
+    unit: str
+
+
+class ActuatorGroup(NamedTuple):
+    """The actuators of one kind in a scene.
+
+    Attributes:
+        kind: Their kind.
+        names: Their names, shape (count,).
+        term: Constraint term with one row for each of them, in the group ``actuators``; it has
+            `stencils` and `bind` like a force term, for its geometric stiffness. None for
+            actuators without multipliers, see `moves`.
+        moves: Object that prescribes displacements in place of rows, as for slides; else None.
+        rest_setpoints: Setpoints at rest [setpoint unit], shape (count,).
+        displacement_scale: A large displacement, such as the length of a cable at rest
+            [displacement unit], shape (count,).
+        displacement_bounds: Least and greatest displacement [displacement unit], shape (count, 2).
+        rates: Greatest change of the setpoint in a second, infinite without a limit,
+            shape (count,).
+        effort_bounds: Least and greatest effort [effort unit], shape (count, 2).
+        force_per_effort: Force on the bodies by one unit of effort, in sum over all nodes: 1 for a
+            tension, an area for a pressure [N per effort unit], shape (count,).
+        kinds: Kind of each actuator, where they are driven in different ways; else empty.
+        flows: Greatest change of the displacement in a second of effort-driven actuators, infinite
+            without a limit, shape (count,); None: no limits.
+        rest_extents: Extents at rest [displacement unit], shape (count,); empty where these are the
+            setpoints at rest.
+        limit_names: Names of the least and the greatest displacement of each in reports, such as
+            ``shortening_min`` and ``angle_max``, shape (count, 2); empty where they are those of
+            the kind.
+    """
+
+    kind: ActuatorKind
+    names: tuple[str, ...]
+    term: object | None
+    moves: object | None
+    rest_setpoints: np.ndarray
+    displacement_scale: np.ndarray
+    displacement_bounds: np.ndarray
+    rates: np.ndarray
+    effort_bounds: np.ndarray
+    force_per_effort: np.ndarray
+    kinds: tuple[ActuatorKind, ...] = ()
+    flows: np.ndarray | None = None
+    rest_extents: np.ndarray = np.empty(0)
+    limit_names: tuple[tuple[str, str], ...] = ()
+
+
+class ActuatorKind(Protocol):
+    """One kind of actuator.
+
+    Attributes:
+        section: Key of its entries in a scene, such as ``cables``.
+        entry: Type of each entry.
+        noun: Name of one of them in messages.
+        setpoint: Commanded quantity, an absolute value.
+        displacement: Its difference from rest, positive in the direction in which the effort
+            does work.
+        effort: λ_a.
+        sign: 1 where the setpoint grows with the displacement, -1 where it shrinks: the length of
+            a cable is less the more it is shortened.
+        one_sided: Whether its effort has one sign only: a cable cannot push. It then holds the
+            displacement from below, 0 ≤ λ ⊥ δ - δ_set ≥ 0; else δ = δ_set.
+        takes_efforts: Whether it can be commanded by an effort.
+        is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
+            of a cavity; else the setpoint is a displacement from its value at rest.
+        least_setpoint: Least possible setpoint, such as 0 for a length.
+
+    A kind whose displacement at a limit of its effort is where the bodies are has one more: `stalls`,
+    True. Others have the displacement that is set: a cable at its greatest tension slips.
+
+    A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
+    such as a volume. Of other kinds it is the setpoint.
+    """
+
+    section: str
+    entry: type[ActuatorEntry]
+    noun: str
+    setpoint: Quantity
+    displacement: Quantity
+    effort: Quantity
+    sign: int
+    one_sided: bool
+    takes_efforts: bool
+    is_effort_driven: bool
+    least_setpoint: float
+
+    def build(
+        self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]
+    ) -> ActuatorGroup:
+        """The actuators of a scene.
+
+        Args:
+            layout: The bodies.
+            entries: Entries of this kind, at least one.
+            notes: List to which warnings are appended.
+
+        Raises:
+            SceneError: An entry does not fit the bodies.
+        """
+
+    def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
+        """Warnings of unlikely values, such as a limit in a wrong unit.
+
+        Args:
+            model: The built scene; its factorization may be used and left undefined.
+            group: The actuators of this kind.
+
+        Yields:
+            A sentence for each warning.
+        """
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Lines by which the actuators are drawn [m], each of shape (point_count, 3).
+
+        Args:
+            group: The actuators of this kind.
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            A line for each actuator; nothing where the kind has none.
+        """
+
+    def details(self, entry: ActuatorEntry, group: ActuatorGroup, index: int) -> str:
+        """Text of `explain` for an actuator before its limits, such as ``3 points``.
+
+        Args:
+            entry: Its entry.
+            group: The actuators of this kind.
+            index: Its place in the group.
+        """
+
+
+_KINDS: list[ActuatorKind] = []
+
+
+def register_actuator(kind: ActuatorKind) -> None:
+    """Register a kind of actuator for scenes.
+
+    Args:
+        kind: The kind; its section must not have another meaning in scenes.
+
+    Raises:
+        ValueError: Another kind, or another entry of scenes, has this section.
+    """
+    if any(other.section == kind.section for other in _KINDS):
+        raise ValueError(f"there is a kind of actuator with the section {kind.section} already")
+    add_actuator_section(kind.section, kind.entry)
+    _KINDS.append(kind)
+
+
+def withdraw_actuator(kind: ActuatorKind) -> None:
+    """Remove a kind that `register_actuator` added; scenes that name it are refused again.
+
+    Args:
+        kind: A kind that is registered.
+    """
+    _KINDS.remove(kind)
+    remove_actuator_section(kind.section)
+
+
+def actuator_kinds() -> tuple[ActuatorKind, ...]:
+    """All kinds that are registered."""
+    return tuple(_KINDS)

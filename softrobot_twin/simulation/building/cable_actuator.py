@@ -1,0 +1,249 @@
+"""Cables as actuators: their constraint term from a scene, their quantities, and warnings of
+unlikely limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.constraints.cable_friction import CableMaterials, FrictionCables
+from softrobot_twin.constraints.elastic_cable import ElasticCables
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.actuator_entries import Cable, Pulley
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.pulleys import pulley_of_cable, shortenings_of_angles
+from softrobot_twin.simulation.building.scene_layout import Layout
+from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale, rows_at, unlikely
+
+# Limits outside these shares of a cable's natural scales are reported: a wrong unit is a factor of
+# a thousand.
+SHORTENING_RANGE = (1.0e-3, 10.0)
+"""Of the cable's length at rest."""
+RATE_RANGE = (1.0e-3, 100.0)
+"""Of the cable's length at rest, in a second."""
+TENSION_RANGE = (2.0e-3, 50.0)
+"""Of the tension that would shorten the whole cable, if the body were linear."""
+
+PRESLIDING = 1.0e-3
+"""Presliding of a cable with friction, as a share of its length at rest."""
+
+
+class CableActuator:
+    """The kind `cables`; see `ActuatorKind`."""
+
+    section = "cables"
+    entry = Cable
+    noun = "cable"
+    setpoint = Quantity("length", "m")
+    displacement = Quantity("shortening", "m")
+    effort = Quantity("tension", "N")
+    sign = -1
+    one_sided = True
+    takes_efforts = True
+    is_effort_driven = False
+    least_setpoint = 0.0
+
+    def build(self, layout: Layout, entries: tuple[Cable, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`. No cable is shortened by more than its length at rest."""
+        rest = layout.nodes.rest_positions
+        paths = [_path(layout, cable, f"cables[{index}]", notes)
+                 for index, cable in enumerate(entries)]  # fmt: skip
+        cables = _term(layout, tuple(paths), entries)
+        _check_cables_move(cables, rest, layout.scene)
+        ranges = np.array([cable.shortening for cable in entries])
+        rates = np.array([np.inf if cable.rate is None else cable.rate for cable in entries])
+        pulleys = pulley_of_cable(layout.scene)
+        names = _limit_by_pulleys(entries, pulleys, ranges, rates) if pulleys else ()
+        ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
+        return ActuatorGroup(
+            self, tuple(cable.name for cable in entries), cables, None, cables.rest_lengths,
+            cables.scales, ranges, rates,
+            np.array([cable.tension for cable in entries]), np.ones(len(entries)),
+            limit_names=names,
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
+        """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
+        asked = any(0.0 < cable.tension[1] < np.inf for cable in model.scene.cables)
+        tensions = efforts_at_scale(model, group.term) if asked else None
+        for index, cable in enumerate(model.scene.cables):
+            key, length = f"cables[{index}]", float(group.term.rest_lengths[index])
+            stated = f"the cable is {length:.4g} m long at rest"
+            ends = [abs(end) for end in cable.shortening if np.isfinite(end)]
+            yield from unlikely(f"{key}.shortening", max(ends, default=0.0), "m", length,
+                              SHORTENING_RANGE, f"{stated}; is the limit in metres?")  # fmt: skip
+            yield from unlikely(f"{key}.rate", cable.rate or 0.0, "m/s", length, RATE_RANGE,
+                              f"{stated}; is the rate in m/s?")  # fmt: skip
+            if tensions is not None:
+                yield from unlikely(
+                    f"{key}.tension", cable.tension[1], "N", float(tensions[index]), TENSION_RANGE,
+                    f"about {tensions[index]:.2g} N would shorten it to nothing; is the limit in "
+                    "newtons?",
+                )  # fmt: skip
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The cables, pull point first; see `ActuatorKind.paths`."""
+        return tuple(path.positions(positions) for path in group.term.paths)
+
+    def details(self, entry: Cable, group: ActuatorGroup, index: int) -> str:
+        """See `ActuatorKind.details`."""
+        count = len(entry.points)
+        words = [f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"]
+        if entry.pulley is not None:
+            words.append(f"wound by a pulley of radius {1e3 * entry.pulley.radius:.6g} mm")
+        if _stretches(entry):
+            words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
+        if entry.friction:
+            words.append(f"friction {entry.friction:.6g} along its path")
+        return ", ".join(words)
+
+
+def _stretches(cable: Cable) -> bool:
+    return cable.axial_stiffness is not None and np.isfinite(cable.axial_stiffness)
+
+
+def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> Cables:
+    """The constraint term; only one that yields where a cable stretches."""
+    nodes = layout.nodes
+    if any(cable.friction for cable in entries):
+        return _friction_term(layout, paths, entries)
+    if not any(_stretches(cable) for cable in entries):
+        return Cables(paths, nodes.free_index, nodes.rest_positions, nodes.carried)
+    return ElasticCables(
+        paths, nodes.free_index, nodes.rest_positions, nodes.carried, _axial_stiffness(entries)
+    )
+
+
+def _axial_stiffness(entries: tuple[Cable, ...]) -> np.ndarray:
+    """EA of each cable, infinite for one that does not stretch [N], shape (count,)."""
+    return np.array([
+        cable.axial_stiffness if _stretches(cable) else np.inf for cable in entries
+    ])  # fmt: skip
+
+
+def _friction_term(
+    layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]
+) -> FrictionCables:
+    """The term of cables of which some have friction along their paths.
+
+    Raises:
+        SceneError: The scene has what this friction is not built for.
+    """
+    scene, nodes = layout.scene, layout.nodes
+    index = next(index for index, cable in enumerate(entries) if cable.friction)
+    reason = ""
+    if nodes.carried is not None:
+        reason = "free rigid bodies or bodies with vertebrae"
+    elif scene.contact is not None:
+        reason = "contact"
+    elif scene.slides:
+        reason = "slides"
+    elif scene.time_scheme != "backward_euler":
+        reason = f"time_scheme {scene.time_scheme}"
+    if reason:
+        raise SceneError(
+            scene.path, f"cables[{index}].friction", entries[index].friction, "",
+            f"friction along cables is not built for scenes with {reason}",
+        )  # fmt: skip
+    lengths = [
+        np.linalg.norm(np.diff(path.positions(nodes.rest_positions), axis=0), axis=1).sum()
+        for path in paths
+    ]
+    presliding = [
+        PRESLIDING * length if cable.presliding is None else cable.presliding
+        for cable, length in zip(entries, lengths, strict=True)
+    ]
+    materials = CableMaterials(
+        _axial_stiffness(entries), np.array([cable.friction for cable in entries]),
+        np.array(presliding),
+    )  # fmt: skip
+    return FrictionCables(paths, nodes.free_index, nodes.rest_positions, materials)
+
+
+def _limit_by_pulleys(
+    entries: tuple[Cable, ...], pulleys: dict[str, Pulley], ranges: np.ndarray, rates: np.ndarray
+) -> tuple[tuple[str, str], ...]:
+    """Limit shortenings and rates by the angles and speeds of pulleys.
+
+    Args:
+        entries: The cables.
+        pulleys: Pulley of each cable that has one.
+        ranges: Limits of the shortenings [m], shape (count, 2); narrowed.
+        rates: Greatest rates [m/s], shape (count,); lowered.
+
+    Returns:
+        Names of the least and the greatest shortening in reports: those of angles where a pulley
+        sets them.
+    """
+    names = []
+    for index, cable in enumerate(entries):
+        own = ["shortening_min", "shortening_max"]
+        pulley = pulleys.get(cable.name)
+        if pulley is not None:
+            least, most = shortenings_of_angles(pulley)
+            words = ("angle_min", "angle_max")
+            words = words if pulley.wound > 0.0 else words[::-1]
+            if least > ranges[index, 0]:
+                ranges[index, 0], own[0] = least, words[0]
+            if most < ranges[index, 1]:
+                ranges[index, 1], own[1] = most, words[1]
+            if pulley.rate is not None:
+                rates[index] = min(rates[index], pulley.rate * pulley.radius)
+        names.append(tuple(own))
+    return tuple(names)
+
+
+def _path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
+    """A cable's path, carried by its bodies; a note names the points where it folds back."""
+    path = _carried_path(layout, cable, key, notes)
+    for fold in folds(path.positions(layout.nodes.rest_positions)):
+        where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
+        notes.append(
+            f"{key} ({cable.name}) folds back on itself at {where}: "
+            "are its points in the right order?"
+        )
+    return path
+
+
+def _carried_path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
+    bodies = layout.bodies_of(cable)
+
+    def carried(points, place: str):
+        if len(bodies) == 1:
+            return layout.carried(cable.body, points, place, notes, cable.hold_radius)
+        return layout.carried_by_nearest(bodies, points, place, notes, cable.hold_radius)
+
+    points = carried(layout.in_world(cable.body, cable.frame, cable.points), f"{key}.points")
+    pull_point = layout.in_world(cable.body, cable.frame, [cable.pull_point])
+    if cable.pull_point_on == "world":
+        return CablePath(cable.name, points, pull_point[0])
+    if cable.pull_point_on == "body":
+        start = carried(pull_point, f"{key}.pull_point")
+    else:
+        start = layout.carried(cable.pull_point_on, pull_point, f"{key}.pull_point", notes)
+    return CablePath(cable.name, start.followed_by(points), None)
+
+
+def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene) -> None:
+    """Refuse cables that cannot move anything.
+
+    Args:
+        cables: The cable term.
+        rest_positions: Node positions at rest [m], shape (node_count, 3).
+        scene: The scene.
+
+    Raises:
+        SceneError: All points of a cable are in the fixed part of its body.
+    """
+    row_sizes = np.zeros(len(scene.cables))
+    blocks = rows_at(cables, rest_positions)
+    np.add.at(row_sizes, cables.entry_rows, np.abs(blocks).sum(axis=1))
+    for index in np.flatnonzero(row_sizes == 0.0):
+        raise SceneError(
+            scene.path, f"cables[{index}].points", scene.cables[index].name, "",
+            "lies wholly in what is fixed: it moves nothing",
+        )  # fmt: skip

@@ -1,0 +1,282 @@
+"""Cavities as actuators: by pressure or by volume (Coevoet 2017, eq. 3 and section 4.2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.constraints.cavity import EMPTY, Cavities
+from softrobot_twin.constraints.reduced_cavities import ReducedCavities, ReducedWalls
+from softrobot_twin.constraints.superelement_cavities import SuperelementCavities
+from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.cavity_walls import (
+    cavity_surface,
+    cavity_wall,
+    check_walls_of_reduced,
+)
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.reduced_body import Placed
+from softrobot_twin.simulation.building.scene_layout import Layout, whole_layout
+from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale, unlikely
+from softrobot_twin.simulation.building.vertebrae import joined_walls
+
+# Limits outside these shares of a cavity's natural scales are reported: a wrong unit is a factor of
+# a thousand or more.
+PRESSURE_RANGE = (2.0e-3, 50.0)
+"""Of the pressure that would double the volume, if the body were linear."""
+GROWTH_RANGE = (1.0e-3, 100.0)
+"""Of the volume at rest."""
+LARGEST_STRETCH = 3.0
+"""Without a limit, a cavity grows up to the sphere of its walls, each stretched by this factor. A body
+without equilibrium at its pressure is stopped there."""
+
+
+class CavityActuator:
+    """The kind `cavities`; see `ActuatorKind`. Its setpoint is what the entry controls."""
+
+    section = "cavities"
+    entry = Cavity
+    noun = "cavity"
+    displacement = Quantity("growth", "m3")
+    effort = Quantity("pressure", "Pa")
+    extent = Quantity("volume", "m3")
+    sign = 1
+    one_sided = False
+    takes_efforts = True
+
+    def __init__(self, control: str = "pressure"):
+        """Take what is commanded.
+
+        Args:
+            control: ``pressure`` or ``volume``.
+        """
+        self.is_effort_driven = control == "pressure"
+        self.setpoint = self.effort if self.is_effort_driven else self.extent
+        self.least_setpoint = -np.inf if self.is_effort_driven else 0.0
+
+    def build(self, layout: Layout, entries: tuple[Cavity, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`. A cavity is empty at a hundredth of its volume at rest.
+
+        Without a limit it may grow up to a stretch of `LARGEST_STRETCH`.
+        """
+        term = _reduced_term(layout, entries) if layout.superelements else None
+        if term is None:
+            term = reduced_cavity_term(layout, entries, notes)
+        if term is None:
+            surfaces = tuple(
+                cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
+                for index, cavity in enumerate(entries)
+            )
+            nodes = layout.nodes
+            term = Cavities(surfaces, nodes.free_index, nodes.rest_positions, nodes.carried)
+            _check_walls_move(term, layout)
+        kinds = tuple(CavityActuator(cavity.control) for cavity in entries)
+        by_volume = np.array([not kind.is_effort_driven for kind in kinds])
+        return ActuatorGroup(
+            self, tuple(cavity.name for cavity in entries), term, None,
+            np.where(by_volume, term.rest_volumes, 0.0), term.rest_volumes,
+            _growths(term, entries, layout),
+            np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
+            np.array([cavity.pressure for cavity in entries]), term.rest_areas, kinds,
+            np.array([np.inf if cavity.flow is None else cavity.flow for cavity in entries]),
+            term.rest_volumes,
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
+        """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
+        cavities = model.scene.cavities
+        ends = [max(map(abs, cavity.pressure)) for cavity in cavities]
+        asked = [0.0 < end < np.inf for end in ends]
+        doubling = efforts_at_scale(model, group.term) if any(asked) else None
+        for index, cavity in enumerate(cavities):
+            volume = float(group.term.rest_volumes[index])
+            growth = max((abs(end) for end in cavity.growth if np.isfinite(end)), default=0.0)
+            yield from unlikely(
+                f"cavities[{index}].growth", growth, "m³", volume, GROWTH_RANGE,
+                f"the cavity holds {volume:.3g} m³ at rest; is the limit in cubic metres?",
+            )  # fmt: skip
+            if doubling is not None and asked[index]:
+                yield from unlikely(
+                    f"cavities[{index}].pressure", ends[index], "Pa", float(doubling[index]),
+                    PRESSURE_RANGE,
+                    f"some {doubling[index]:.2g} Pa would double its volume; is the limit in "
+                    "pascals?",
+                )  # fmt: skip
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """None: cavities are drawn as surfaces; see `ActuatorKind.paths`."""
+        return ()
+
+    def details(self, entry: Cavity, group: ActuatorGroup, index: int) -> str:
+        """See `ActuatorKind.details`."""
+        walls = group.term.walls
+        words = [wall_details(entry, walls.rest_volumes[index], walls.rest_areas[index])]
+        if entry.liquid_density is not None:
+            words.append(f"liquid of {entry.liquid_density:.6g} kg/m³")
+        words.append(f"driven by {entry.control}")
+        if entry.flow is not None:
+            words.append(f"flow {1e6 * entry.flow:.6g} cm³/s")
+        return ", ".join(words)
+
+
+def wall_details(entry: Cavity | SealedCavity, volume: float, area: float) -> str:
+    """Text of `explain` for the walls of a cavity.
+
+    Args:
+        entry: Its entry.
+        volume: Volume at rest [m³].
+        area: Area of its walls at rest [m²].
+    """
+    walls = [f"part {wall.part}" if wall.file is None else str(wall.file) for wall in entry.walls]
+    behind = "" if len(walls) == 1 else " as one cavity"
+    return (f"{' and '.join(walls)}{behind}, {1e6 * volume:.6g} cm³ at rest, walls of "
+            f"{1e4 * area:.6g} cm²")  # fmt: skip
+
+
+def _reduced_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCavities | None:
+    """The term of cavities on bodies with vertebrae; None where all are on other bodies."""
+    volumes, areas, names = np.zeros(len(entries)), np.zeros(len(entries)), []
+    order = [cavity.name for cavity in entries]
+    for body in layout.bodies:
+        if body.vertebrae is None:
+            continue
+        places = [order.index(name) for name in body.vertebrae.division.cavities]
+        volumes[places] += body.vertebrae.reduction.rest_volumes
+        areas[places] += body.vertebrae.reduction.rest_areas
+        names += [wall.cavity for wall in body.vertebrae.division.walls]
+    if not names:
+        return None
+    for index, cavity in enumerate(entries):
+        if cavity.liquid_density is not None:
+            raise SceneError(
+                layout.scene.path, f"cavities[{index}].liquid_density", cavity.liquid_density,
+                "kg/m³", "a liquid filling of a body with vertebrae is not built",
+            )  # fmt: skip
+        if names.count(cavity.name) != len(cavity.walls):
+            raise SceneError(
+                layout.scene.path, f"cavities[{index}].walls", cavity.name, "",
+                "lies on a body without vertebrae; where one body with cavities has vertebrae, "
+                "all of them must have some",
+            )  # fmt: skip
+    surfaces = tuple(_drawn_surface(layout, name) for name in order)
+    return SuperelementCavities(tuple(layout.superelements.values()), volumes, areas, surfaces)
+
+
+def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
+    """The walls of a cavity on bodies with vertebrae, carried by these."""
+    own = [
+        wall._replace(vertices=body.vertebrae.carried_by(wall.vertices))
+        for body in layout.bodies if body.vertebrae is not None
+        for wall in body.vertebrae.division.walls if wall.cavity == name
+    ]  # fmt: skip
+    return joined_walls(own, name)
+
+
+class _JoinedPoints(NamedTuple):
+    """Points on several reduced bodies, one body after the other; see `Placed`.
+
+    Attributes:
+        parts: Those on each.
+    """
+
+    parts: tuple[Placed, ...]
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """Positions of the points [m], shape (point_count, 3); see `Placed.positions`."""
+        return np.concatenate([part.positions(node_positions) for part in self.parts])
+
+
+def reduced_cavity_term(
+    layout: Layout, entries: tuple[Cavity, ...], notes: list[str]
+) -> ReducedCavities | None:
+    """The term of cavities on bodies that are reduced to a basis.
+
+    Their walls are carried by the modes: they ask for no points.
+
+    Args:
+        layout: The bodies.
+        entries: The cavities.
+        notes: List to which repairs and warnings are appended.
+
+    Returns:
+        The term; None where all cavities are on other bodies.
+
+    Raises:
+        SceneError: See `check_walls_of_reduced` and `cavity_surface`; or the walls of a cavity are
+            all fixed.
+    """
+    check_walls_of_reduced(layout.scene)
+    bodies = {body.name: body for body in layout.bodies if body.reduction is not None}
+    carriers = {layout.body_named(wall.body).name for cavity in entries for wall in cavity.walls}
+    if not carriers & set(bodies):
+        return None
+    # Points on the nodes of the meshes.
+    on_mesh = [replace(body, first_node=0, reduction=None) for body in layout.bodies]
+    whole, walls = whole_layout(layout.scene, on_mesh), {name: [] for name in bodies}
+    for index, cavity in enumerate(entries):
+        for place, wall in enumerate(cavity.walls):
+            found = cavity_wall(whole, wall, f"cavities[{index}].walls[{place}]", notes)
+            own = walls[whole.body_named(wall.body).name]
+            own.append(CavitySurface(cavity.name, *found))
+    walls = {name: tuple(own) for name, own in walls.items() if own}
+    parts = [
+        ReducedWalls(own, nodes.rest, nodes.basis, nodes.coordinate_nodes)
+        for own, nodes in ((own, bodies[name].reduction) for name, own in walls.items())
+    ]  # fmt: skip
+    names = tuple(cavity.name for cavity in entries)
+    shown = tuple(_shown_surface(name, walls, bodies) for name in names)
+    term = ReducedCavities(names, parts, layout.nodes.free_index, shown)
+    _check_walls_move(term, layout)
+    return term
+
+
+def _shown_surface(
+    name: str, walls: dict[str, tuple[CavitySurface, ...]], bodies: dict[str, Body]
+) -> CavitySurface:
+    """The walls of a cavity on reduced bodies, placed from the coordinates."""
+    parts, triangles, count = [], [], 0
+    for body, own in walls.items():
+        for wall in own:
+            if wall.name == name:
+                parts.append(bodies[body].shown(wall.vertices))
+                triangles.append(wall.triangles + count)
+                count += wall.vertices.point_count
+    vertices = parts[0] if len(parts) == 1 else _JoinedPoints(tuple(parts))
+    return CavitySurface(name, vertices, np.concatenate(triangles))
+
+
+def _growths(
+    term: Cavities | SuperelementCavities | ReducedCavities, entries: tuple[Cavity, ...],
+    layout: Layout,
+) -> np.ndarray:
+    """Least and greatest growth of each cavity [m³], shape (count, 2)."""
+    growths = np.empty((len(entries), 2))
+    for index, (cavity, volume) in enumerate(zip(entries, term.rest_volumes, strict=True)):
+        if not cavity.volume[0] <= volume <= cavity.volume[1]:
+            raise SceneError(
+                layout.scene.path, f"cavities[{index}].volume", list(cavity.volume), "m³",
+                f"the volume at rest, {volume:.4g} m³, must lie within its limits",
+            )  # fmt: skip
+        growths[index, 0] = max(
+            cavity.growth[0], cavity.volume[0] - volume, (EMPTY - 1.0) * volume
+        )
+        growths[index, 1] = min(cavity.growth[1], cavity.volume[1] - volume)
+        if np.isinf(growths[index, 1]):
+            sphere = LARGEST_STRETCH**3 * float(term.walls.sphere_volumes[index])
+            growths[index, 1] = sphere - volume
+    return growths
+
+
+def _check_walls_move(term: Cavities | ReducedCavities, layout: Layout) -> None:
+    """Refuse cavities whose walls are all fixed: they have a volume that nothing changes."""
+    for index in np.setdiff1d(np.arange(term.row_count), term.entry_rows):
+        raise SceneError(
+            layout.scene.path, f"cavities[{index}].walls", term.surfaces[index].name, "",
+            "lie wholly in what is fixed: nothing changes its volume",
+        )  # fmt: skip

@@ -1,0 +1,171 @@
+"""Walls of cavities: closed triangle surfaces, read from a scene and carried by its bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.geometry.closed_surface import closed_surface
+from softrobot_twin.geometry.cubic_bubbles import CubicMesh
+from softrobot_twin.geometry.mass_properties import surface_mass_properties
+from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.actuator_entries import CavityWall
+from softrobot_twin.simulation.building.deformable_body import Body, part_named
+
+# How often each triangle of a wall is cut into four, so that the facets follow the curved faces of
+# quadratic tetrahedra, and so that their vertices sample the bubbles of cubic ones.
+_CUTS_OF_QUADRATIC, _CUTS_OF_CUBIC = 1, 2
+
+
+def cavity_surface(
+    layout, name: str, walls: tuple[CavityWall, ...], key: str, notes: list[str]
+) -> CavitySurface:
+    """The walls of one cavity, carried by its bodies.
+
+    Args:
+        layout: The bodies, a `Layout`.
+        name: Name of the cavity.
+        walls: Entries of its walls.
+        key: Key of the cavity's entry, such as ``cavities[0]``.
+        notes: List to which repairs and warnings are appended.
+
+    Returns:
+        All walls as one set of triangles.
+
+    Raises:
+        SceneError: A wall is open, intersects itself, does not lie on its body, or is no part of
+            its mesh.
+    """
+    vertices, triangles, count = None, [], 0
+    for index, wall in enumerate(walls):
+        own, corners = cavity_wall(layout, wall, f"{key}.walls[{index}]", notes)
+        vertices = own if vertices is None else vertices.followed_by(own)
+        triangles.append(corners + count)
+        count += own.point_count
+    return CavitySurface(name, vertices, np.concatenate(triangles))
+
+
+def cavity_wall(
+    layout, wall: CavityWall, key: str, notes: list[str]
+) -> tuple[BarycentricMapping, np.ndarray]:
+    """Vertices and triangles of one wall; see `cavity_surface`."""
+    body = layout.body_named(wall.body)
+    if wall.part is not None:
+        points, triangles = _part(layout, body, wall.part, f"{key}.part", notes)
+    else:
+        points, triangles = _from_file(layout, body, wall, f"{key}.file", notes)
+    bodies = [body, *(layout.body_named(name) for name in wall.also_on)]
+    # Pressure acts on nodes at the middle of edges too, and on bubbles.
+    for _ in range(max(_cuts(body.mesh) for body in bodies)):
+        points, triangles = _quartered(points, triangles)
+    return layout.carried_by_nearest(bodies, points, key, notes), triangles
+
+
+def _cuts(mesh) -> int:
+    if isinstance(mesh, CubicMesh):
+        return _CUTS_OF_CUBIC
+        # Inner nodes of a cell, as hexahedra have, are on no face.
+    has_nodes_between = len(mesh.mid_edge_ends) and mesh.are_points.all()
+    return _CUTS_OF_QUADRATIC if has_nodes_between else 0
+
+
+def _from_file(
+    layout, body: Body, wall: CavityWall, key: str, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    placed = body.entry.mesh
+    path = layout.scene.file_path(wall.file)
+    try:
+        surface = read_solid_surface(
+            path, notes=notes, scale=wall.scale, rotation=placed.rotation,
+            translation=placed.translation,
+        )  # fmt: skip
+    except MeshError as error:
+        raise SceneError(layout.scene.path, key, str(wall.file), "", error.reason) from None
+    return surface.points, surface.triangles
+
+
+def _part(
+    layout, body: Body, part: str, key: str, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and outward triangles of a part of a body's mesh."""
+    surface = part_named(body, "surface", part, key, layout.scene)
+    used, triangles = np.unique(surface, return_inverse=True)
+    points = body.mesh.node_positions[used]
+    repaired = repair_surface(points, triangles.reshape(-1, 3))
+    try:
+        closed_surface(repaired.triangles, len(points))
+        surface_mass_properties(points, repaired.triangles)
+    except MeshError as error:
+        raise SceneError(layout.scene.path, key, part, "", error.reason) from None
+    # Mesh generators orient the triangles of a part as they like.
+    notes.extend(f"{key} ({part}): {note}." for note in repaired.notes if "all" not in note)
+    return points, repaired.triangles
+
+
+def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each triangle in four, by the middles of its edges."""
+    halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
+    middle = len(points) + place.reshape(-1, 3)
+    a, b, c = triangles.T
+    ab, bc, ca = middle.T
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    quartered = np.stack([np.stack(corners, axis=1) for corners in parts], axis=1).reshape(-1, 3)
+    return np.vstack([points, points[edges].mean(axis=1)]), quartered
+
+
+def check_walls_of_reduced(scene: Scene) -> None:
+    """Refuse what is not built of cavities on bodies that are reduced to a basis.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        SceneError: Gas is sealed in such a body, liquid fills it, a wall lies on it and on another
+            body, or cavities lie on it and on bodies that are not reduced.
+    """
+    reduced = {body.name for body in scene.deformables if body.reduced is not None}
+    for section in ("cavities", "sealed_cavities") if reduced else ():
+        for index, cavity in enumerate(getattr(scene, section)):
+            for place, wall in enumerate(cavity.walls):
+                _check_one_body(scene, wall, f"{section}[{index}].walls[{place}]", reduced)
+    on_reduced = [
+        [_body_of(wall, scene) in reduced for wall in cavity.walls] for cavity in scene.cavities
+    ]
+    for index, (cavity, own) in enumerate(zip(scene.cavities, on_reduced, strict=True)):
+        if any(own) and cavity.liquid_density is not None:
+            raise SceneError(
+                scene.path, f"cavities[{index}].liquid_density", cavity.liquid_density, "kg/m³",
+                "a liquid filling of a reduced body is not built",
+            )  # fmt: skip
+        if any(map(any, on_reduced)) and not all(own):
+            other = _body_of(cavity.walls[own.index(False)], scene)
+            raise SceneError(
+                scene.path, f"cavities[{index}].walls", cavity.name, "",
+                f"lies on {other}, which is not reduced; where one body with cavities is reduced, "
+                "all of them must be",
+            )  # fmt: skip
+    for index, cavity in enumerate(scene.sealed_cavities):
+        if any(_body_of(wall, scene) in reduced for wall in cavity.walls):
+            raise SceneError(
+                scene.path, f"sealed_cavities[{index}].walls", cavity.name, "",
+                "lies on a reduced body: gas sealed there is not built",
+            )  # fmt: skip
+
+
+def _body_of(wall: CavityWall, scene: Scene) -> str:
+    return scene.deformables[0].name if wall.body is None else wall.body
+
+
+def _check_one_body(scene: Scene, wall: CavityWall, key: str, reduced: set[str]) -> None:
+    """Refuse a wall that several bodies form where one of them is reduced."""
+    names = {_body_of(wall, scene), *wall.also_on}
+    if len(names) > 1 and names & reduced:
+        raise SceneError(
+            scene.path, f"{key}.also_on", list(wall.also_on), "",
+            f"{sorted(names & reduced)[0]} is reduced: a wall that it forms with another body is "
+            "not built",
+        )  # fmt: skip

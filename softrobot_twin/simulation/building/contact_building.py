@@ -1,0 +1,355 @@
+"""The contact term of a scene: each pair gets the detector for the kinds of its bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.constraints.beam_contact import (
+    BeamAndShape,
+    RoundBeam,
+    TwoRoundBeams,
+    neighbours,
+    never_touching,
+)
+from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.constraints.contact_curvature import ContactCurvature, RoundPair
+from softrobot_twin.constraints.contact_pairs import (
+    BallAndShape,
+    CarriedSurface,
+    DeformableSurface,
+    OneSurface,
+    RigidSurface,
+    RoundAndPlane,
+    StandingSurface,
+    SurfaceAndShape,
+    TwoBoxes,
+    TwoSurfaces,
+)
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.box_pairs import BoxPairDetector
+from softrobot_twin.geometry.self_proximity import FixedPairs, SelfDetector
+from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
+from softrobot_twin.geometry.solid_shape import SolidShapeDetector
+from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
+from softrobot_twin.geometry.surface_reading import read_solid_surface
+from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.building.beam_bodies import BeamBody
+from softrobot_twin.simulation.building.beam_surface import swept_surface
+from softrobot_twin.simulation.building.deformable_body import Body, carry_surface
+from softrobot_twin.simulation.building.scene_layout import Layout, build_shape, triangulated
+
+
+# Pieces of an element in the surface with which a beam that is not round touches.
+CONTACT_PIECES = 2
+
+
+class Solid:
+    """A rigid side of contact pairs: its shape, and the mapping of its points."""
+
+    def __init__(self, name: str, shape, carry):
+        """Take the shape.
+
+        Args:
+            name: The body's or obstacle's name.
+            shape: Its shape, in its frame.
+            carry: Makes the surface from points and triangles.
+        """
+        self.name, self.shape = name, shape
+        if isinstance(shape, Plane):
+            self.surface = carry(np.empty((0, 3)), np.empty((0, 3), np.int64))
+            return
+        self.surface = carry(*triangulated(shape))
+
+
+class BeamSide:
+    """A side of contact pairs that is a beam: round about its axis, or a swept surface."""
+
+    def __init__(self, beam: BeamBody):
+        """Take the beam.
+
+        Args:
+            beam: The beam.
+        """
+        self.beam = beam
+        self.round = RoundBeam(*beam.axis_in_frames(), beam.section.radius) if beam.is_round else None
+        self._surface = None
+
+    @property
+    def surface(self) -> CarriedSurface:
+        """Its surface; made where it is asked for."""
+        if self._surface is None:
+            self._surface = CarriedSurface(*swept_surface(self.beam, CONTACT_PIECES))
+        return self._surface
+
+
+def contact_term(layout: Layout, notes: list[str]) -> Contacts:
+    """The contact term of a scene.
+
+    Args:
+        layout: The bodies.
+        notes: List to which warnings are appended.
+
+    Returns:
+        The constraint term.
+
+    Raises:
+        SceneError: A pair cannot touch.
+        MeshError: A surface cannot be used.
+    """
+    entry = layout.scene.contact
+    things = _things(layout, notes)
+    pairs = []
+    for index, touching in enumerate(entry.between):
+        friction = entry.friction if touching.friction is None else touching.friction
+        key = f"contact.between[{index}]"
+        names = touching.pair
+        first, second = (things[name] for name in names)
+        pairs.append(_pair(first, second, friction, names, key, layout))
+    pairs += _known_ahead(layout, things)
+    contacts = Contacts(
+        tuple(pairs), layout.nodes.free_index, layout.nodes.longest, entry.alarm_distance,
+        entry.contact_distance, entry.push_out_speed,
+    )  # fmt: skip
+    contacts.curvature = _curvature(pairs, layout)
+    return contacts
+
+
+def _curvature(pairs: list, layout: Layout):
+    """Stiffness of facets that press on round shapes; None where there is no such pair."""
+    found = []
+    for index, pair in enumerate(pairs):
+        shape = getattr(pair, "shape", None)
+        if not isinstance(pair.first, DeformableSurface) or not isinstance(
+            shape, Sphere | Capsule | Cylinder
+        ):
+            continue
+        axis = None
+        if isinstance(shape, Capsule | Cylinder):
+            axis = (shape.ends[1] - shape.ends[0]) / np.linalg.norm(shape.ends[1] - shape.ends[0])
+        triangles = pair.first.point_nodes[pair.first.triangles]
+        found.append(
+            RoundPair(index, triangles, pair.second, shape.radius, axis,
+                             isinstance(shape, Capsule))
+        )  # fmt: skip
+    if not found:
+        return None
+    return ContactCurvature(tuple(found), layout.nodes.free_index, layout.nodes.carried)
+
+
+def _things(layout: Layout, notes: list[str]) -> dict:
+    """The sides of all contact pairs of the scene, by name."""
+    scene = layout.scene
+    named = {name for touching in scene.contact.between for name in touching.pair}
+    named |= {layout.body_named(point.on).name for point in scene.contact.points}
+    things: dict = {}
+    for body in layout.bodies:
+        if body.name in named:
+            things[body.name] = _surface_of(body, scene, notes)
+    for beam in layout.beams:
+        if beam.name in named:
+            things[beam.name] = BeamSide(beam)
+    for part in layout.rigid:
+        if part.name in named:
+            things[part.name] = Solid(
+                part.name, part.shape,
+                lambda points, triangles, n=part.first_node: RigidSurface(n, points, triangles),
+            )  # fmt: skip
+    for entry in scene.obstacles:
+        if entry.name in named:
+            shape = build_shape(entry.shape, scene, notes)
+            turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+            things[entry.name] = Solid(
+                entry.name, shape,
+                lambda points, triangles, at=entry.position, turn=turn: StandingSurface(
+                    at, turn, points, triangles
+                ),
+            )  # fmt: skip
+    return things
+
+
+def _surface_of(body: Body, scene: Scene, notes: list[str]):
+    """The contact surface of a deformable body: that of its mesh, or one that it carries."""
+    entry = body.entry.contact_surface
+    if entry is None and body.reduction is not None:
+        nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
+        return DeformableSurface(body.node_mapping(nodes).nodes[:, 0][triangles.reshape(-1, 3)])
+    if entry is None and body.vertebrae is not None:
+        nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
+        return CarriedSurface(body.node_mapping(nodes), triangles.reshape(-1, 3))
+    if entry is None:
+        return DeformableSurface(body.mesh.surface_triangles + body.first_node)
+    key = f"{body.key}.contact_surface"
+    mesh = body.entry.mesh
+    solid = read_solid_surface(
+        scene.file_path(entry.file), scale=entry.scale,
+        rotation=mesh.rotation, translation=mesh.translation, notes=notes,
+    )  # fmt: skip
+    return CarriedSurface(carry_surface(body, solid.points, entry, key, scene), solid.triangles)
+
+
+def _pair(first, second, friction: float, names, key: str, layout: Layout):
+    """The pair in order: deformable before rigid, moving before fixed."""
+    if isinstance(first, BeamSide) or isinstance(second, BeamSide):
+        return _beam_pair(first, second, friction, names, key, layout)
+    if first is second:
+        return _with_itself(first, friction, names, key, layout)
+    if isinstance(first, Solid) and not isinstance(second, Solid):
+        first, second, names = second, first, names[::-1]
+    if not isinstance(first, Solid):
+        return _soft_pair(first, second, friction, names)
+    for solid, name in zip((first, second), names, strict=True):
+        moving = [part.name for part in layout.rigid if part.is_free]
+        if name in moving:
+            break
+    else:
+        raise SceneError(
+            layout.scene.path, key, " and ".join(names), "", "neither of them moves by itself"
+        )
+    return _solid_pair(first, second, friction, names)
+
+
+def _beam_pair(first, second, friction: float, names, key: str, layout: Layout):
+    """A beam and something else, another beam or itself: round ones by their axes."""
+    if not isinstance(first, BeamSide):
+        first, second, names = second, first, names[::-1]
+    rest, own = layout.nodes.rest_positions, first.beam
+    is_joined = _are_joined(own, names[1], layout)
+    if isinstance(second, Solid) and first.round and isinstance(second.shape, Shape):
+        return BeamAndShape(
+            first.round, second.surface, second.shape, friction, names, rest,
+            _held_against(own, second.surface, layout),
+        )  # fmt: skip
+    if isinstance(second, BeamSide) and first.round and second.round:
+        excluded = np.zeros((first.round.element_count, second.round.element_count), bool)
+        if is_joined or first is second:
+            excluded = never_touching(first.round, second.round, rest)
+        if first is second:
+            excluded |= neighbours(own.lengths, first.round.radius)
+        return TwoRoundBeams(first.round, second.round, excluded, friction, names)
+    if is_joined:
+        raise SceneError(
+            layout.scene.path, key, " and ".join(names), "",
+            f"{own.name} is joined to {names[1]}; contact of what is joined is built for beams of "
+            "round section, with each other and with simple shapes",
+        )  # fmt: skip
+    if first is second:
+        return _with_itself(first.surface, friction, names, key, layout)
+    other = second.surface if isinstance(second, BeamSide) else second
+    return _soft_pair(first.surface, other, friction, names)
+
+
+def _held_against(beam: BeamBody, surface, layout: Layout) -> list[int]:
+    """Nodes of a beam that move with the carrier of a shape, or stand still as it does."""
+    frames = beam.carriers.frame_nodes
+    held = np.isin(frames, surface.nodes)
+    if not len(surface.nodes):
+        held = layout.frames.unknowns_of(frames) < 0
+    return np.flatnonzero(held).tolist()
+
+
+def _are_joined(beam: BeamBody, name: str, layout: Layout) -> bool:
+    """Whether a beam moves with a frame of a rigid body, or of another beam."""
+    other = next((part for part in (*layout.rigid, *layout.beams) if part.name == name), None)
+    if other is None or other is beam:
+        return False
+    frames = other.carriers.frame_nodes if isinstance(other, BeamBody) else [other.first_node]
+    return bool(np.isin(beam.carriers.frame_nodes, frames).any())
+
+
+def _with_itself(surface, friction: float, names, key: str, layout: Layout):
+    if isinstance(surface, Solid):
+        raise SceneError(
+            layout.scene.path, key, names[0], "", "a rigid body cannot touch itself"
+        )
+    rest = surface.points(layout.nodes.rest_positions)
+    alarm = layout.scene.contact.alarm_distance
+    detector = SelfDetector(surface.triangles, rest, alarm)
+    return OneSurface(surface, detector, friction, names)
+
+
+def _soft_pair(surface: DeformableSurface, other, friction: float, names):
+    if isinstance(other, Solid) and isinstance(other.shape, Shape):
+        detector = SurfaceShapeDetector(
+            surface.triangles, surface.point_count, other.shape, deforms=True
+        )
+        return SurfaceAndShape(surface, other.surface, detector, friction, names)
+    return _two_surfaces(surface, getattr(other, "surface", other), friction, names)
+
+
+def _solid_pair(first: Solid, second: Solid, friction: float, names):
+    if isinstance(first.shape, Plane) or isinstance(second.shape, Sphere):
+        first, second, names = second, first, names[::-1]
+    if isinstance(first.shape, Sphere) and isinstance(second.shape, Shape):
+        ball = first.shape
+        return BallAndShape(
+            first.surface, ball.radius, ball.centre, second.surface, second.shape, friction, names
+        )
+    if isinstance(first.shape, Capsule | Cylinder) and isinstance(second.shape, Plane):
+        return RoundAndPlane(
+            first.surface, first.shape, second.surface, second.shape, friction, names
+        )
+    if not isinstance(second.shape, Shape):
+        first, second, names = second, first, names[::-1]
+    if not isinstance(first.shape, Shape) and not isinstance(second.shape, Plane):
+        return _pair_with_file(first, second, friction, names)
+    detector = SurfaceShapeDetector(
+        first.surface.triangles, first.surface.point_count, second.shape
+    )
+    pair = SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+    if isinstance(first.shape, Box) and isinstance(second.shape, Box):
+        return TwoBoxes(BoxPairDetector(first.shape, second.shape), pair)
+    return pair
+
+
+def _pair_with_file(first: Solid, second: Solid, friction: float, names):
+    """A rigid surface from a file, and a solid: flat ones by their facets, round ones exactly."""
+    if isinstance(second.shape, Box) or not isinstance(second.shape, Shape):
+        if isinstance(first.surface, StandingSurface):
+            first, second, names = second, first, names[::-1]
+        return _two_surfaces(first.surface, second.surface, friction, names)
+    detector = SolidShapeDetector(
+        first.surface.triangles, first.surface.rigid_points, second.shape
+    )
+    return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+
+
+def _two_surfaces(first, second, friction: float, names) -> TwoSurfaces:
+    detector = SurfacePairDetector(
+        first.triangles, first.point_count, second.triangles, second.point_count,
+        rigid_points=(first.rigid_points, second.rigid_points),
+    )  # fmt: skip
+    return TwoSurfaces(first, second, detector, friction, names)
+
+
+def _known_ahead(layout: Layout, things: dict) -> list[OneSurface]:
+    """Points and triangles that the scene names, body by body."""
+    entry = layout.scene.contact
+    bodies = {layout.body_named(point.on).name: layout.body_named(point.on)
+              for point in entry.points}  # fmt: skip
+    pairs = []
+    for name, body in bodies.items():
+        own = [p for p in entry.points if layout.body_named(p.on) is body]
+        surface = things[name]
+        points = surface.points(layout.nodes.rest_positions)
+        centres = points[surface.triangles].mean(axis=1)
+        index = [_nearest(points, p.point) for p in own]
+        triangles = [surface.triangles[_nearest(centres, p.against)] for p in own]
+        _check_apart(layout, body, index, triangles)
+        detector = FixedPairs(np.array(index), np.array(triangles))
+        pairs.append(OneSurface(surface, detector, entry.friction, (name, name)))
+    return pairs
+
+
+def _nearest(points: np.ndarray, point) -> int:
+    return int(np.argmin(np.linalg.norm(points - np.asarray(point), axis=1)))
+
+
+def _check_apart(layout: Layout, body: Body, index: list[int], triangles: list) -> None:
+    for place, (point, triangle) in enumerate(zip(index, triangles, strict=True)):
+        if point in triangle:
+            raise SceneError(
+                layout.scene.path, f"contact.points[{place}]", body.name, "",
+                "its point is a corner of its triangle: they cannot come together",
+            )  # fmt: skip

@@ -1,0 +1,590 @@
+"""A deformable body of a scene: its mesh, its fixed nodes, and the points that it carries."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.geometry.cad_meshing import kept_mesh
+from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
+from softrobot_twin.geometry.mesh_parts import NO_PARTS, MeshParts
+from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_solid_mesh
+from softrobot_twin.geometry.point_location import (
+    PointLocation,
+    extrapolated_weights,
+    locate_points,
+)
+from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL, element_named
+from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.body_entries import Body as BodyEntry
+from softrobot_twin.scene.body_entries import Region
+from softrobot_twin.simulation.building.body_materials import (
+    MaterialPart,
+    cell_values,
+    material_parts,
+)
+
+# Nodes this close to a box but outside it, relative to the body's size, are reported: they may
+# belong to the region.
+BESIDE = 1.0e-5
+# A mesh larger than this [m] is reported as probably given in millimetres.
+LARGEST_SIZE = 5.0
+# A point farther from the body than this share of the body's size is refused, a nearer one is
+# snapped to it.
+SNAP_SHARE = 0.02
+# A point closer to the body than this share of its size is on it.
+ON_BODY = 5.0e-6
+# Largest distance of a carried surface from its body, and its smallest size, as shares of the
+# body's size.
+STAND_OFF, LEAST_SHARE = 0.1, 0.5
+# Where the weight of a patch ends, by its radius: its mean at a flat face is as deep as that of a
+# ball, 35/128 of this and 3/8 of the radius.
+SUPPORT = 48.0 / 35.0
+# Least spacings of the finer lattice of samples in the support of a patch; it has up to twice this.
+LATTICE = 4.0
+
+
+@dataclass(frozen=True)
+class Body:
+    """A deformable body, placed, with its fixed nodes.
+
+    Attributes:
+        entry: Its entry in the scene.
+        key: Key of this entry, such as ``bodies[2]``.
+        mesh: The body at rest, its nodes numbered from 0.
+        first_node: Its first node among all nodes of the scene.
+        fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
+        riding: Its nodes attached to each rigid body, by that body's name.
+        is_held: Every connected part has three nodes that are not on one line and are fixed, or
+            attached to a rigid body that is guided or held by beams.
+        materials: Its materials; a single one has all cells.
+        parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
+            `mesh`; the nodes of surfaces and edges are corners.
+        vertebrae: A `ReducedBody` in place of its nodes; None where these are unknowns.
+        reduction: `ReducedNodes` in place of its nodes; None where these are unknowns.
+    """
+
+    entry: BodyEntry
+    key: str
+    mesh: CellMesh
+    first_node: int
+    fixed: np.ndarray
+    riding: dict[str, np.ndarray]
+    is_held: bool
+    materials: tuple[MaterialPart, ...]
+    parts: MeshParts = NO_PARTS
+    vertebrae: object | None = None
+    reduction: object | None = None
+
+    @property
+    def name(self) -> str:
+        """The body's name."""
+        return self.entry.name
+
+    @property
+    def scene_node_count(self) -> int:
+        """Number of nodes that it has among those of the scene."""
+        if self.reduction is not None:
+            return self.reduction.node_count
+        return 0 if self.vertebrae is not None else self.mesh.node_count
+
+    @property
+    def free_node_count(self) -> int:
+        """Number of its nodes, or blocks of three coordinates, that are unknowns."""
+        if self.reduction is not None:
+            return len(self.reduction.coordinate_nodes)
+        return int(np.count_nonzero(~self.fixed))
+
+    def distances(self, points) -> np.ndarray:
+        """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
+        return locate_points(self.mesh.corner_mesh, np.asarray(points, float)).distances
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of its bounding box [m]."""
+        low, high = self.mesh.bounding_box
+        return float(np.linalg.norm(high - low))
+
+    @property
+    def mass(self) -> float:
+        """Its mass [kg]."""
+        if self.entry.material.total_mass is not None:
+            return self.entry.material.total_mass
+        return sum(part.density * part.volume for part in self.materials)
+
+    @property
+    def density(self) -> float | np.ndarray:
+        """Its mass per volume [kg/m³]: one for all cells, or of each cell, shape (cell_count,)."""
+        return cell_values(self.materials, "density", self.mesh.cell_count)
+
+    def node_masses(self) -> np.ndarray:
+        """Mass of each node where the mass is diagonal, none negative [kg], shape (node_count,)."""
+        spread = uniform_masses if self.entry.mass_model == "uniform" else lumped_masses
+        return spread(self.mesh, self.density)
+
+    def mapping(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
+        """Nodes and weights of points inside its cells; see `CellMesh.carriers`."""
+        return self.carried_by(self.on_mesh(cells, barycentric_weights))
+
+    def on_mesh(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
+        """The same on the nodes of its mesh, numbered from 0."""
+        return BarycentricMapping(*self.mesh.carriers(cells, barycentric_weights))
+
+    def carried_by(self, on_mesh: BarycentricMapping) -> BarycentricMapping:
+        """Points on the nodes of its mesh, numbered from 0, on the nodes of the scene."""
+        for carrier in (self.vertebrae, self.reduction):
+            if carrier is not None:
+                return carrier.carried_by(on_mesh)
+        return BarycentricMapping(on_mesh.nodes + self.first_node, on_mesh.barycentric_weights)
+
+    def node_mapping(self, nodes: np.ndarray) -> BarycentricMapping:
+        """Nodes of its mesh as points that it carries.
+
+        Args:
+            nodes: The nodes, shape (count,).
+        """
+        return self.carried_by(_single_nodes(nodes))
+
+    def shown_nodes(self, nodes: np.ndarray):
+        """The same for pictures and files: points of a reduced body are placed when asked for.
+
+        Args:
+            nodes: The nodes, shape (count,).
+
+        Returns:
+            Something with the `positions` of a `BarycentricMapping`.
+        """
+        return self.shown(_single_nodes(nodes))
+
+    def shown(self, on_mesh: BarycentricMapping):
+        """Points on the nodes of its mesh, numbered from 0; see `shown_nodes`."""
+        return self.carried_by(on_mesh) if self.reduction is None else self.reduction.placed(on_mesh)
+
+
+def _single_nodes(nodes: np.ndarray) -> BarycentricMapping:
+    """Nodes of a mesh as points, numbered from 0."""
+    nodes = np.asarray(nodes, np.int64)
+    return BarycentricMapping(nodes[:, None], np.ones((len(nodes), 1)))
+
+
+def build_body(
+    entry: BodyEntry, key: str, first_node: int, scene: Scene, notes: list,
+    held_bodies: Set[str] = frozenset(),
+) -> Body:
+    """Read the mesh and fix its nodes.
+
+    Args:
+        entry: The body's entry.
+        key: Key of this entry.
+        first_node: Number of nodes of the scene before its own.
+        scene: The scene.
+        notes: List to which repairs of the mesh are appended.
+        held_bodies: Names of free rigid bodies that beams hold.
+
+    Returns:
+        The body.
+
+    Raises:
+        MeshError: The mesh cannot be used.
+        SceneError: A region holds no node, or nothing holds a body that must be held.
+    """
+    reading = _read_mesh(entry, scene)
+    notes.extend(f"{key}.mesh ({entry.mesh.label}): {note}" for note in reading.notes)
+    if reading.mid_edge_nodes is not None:
+        entry = _with_element_of_file(entry, key, notes)
+    entry = _with_element_of_cells(entry, key, reading, scene)
+    mesh = element_named(entry.element).make_mesh(reading.mesh)
+    search = _RegionSearch(entry, mesh, reading, scene, notes)
+    fixed = np.zeros(mesh.node_count, dtype=bool)
+    for index, region in enumerate(entry.fixed):
+        fixed[_nodes_in(region, search, f"{key}.fixed[{index}]")] = True
+    riding = {}
+    for index, region in enumerate(entry.attached):
+        nodes = _nodes_in(region, search, f"{key}.attached[{index}]")
+        riding[region.to] = np.union1d(riding.get(region.to, nodes), nodes)
+        fixed[nodes] = True
+    # A mid-edge node is attached or fixed if both ends of its edge are.
+    for name, nodes in riding.items():
+        between = np.isin(mesh.mid_edge_ends, nodes).all(axis=1)
+        riding[name] = np.union1d(nodes, reading.mesh.node_count + np.flatnonzero(between))
+    fixed[reading.mesh.node_count :] |= fixed[mesh.mid_edge_ends].all(axis=1)
+    if fixed.all():
+        notes.append(
+            f"{key} ({entry.name}): all its {len(fixed)} nodes are fixed or attached; nothing of "
+            "it can bend."
+        )
+    cut = next((note for note in reading.notes if CUT in note), "")
+    # Nodes attached to a free rigid body are not fixed in space, unless beams hold it.
+    free = {rigid.name for rigid in scene.rigid_bodies if rigid.motion == "free"} - held_bodies
+    held = fixed.copy()
+    for name in free & set(riding):
+        held[riding[name]] = False
+    is_held = _is_held(mesh, held, f"{key}.fixed", scene, cut)
+    materials = material_parts(entry, key, mesh, reading.parts, scene, notes)
+    return Body(entry, key, mesh, first_node, fixed, riding, is_held, materials, reading.parts)
+
+
+def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
+    """The mesh of a body from its file, or of a box."""
+    mesh = entry.mesh
+    placement = {"translation": mesh.translation, "rotation": mesh.rotation}
+    if mesh.box is not None:
+        of_hexahedra = element_named(entry.element).of_hexahedra
+        return read_box(mesh.box.size, mesh.box.cell_counts, of_hexahedra, **placement)
+    file, scale, notes = scene.file_path(mesh.file), mesh.scale, ()
+    if mesh.is_cad:
+        kept = kept_mesh(file, mesh.size, mesh.scale)
+        file, scale, notes = kept.path, 1.0, kept.notes
+    reading = read_solid_mesh(
+        file, scale=scale, merge_tolerance=mesh.merge_distance, **placement,
+    )  # fmt: skip
+    return reading._replace(notes=(*notes, *reading.notes))
+
+
+def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
+    """The entry with quadratic elements for ten-node tetrahedra, unless the scene sets the element.
+    """
+    if "element" not in entry.model_fields_set:
+        return entry.model_copy(update={"element": "quadratic"})
+    if entry.element == "linear":
+        notes.append(f"{key}.element = linear: of the file's ten-node tetrahedra only the corners "
+                     "are used.")  # fmt: skip
+    return entry
+
+
+def _with_element_of_cells(
+    entry: BodyEntry, key: str, reading: MeshReading, scene: Scene
+) -> BodyEntry:
+    """The entry with hexahedral elements for hexahedra, unless the scene sets the element.
+
+    Raises:
+        SceneError: The element that the scene sets is made of other cells, or the body is reduced
+            to vertebrae.
+    """
+    has_hexahedra = isinstance(reading.mesh, HexahedralMesh)
+    if has_hexahedra and "element" not in entry.model_fields_set:
+        entry = entry.model_copy(update={"element": HEXAHEDRAL})
+    if element_named(entry.element).of_hexahedra != has_hexahedra:
+        held = "hexahedra" if has_hexahedra else "tetrahedra only"
+        raise SceneError(
+            scene.path, f"{key}.element", entry.element, "",
+            f"{entry.mesh.label} has {held}: omit element, or name one made of them",
+        )  # fmt: skip
+    if has_hexahedra and entry.vertebrae is not None:
+        raise SceneError(
+            scene.path, f"{key}.vertebrae", f"{len(entry.vertebrae.rigid)} vertebrae", "",
+            f"{entry.mesh.label} has hexahedra: only bodies of tetrahedra are reduced",
+        )  # fmt: skip
+    return entry
+
+
+def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
+    """Node of the mesh for each node of the file, −1 where it has none, shape (file_nodes,)."""
+    numbers = reading.mesh_node_indices
+    ends = mesh.mid_edge_ends
+    if reading.mid_edge_nodes is None or len(ends) == 0:
+        return numbers
+    corners = reading.mesh.node_count
+    keys = ends[:, 0] * corners + ends[:, 1]  # ascending, as the edges are numbered
+    asked = np.sort(reading.mid_edge_nodes.ends, axis=1)
+    numbers = numbers.copy()
+    numbers[reading.mid_edge_nodes.file_nodes] = corners + np.searchsorted(
+        keys, asked[:, 0] * corners + asked[:, 1]
+    )
+    return numbers
+
+
+def part_named(body: Body, kind: str, name: str, key: str, scene: Scene) -> np.ndarray:
+    """A named part of a body's mesh file.
+
+    Args:
+        body: The body.
+        kind: ``region``, ``surface`` or ``edge_set``; see `MeshParts`.
+        name: Its name in the file.
+        key: Scene entry that names it, for errors.
+        scene: The scene.
+
+    Returns:
+        Cells, triangles or edges of the body's mesh, with nodes numbered from 0.
+
+    Raises:
+        SceneError: The file has no such part, or it cannot be used.
+    """
+    try:
+        return getattr(body.parts, kind)(name)
+    except MeshError as error:
+        file = body.entry.mesh.label
+        raise SceneError(scene.path, key, name, "", f"{file}: {error.reason}") from None
+
+
+def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
+    """Points given in mesh coordinates, in world coordinates [m], shape (count, 3)."""
+    turn = Rotation.from_euler("xyz", entry.mesh.rotation)
+    return turn.apply(np.asarray(points, float).reshape(-1, 3)) + entry.mesh.translation
+
+
+def in_mesh(entry: BodyEntry, points) -> np.ndarray:
+    """Points given in world coordinates, in those of the mesh [m], shape (count, 3)."""
+    turn = Rotation.from_euler("xyz", entry.mesh.rotation)
+    return turn.inv().apply(np.asarray(points, float).reshape(-1, 3) - entry.mesh.translation)
+
+
+class _RegionSearch(NamedTuple):
+    """Nodes of a region; warnings are appended to `notes`."""
+
+    entry: BodyEntry
+    mesh: CellMesh
+    reading: MeshReading
+    scene: Scene
+    notes: list[str]
+
+
+def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
+    entry, mesh, reading, scene, notes = search
+    positions = mesh.node_positions
+    if region.frame == "mesh":
+        positions = in_mesh(entry, positions)
+    points = np.flatnonzero(mesh.are_points)
+    if region.box is not None:
+        low, high = np.array(region.box.minimum), np.array(region.box.maximum)
+        nodes = points[nodes_in_box(positions[points], low, high)]
+        beside = BESIDE * _size(positions)
+        around = len(nodes_in_box(positions[points], low - beside, high + beside)) - len(nodes)
+        if around:
+            notes.append(
+                f"{key}: {around} nodes lie outside the box by less than {1e3 * beside:.2g} mm and "
+                "are not in it; give a face that lies between layers of nodes."
+            )
+        value, unit = f"{list(region.box.minimum)}..{list(region.box.maximum)}", "m"
+    elif region.sphere is not None:
+        nodes = points[
+            nodes_in_sphere(positions[points], region.sphere.centre, region.sphere.radius)
+        ]
+        value, unit = f"{list(region.sphere.centre)}, radius {region.sphere.radius}", "m"
+    else:
+        asked = np.asarray(region.nodes, dtype=np.int64)
+        value, unit = f"{len(asked)} nodes", ""
+        beyond = asked[asked >= len(reading.mesh_node_indices)]
+        if len(beyond):
+            raise SceneError(
+                scene.path, f"{key}.nodes", int(beyond[0]), "",
+                f"the mesh file has nodes 0 to {len(reading.mesh_node_indices) - 1}",
+            )  # fmt: skip
+        nodes = _nodes_of_file(mesh, reading)[asked]
+        nodes = nodes[nodes >= 0]
+    if len(nodes) == 0:
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        raise SceneError(
+            scene.path, key, value, unit,
+            f"holds no node of the body, which reaches from {low.tolist()} to {high.tolist()} m"
+            + size_hint(_size(positions)),
+        )  # fmt: skip
+    return nodes
+
+
+def _size(positions: np.ndarray) -> float:
+    """Diagonal of the bounding box [m]."""
+    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+
+
+def size_hint(size: float) -> str:
+    """A hint at the unit for a mesh larger than a soft robot [m]; empty for others."""
+    if size <= LARGEST_SIZE:
+        return ""
+    return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
+
+
+def holds_still(points: np.ndarray) -> bool:
+    """True where points [m], shape (count, 3), are three or more that are not on one line."""
+    if len(points) < 3:
+        return False
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > 1.0e-9 * max(spread[0], 1.0e-300))
+
+
+def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
+    """Whether every connected part has three fixed nodes that are not on one line."""
+    first, others = mesh.cells[:, :1], mesh.cells[:, 1:]
+    graph = coo_array(
+        (np.ones(others.size), (np.broadcast_to(first, others.shape).ravel(), others.ravel())),
+        shape=(mesh.node_count, mesh.node_count),
+    )
+    part_count, part = connected_components(graph, directed=False)
+    for index in range(part_count):
+        held = mesh.node_positions[fixed & (part == index)]
+        if holds_still(held):
+            continue
+        if scene.integration != "quasi_static":
+            return False
+        which = "the body" if part_count == 1 else f"part {index} of {part_count}"
+        raise SceneError(
+            scene.path, key, f"{len(held)} nodes", "",
+            f"{which} is not held: in quasi_static integration at least three nodes that are "
+            "not on one line must be fixed, or the body floats away"
+            + (f"; {cut[:1].lower()}{cut[1:]}" if cut else size_hint(_size(mesh.node_positions))),
+        )  # fmt: skip
+    return True
+
+
+def carry(
+    body: Body, points, key: str, scene: Scene, notes: list[str], spread_radius: float = 0.0,
+    numbers=None,
+) -> BarycentricMapping:
+    """Map points onto the body.
+
+    Args:
+        body: The body.
+        points: Points at rest [m], shape (point_count, 3).
+        key: Scene entry of the points, for errors.
+        scene: The scene.
+        notes: List to which one warning for all snapped points is appended.
+        spread_radius: Each point moves as the mean of the body within this radius of it [m].
+        numbers: Places of the points in the list of the entry; None where they are all of it.
+
+    Returns:
+        The mapping; with a radius its points lie at the means.
+
+    Raises:
+        SceneError: A point is too far from the body.
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    found = locate_points(body.mesh.corner_mesh, points)
+    snapped = []
+    for index, distance in enumerate(found.distances):
+        place = f"{key}[{index if numbers is None else numbers[index]}]"
+        stated = "[" + ", ".join(f"{value:g}" for value in points[index]) + "]"
+        if distance > SNAP_SHARE * body.size:
+            raise SceneError(
+                scene.path, place, stated, "m",
+                f"lies {1e3 * distance:.2f} mm outside the body; points must be on it "
+                f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to its surface)"
+                + size_hint(body.size),
+            )  # fmt: skip
+        if distance > ON_BODY * body.size:
+            snapped.append((distance, f"{place} = {stated} m"))
+    if len(snapped) == 1:
+        ((distance, place),) = snapped
+        notes.append(
+            f"{place} lies {1e3 * distance:.3f} mm outside the body: snapped to its surface"
+        )
+    elif snapped:
+        distance, place = max(snapped)
+        notes.append(
+            f"{key}: {len(snapped)} of {len(points)} points lie outside the body: snapped to its "
+            f"surface; the furthest is {place}, {1e3 * distance:.3f} mm outside"
+        )
+    if spread_radius > 0.0:
+        return spread_mapping(body, points, found, spread_radius)
+    return body.mapping(found.cells, found.barycentric_weights)
+
+
+def carry_surface(
+    body: Body, points: np.ndarray, entry, key: str, scene: Scene
+) -> BarycentricMapping:
+    """Map the points of a surface onto the body that carries it.
+
+    A point outside the mesh is carried by the nearest cell, with negative weights: at rest it is at
+    its position, and it moves with that cell.
+
+    Args:
+        body: The body.
+        points: Points at rest [m], shape (point_count, 3).
+        entry: Entry with the surface's file.
+        key: Key of this entry.
+        scene: The scene.
+
+    Returns:
+        The mapping.
+
+    Raises:
+        SceneError: The surface stands too far off the body, or is far smaller.
+    """
+    return body.carried_by(surface_on_mesh(body, points, entry, key, scene))
+
+
+def surface_on_mesh(
+    body: Body, points: np.ndarray, entry, key: str, scene: Scene
+) -> BarycentricMapping:
+    """The same on the nodes of its mesh, numbered from 0; see `carry_surface`."""
+    found = locate_points(body.mesh.corner_mesh, points)
+    furthest = float(found.distances.max())
+    if furthest > STAND_OFF * body.size:
+        raise SceneError(
+            scene.path, f"{key}.file", str(entry.file), "",
+            f"stands off its body by {1e3 * furthest:.2f} mm, more than a tenth of the "
+            f"body's {1e3 * body.size:.1f} mm: is its scale right?",
+        )  # fmt: skip
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if size < LEAST_SHARE * body.size:
+        raise SceneError(
+            scene.path, f"{key}.file", str(entry.file), "",
+            f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
+            f"{1e3 * body.size:.1f} mm: is its scale right?",
+        )  # fmt: skip
+    return body.on_mesh(found.cells, extrapolated_weights(body.mesh.corner_mesh, found, points))
+
+
+def spread_mapping(
+    body: Body, points: np.ndarray, found: PointLocation, radius: float
+) -> BarycentricMapping:
+    """The mean of the body about each point, by the weight (1 - s²)² with s = distance / support.
+
+    At a flat face it is as deep as that of a ball of this radius. Samples lie on a lattice that is
+    fixed in the coordinates of the mesh and is finer for a smaller radius; two lattices are blended.
+    So the weights of the nodes have continuous derivatives by the point and by the radius.
+
+    Args:
+        body: The body.
+        points: Points at rest [m], shape (point_count, 3).
+        found: Where the body is nearest to them.
+        radius: The radius [m].
+    """
+    support = SUPPORT * radius
+    on_body = body.mesh.node_positions[found.nodes]
+    nearest = np.einsum("pa,pai->pi", found.barycentric_weights, on_body)
+    # The centre of a point that was snapped stays within half of the support of the body.
+    shift = np.hypot(1.0, 2.0 * found.distances / support)[:, None]
+    centres = in_mesh(body.entry, nearest + (points - nearest) / shift)
+    octave, past = divmod(np.log2(support / LATTICE), 1.0)
+    coarse = past * past * (3.0 - 2.0 * past)
+    lattices = ((2.0**octave, 1.0 - coarse), (2.0 ** (octave + 1.0), coarse))
+    samples = [
+        (spacing, part, *_samples(centre, support, spacing))
+        for centre in centres for spacing, part in lattices
+    ]  # fmt: skip
+    places = [own for _, _, own, _ in samples]
+    at = locate_points(
+        body.mesh.corner_mesh, placed_in_world(body.entry, np.concatenate(places))
+    )
+    rows = np.split(np.arange(len(at.cells)), np.cumsum([len(own) for own in places])[:-1])
+    shares = np.empty(len(at.cells))
+    for (spacing, part, _, weights), own in zip(samples, rows, strict=True):
+        # A sample outside counts less with its distance: nothing jumps as the mesh changes.
+        away = np.minimum(at.distances[own] / spacing, 1.0)
+        inside = weights * (1.0 - away) ** 4
+        shares[own] = part * inside / inside.sum()
+    own = [np.concatenate(pair) for pair in zip(rows[::2], rows[1::2], strict=True)]
+    patches = [body.on_mesh(at.cells[k], at.barycentric_weights[k]).mean(shares[k]) for k in own]
+    return body.carried_by(reduce(BarycentricMapping.followed_by, patches))
+
+
+def _samples(centre: np.ndarray, support: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """The points of a lattice within a support [m], shape (n, 3), and their weights, (n,)."""
+    first, last = np.ceil((centre - support) / spacing), np.floor((centre + support) / spacing)
+    lines = [spacing * np.arange(a, b + 1.0) for a, b in zip(first, last, strict=True)]
+    lattice = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    near = np.maximum(1.0 - (((lattice - centre) / support) ** 2).sum(axis=1), 0.0)
+    return lattice[near > 0.0], near[near > 0.0] ** 2

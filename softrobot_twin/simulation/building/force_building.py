@@ -1,0 +1,569 @@
+"""Force terms of a scene: elasticity, weight, springs, inertia and damping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.helix import helix_points
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.beam_masses import BeamDamping, BeamInertia, BeamMasses, BeamWeight
+from softrobot_twin.mechanics.beams import BeamElements, Beams
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.hinged_frames import HingeBlocks, HingedTwists
+from softrobot_twin.mechanics.inertia import (
+    ConsistentInertia,
+    LumpedInertia,
+    MassDamping,
+    borne_masses,
+    coupled_to,
+)
+from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
+from softrobot_twin.mechanics.liquid_filling import LiquidFilling
+from softrobot_twin.mechanics.patch_volumes import (
+    PatchVolumes,
+    divided,
+    element_bulk,
+    patched_cells,
+)
+from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gradients
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
+from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
+from softrobot_twin.mechanics.sealed_gas import SealedGas
+from softrobot_twin.mechanics.springs import Springs, segments
+from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from softrobot_twin.mechanics.strain_watch import StrainWatch
+from softrobot_twin.mechanics.touch_loads import TouchLoads
+from softrobot_twin.scene.body_entries import Fibre, Helix
+from softrobot_twin.simulation.building.beam_bodies import all_elements
+from softrobot_twin.simulation.building.body_materials import MaterialPart
+from softrobot_twin.simulation.building.cavity_walls import cavity_surface
+from softrobot_twin.simulation.building.deformable_body import Body, part_named
+from softrobot_twin.simulation.building.scene_layout import Layout
+
+# The end of a spring on a mass-spring body must be this near to one of its points, as a share of
+# the body's size: files have six or seven digits.
+AT_POINT = 1.0e-5
+# A point that a touch holds is held by this multiple of E L, the stiffness of a block of its body's
+# material and size: far above that of any body, and below what the arithmetic of a step notices.
+HELD_STIFFNESS = 10.0
+
+
+def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
+    """All force terms of a scene.
+
+    Args:
+        layout: The bodies.
+        notes: List to which warnings are appended.
+
+    Yields:
+        The terms, elastic ones first.
+
+    Raises:
+        SceneError: An entry does not fit.
+    """
+    for term in _terms_on_points(layout, notes):
+        yield on_unknowns(term, layout.nodes.carried)
+
+
+def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
+    scene = layout.scene
+    for body in layout.bodies:
+        if body.vertebrae is None:
+            yield from _elastic_terms(layout, body)
+    yield from layout.superelements.values()
+    if scene.beams:
+        yield from _beam_terms(layout)
+    if any(scene.gravity):
+        yield Gravity(_borne_masses(layout), np.array(scene.gravity), _reduced_weights(layout))
+    if scene.mass_springs and scene.integration == "quasi_static":
+        check_masses_held(layout)
+    if (scene.springs or scene.tubes or scene.fibres
+            or any(body.springs for body in scene.mass_springs)):
+        yield spring_term(layout, notes)
+    if scene.touches:
+        yield _touch_loads(layout, notes)
+    if scene.sealed_cavities:
+        yield _sealed_gas(layout, notes)
+    if any(scene.gravity) and any(cavity.liquid_density for cavity in scene.cavities):
+        yield _liquid_filling(layout)
+    if scene.integration != "quasi_static":
+        _check_resisted(layout)
+        yield from _motion_terms(layout)
+
+
+def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
+    """All touches of a scene in one term."""
+    scene, mappings, stiffness = layout.scene, [], []
+    for index, touch in enumerate(scene.touches):
+        body = layout.body_named(touch.body)
+        if body.vertebrae is not None:
+            raise SceneError(
+                scene.path, f"touches[{index}].body", body.name, "",
+                "is reduced to vertebrae: touches on such bodies are not built",
+            )  # fmt: skip
+        key = f"touches[{index}].points"
+        mappings.append(_mean(layout.carried(touch.body, touch.points, key, notes)))
+        size = size_of_points(body.mesh.node_positions)
+        stiffest = max(part.young_modulus for part in body.materials)
+        stiffness.append(HELD_STIFFNESS * stiffest * size)
+    axes = [[axis in touch.directions for axis in "xyz"] for touch in scene.touches]
+    points = reduce(BarycentricMapping.followed_by, mappings)
+    return TouchLoads(points, np.array(axes), np.array(stiffness), layout.nodes.free_index)
+
+
+def _mean(points: BarycentricMapping) -> BarycentricMapping:
+    """The mean of points as one point, each of its nodes once."""
+    nodes, place = np.unique(points.nodes, return_inverse=True)
+    shares = points.barycentric_weights.ravel() / points.point_count
+    return BarycentricMapping(nodes[None], np.bincount(place.ravel(), shares, len(nodes))[None])
+
+
+def _beam_terms(layout: Layout) -> Iterator[ForceTerm]:
+    """One term for all beams; a second one for elements at hinges, and what keeps hinges definite.
+
+    Then weight and damping of their mass.
+    """
+    elements, masses = _beam_elements(layout)
+    if layout.hinged is None:
+        yield Beams(elements)
+    else:
+        yield from _hinged_terms(layout, elements)
+    scene = layout.scene
+    if any(scene.gravity):
+        yield _on_frames(BeamWeight(masses, np.array(scene.gravity)), layout)
+    if scene.integration == "dynamic" and masses.damping.any():
+        yield _on_frames(BeamDamping(masses), layout)
+
+
+def _beam_elements(layout: Layout) -> tuple[BeamElements, BeamMasses]:
+    return all_elements(layout.beams, layout.nodes.rest_positions, layout.frames)
+
+
+def _on_frames(term: ForceTerm, layout: Layout) -> ForceTerm:
+    """A term of forces and moments on frames, those of hinged ones on their unknowns."""
+    return term if layout.hinged is None else on_unknowns(term, HingedTwists(layout.hinged))
+
+
+def _hinged_terms(layout: Layout, elements: BeamElements) -> Iterator[ForceTerm]:
+    """The elements of beams, those at hinges in a term of their own, and the hinges."""
+    frames = layout.hinged
+    at_hinge = (elements.unknowns >= layout.nodes.free_node_count).any(axis=1)
+    others, own = (BeamElements(*(field[is_own] for field in elements))
+                   for is_own in (~at_hinge, at_hinge))  # fmt: skip
+    if len(others.origins):
+        yield Beams(others)
+    yield on_unknowns(Beams(own), HingedTwists(frames))
+    hinge = own.unknowns - layout.nodes.free_node_count
+    stiffness = np.zeros(frames.hinge_count)
+    for end in (0, 1):
+        is_own = hinge[:, end] >= 0
+        bending = own.stiffness[is_own, 3:].max(axis=1)
+        np.maximum.at(stiffness, hinge[is_own, end] // 2, bending)
+    yield HingeBlocks(frames, stiffness)
+
+
+def _sealed_gas(layout: Layout, notes: list[str]) -> SealedGas:
+    scene, nodes = layout.scene, layout.nodes
+    entries, surfaces = scene.sealed_cavities, []
+    for index, cavity in enumerate(entries):
+        key = f"sealed_cavities[{index}]"
+        surfaces.append(cavity_surface(layout, cavity.name, cavity.walls, key, notes))
+        carriers = nodes.free_index[surfaces[-1].vertices.nodes]
+        if (carriers >= nodes.free_node_count).any():
+            raise SceneError(
+                scene.path, f"{key}.walls", cavity.name, "",
+                "are attached to a free rigid body: gas sealed there is not built",
+            )  # fmt: skip
+    ambient = np.array([cavity.ambient_pressure for cavity in entries])
+    return SealedGas(
+        tuple(surfaces), nodes.free_index, nodes.rest_positions,
+        ambient + [cavity.pressure for cavity in entries], ambient,
+    )  # fmt: skip
+
+
+def _liquid_filling(layout: Layout) -> LiquidFilling:
+    scene, nodes = layout.scene, layout.nodes
+    # Warnings of these walls are those of the actuators.
+    surfaces = [
+        (cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", []),
+         cavity.liquid_density)
+        for index, cavity in enumerate(scene.cavities) if cavity.liquid_density is not None
+    ]  # fmt: skip
+    return LiquidFilling(
+        tuple(surface for surface, _ in surfaces), nodes.free_index, nodes.rest_positions,
+        np.array([density for _, density in surfaces]), np.array(scene.gravity),
+    )  # fmt: skip
+
+
+def with_nodes(layout: Layout) -> list[Body]:
+    """The deformable bodies whose nodes are unknowns; others are reduced to vertebrae."""
+    return [body for body in layout.bodies if body.vertebrae is None]
+
+
+def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
+    """A term for each material of a body and each kind of its cells, and one for its patches."""
+    free_index = layout.nodes.free_index
+    if body.reduction is not None:
+        yield from _reduced_terms(layout, body)
+        return
+    mesh = layout.mesh_among_nodes(body)
+    for part in body.materials:
+        for term in strained_terms(mesh, part, part.cells, free_index, body.entry.has_patches):
+            if part.strain_range is not None and isinstance(term, Elements):
+                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+            yield term
+
+
+def strained_terms(
+    mesh: CellMesh, part: MaterialPart, cells: np.ndarray | None, free_index: np.ndarray,
+    has_patches: bool,
+) -> Iterator[Elements | PatchVolumes]:  # fmt: skip
+    """Terms of what bears the strain of cells of one material, and of its patches.
+
+    Args:
+        mesh: The body, among all nodes.
+        part: The material.
+        cells: Its cells in rising order; None for all.
+        free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
+        has_patches: Whether patches resist changes of volume.
+    """
+    for block in mesh.strained_blocks(cells):
+        law, memory, bulk_modulus = part.law_parameters, (part.viscosity, part.softening), 0.0
+        if has_patches:
+            law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
+        if any(memory):
+            yield RememberingElements(block.mesh, free_index, law, *memory)
+        else:
+            yield Elements(block.mesh, free_index, law)
+        if bulk_modulus > 0.0:
+            tets, patches = patched_cells(block.mesh)
+            yield PatchVolumes(tets, free_index, bulk_modulus, patches)
+
+
+def _reduced_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
+    """A term for each material of a reduced body and each kind of its cells."""
+    nodes, free_index = body.reduction, layout.nodes.free_index
+    for part in body.materials:
+        for block in body.mesh.strained_blocks(part.cells):
+            points = point_gradients(block, nodes.reduction.sampled, nodes.basis)
+            term = ReducedElements(points, part.law_parameters, nodes.coordinate_nodes, free_index)
+            if part.strain_range is not None:
+                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+            yield term
+
+
+def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
+    """A term for each material of a body and each kind of its cells.
+
+    With patches it is the elements' share of the stiffness that is damped.
+    """
+    beta = body.entry.damping.stiffness
+    for part in body.materials:
+        for block in layout.mesh_among_nodes(body).strained_blocks(part.cells):
+            lame = part.lame_parameters
+            if body.entry.has_patches:
+                mu = part.shear_modulus
+                kept = divided(part.law_parameters, mu, element_bulk(block.mesh)).law.bulk_modulus
+                lame = lame._replace(lame_lambda=kept - 2.0 * mu / 3.0)
+            yield StrainRateDamping(
+                block.mesh, layout.nodes.free_index, lame, beta
+            )
+
+
+def _borne_masses(layout: Layout) -> np.ndarray:
+    """Mass whose weight acts at each unknown [kg], shape (free_node_count,)."""
+    bodies = []
+    for body in with_nodes(layout):
+        # A body falls undeformed only if its weight is distributed like its inertia.
+        if body.reduction is not None:
+            bodies.append(np.zeros(body.reduction.node_count))
+        elif body.entry.mass_model == "consistent":
+            bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
+        else:
+            bodies.append(body.node_masses())
+    points = [
+        np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
+    ]
+    masses = np.concatenate([np.empty(0), *bodies, *points])[layout.nodes.free_nodes]
+    rigid = [(part.mass, 0.0) for part in layout.framed if part.is_free]
+    hinges = np.zeros(0 if layout.hinged is None else layout.hinged.hinge_count)
+    return np.concatenate([masses, np.array(rigid, float).reshape(-1), hinges])
+
+
+def _reduced_weights(layout: Layout) -> np.ndarray | None:
+    """Weight of reduced bodies on their coordinates [N]; None without any."""
+    reduced = [body for body in layout.bodies if body.reduction is not None]
+    if not reduced:
+        return None
+    weights = np.zeros((layout.nodes.free_node_count, 3))
+    for body in reduced:
+        own = layout.nodes.free_index[body.reduction.coordinate_nodes]
+        weights[own] = body.reduction.weights_of(body, np.array(layout.scene.gravity))
+    return weights
+
+
+def _check_resisted(layout: Layout) -> None:
+    """Refuse first-order motion of a body without drag, which would be infinitely fast."""
+    scene = layout.scene
+    if scene.integration != "first_order":
+        return
+    for body in layout.bodies:
+        damping = body.entry.damping
+        if damping.mass == 0.0 and (damping.stiffness == 0.0 or not body.is_held):
+            raise SceneError(
+                scene.path, f"{body.key}.damping.mass", damping.mass, "1/s",
+                "first_order motion needs a drag: without inertia nothing else limits its speed",
+            )  # fmt: skip
+    if any(part.is_free for part in layout.framed) or scene.mass_springs:
+        raise SceneError(
+            scene.path, "integration", "first_order", "",
+            "free rigid bodies, vertebrae, beams and point masses have no drag; use dynamic",
+        )  # fmt: skip
+
+
+def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
+    """Elements with nodes attached to free rigid bodies; None without such nodes."""
+    free = {part.name for part in layout.rigid if part.is_free}
+    attached = [body.riding[name] for name in sorted(free & set(body.riding))]
+    return coupled_to(body.mesh, np.concatenate(attached)) if attached else None
+
+
+def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
+    """Inertia in dynamic scenes, and damping."""
+    dynamic = layout.scene.integration == "dynamic"
+    unknowns = layout.nodes.free_node_count
+    # The mass of attached nodes is added to their free rigid body.
+    free_index = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
+    for body in with_nodes(layout):
+        density, alpha = body.density, body.entry.damping.mass
+        is_diagonal = body.entry.mass_model != "consistent"
+        own = np.flatnonzero(~body.fixed & body.mesh.are_points)
+        nodes = own + body.first_node
+        if dynamic and not is_diagonal:
+            mesh = layout.mesh_among_nodes(body)
+            lumped = _lumped_elements(layout, body)
+            yield ConsistentInertia(mesh, free_index, density, nodes, lumped)
+        masses = body.node_masses()[own]
+        if dynamic and is_diagonal:
+            yield LumpedInertia(nodes, free_index[nodes], masses)
+        if alpha > 0.0:
+            yield MassDamping(nodes, free_index[nodes], masses, alpha)
+        if body.entry.damping.stiffness > 0.0:
+            yield from _strain_rate_dampings(layout, body)
+    for entry in layout.scene.mass_springs:
+        nodes = layout.mass_nodes[entry.name]
+        moving = free_index[nodes] >= 0
+        masses = np.broadcast_to(entry.masses, len(nodes))[moving]
+        yield LumpedInertia(nodes[moving], free_index[nodes[moving]], masses)
+    free = [part for part in (*layout.rigid, *layout.vertebrae) if part.is_free]
+    inertia = None
+    if free:
+        inertia = RigidInertia(
+            layout.frames,
+            np.array([part.mass for part in free]),
+            np.array([part.inertia for part in free]),
+        )
+        yield inertia
+        rates = np.array([part.damping for part in free])
+        if rates.any():
+            yield RigidDamping(
+                layout.frames,
+                np.array([part.mass for part in free]),
+                np.array([part.inertia for part in free]),
+                rates,
+            )
+    if layout.beams:
+        yield _on_frames(BeamInertia(_beam_elements(layout)[1], layout.frames, inertia), layout)
+
+
+def check_masses_held(layout: Layout) -> None:
+    """Refuse point masses that no chain of springs connects to a held point.
+
+    Args:
+        layout: The bodies; in statics all others are held or have been refused.
+
+    Raises:
+        SceneError: A point mass floats.
+    """
+    world = len(layout.nodes.rest_positions)
+    pairs = []
+    for spring in layout.scene.springs:
+        ends = (_point_mass(layout, end) for end in spring.ends)
+        pairs.append(tuple(world if node is None else node for node in ends))
+    for entry in layout.scene.mass_springs:
+        nodes = layout.mass_nodes[entry.name]
+        pairs += [(int(nodes[a]), int(nodes[b])) for a, b in entry.springs]
+        pairs += [(int(nodes[k]), world) for k in entry.fixed]
+    rows, columns = np.array(pairs, np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(world + 1, world + 1))
+    _, piece = connected_components(graph, directed=False)
+    for index, entry in enumerate(layout.scene.mass_springs):
+        loose = np.flatnonzero(piece[layout.mass_nodes[entry.name]] != piece[world])
+        if len(loose):
+            raise SceneError(
+                layout.scene.path, f"mass_springs[{index}]", f"point {loose[0]}", "",
+                f"of {entry.name} floats: in quasi_static integration a chain of springs must "
+                "join it to a fixed point or to a body that is held",
+            )  # fmt: skip
+
+
+def _point_mass(layout: Layout, end) -> int | None:
+    """Node of the point mass at a spring's end; None for another kind of end."""
+    if end.on not in layout.mass_nodes:
+        return None
+    own = layout.mass_nodes[end.on]
+    rest = layout.nodes.rest_positions[own]
+    return int(own[np.argmin(np.linalg.norm(rest - end.point, axis=1))])
+
+
+class _Part(NamedTuple):
+    """Some springs of one kind; see `Springs` for the fields."""
+
+    first: BarycentricMapping
+    second: BarycentricMapping
+    stiffness: np.ndarray
+    rest_lengths: np.ndarray
+    damping: np.ndarray
+    offsets: np.ndarray
+    is_thread: np.ndarray
+
+
+def spring_term(layout: Layout, notes: list[str]) -> Springs:
+    """All springs of a scene in one term: a term for each tube would be slower.
+
+    Args:
+        layout: The bodies.
+        notes: List to which a warning for each snapped point is appended.
+
+    Returns:
+        The force term.
+
+    Raises:
+        SceneError: A point does not lie on its body.
+    """
+    scene, nodes = layout.scene, layout.nodes
+    parts = [_between(layout, s, f"springs[{i}]", notes) for i, s in enumerate(scene.springs)]
+    for index, tube in enumerate(scene.tubes):
+        path = layout.carried(tube.on, tube.points, f"tubes[{index}].points", notes)
+        parts.append(_along(segments(path, nodes.rest_positions), tube.axial_stiffness))
+    for index, fibre in enumerate(scene.fibres):
+        parts += _fibre_parts(layout, fibre, f"fibres[{index}]", notes)
+    parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
+    firsts, seconds, *columns, offsets, threads = zip(*parts, strict=True)
+    return Springs(
+        reduce(BarycentricMapping.followed_by, firsts),
+        reduce(BarycentricMapping.followed_by, seconds),
+        *(np.concatenate(column) for column in columns), nodes.free_index,
+        np.concatenate(offsets), np.concatenate(threads),
+    )  # fmt: skip
+
+
+def _along(
+    course: tuple[BarycentricMapping, BarycentricMapping, np.ndarray], axial_stiffness: float,
+    is_thread: bool = False,
+) -> _Part:  # fmt: skip
+    """Springs of one axial stiffness EA [N], between two ends each of a length at rest."""
+    first, second, lengths = course
+    count = len(lengths)
+    return _Part(
+        first, second, axial_stiffness / lengths, lengths, np.zeros(count), np.zeros((count, 3)),
+        np.full(count, is_thread),
+    )  # fmt: skip
+
+
+def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> list[_Part]:
+    """Each thread of an entry, or all edges of a set in one part."""
+    rest = layout.nodes.rest_positions
+    if fibre.edges is not None:
+        body = layout.body_named(fibre.on)
+        ends = part_named(body, "edge_set", fibre.edges, f"{key}.edges", layout.scene)
+        first, second = (
+            BarycentricMapping(ends[:, [k]] + body.first_node, np.ones((len(ends), 1)))
+            for k in (0, 1)
+        )
+        lengths = np.linalg.norm(first.positions(rest) - second.positions(rest), axis=1)
+        return [_along((first, second, lengths), fibre.stiffness, fibre.tension_only)]
+    paths, place = [fibre.points], f"{key}.points"
+    if fibre.helix is not None:
+        paths, place = list(_helices(fibre.helix)), f"{key}.helix"
+    # One mapping for all threads gives one note on all points that are snapped.
+    points = layout.carried(fibre.on, np.concatenate(paths), place, notes)
+    places = np.split(np.arange(points.point_count), np.cumsum([len(path) for path in paths])[:-1])
+    return [
+        _along(
+            segments(BarycentricMapping(points.nodes[p], points.barycentric_weights[p]), rest),
+            fibre.stiffness, fibre.tension_only,
+        )
+        for p in places
+    ]  # fmt: skip
+
+
+def _helices(helix: Helix) -> Iterator[np.ndarray]:
+    """Points of each thread [m], shape (point_count, 3)."""
+    turns = {"right": (1,), "left": (-1,), "both": (1, -1)}[helix.handedness]
+    for turn in turns:
+        for index in range(helix.count):
+            phase = helix.phase + 2.0 * np.pi * index / helix.count
+            yield helix_points(
+                helix.point, helix.direction, helix.radius, helix.pitch, helix.reach, phase, turn,
+                helix.segments_per_turn,
+            )
+
+
+def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
+    ends = spring.ends if spring.ends[0].on != "world" else spring.ends[::-1]
+    if ends[0].on == "world":
+        raise SceneError(
+            layout.scene.path, f"{key}.ends", "world", "", "both ends stand in the world"
+        )
+    first = _end(layout, ends[0], f"{key}.ends", notes)
+    rest = np.linalg.norm(np.subtract(ends[1].point, ends[0].point))
+    length = rest if spring.rest_length is None else spring.rest_length
+    if ends[1].on == "world":
+        second = BarycentricMapping(np.zeros((1, 1), np.int64), np.zeros((1, 1)))
+        offset = np.array([ends[1].point], float)
+    else:
+        second, offset = _end(layout, ends[1], f"{key}.ends", notes), np.zeros((1, 3))
+    return _Part(
+        first, second, np.array([spring.stiffness]), np.array([length]),
+        np.array([spring.damping]), offset, np.zeros(1, bool),
+    )  # fmt: skip
+
+
+def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
+    if end.on not in layout.mass_nodes:
+        return layout.carried(end.on, [end.point], key, notes)
+    own = layout.mass_nodes[end.on]
+    points = layout.nodes.rest_positions[own]
+    distances = np.linalg.norm(points - end.point, axis=1)
+    # A single point has no size: its coordinates are the scale.
+    size = size_of_points(points) or np.linalg.norm(points)
+    if distances.min() > AT_POINT * size:
+        raise SceneError(
+            layout.scene.path, key, list(end.point), "m",
+            f"is not a point of {end.on}; the nearest is {distances.min():.3g} m away",
+        )  # fmt: skip
+    return BarycentricMapping(own[[[distances.argmin()]]], np.ones((1, 1)))
+
+
+def _in_mass_spring_body(layout: Layout, entry) -> _Part:
+    rest = layout.nodes.rest_positions
+    pairs = layout.mass_nodes[entry.name][np.array(entry.springs, np.int64)]
+    first, second = (BarycentricMapping(pairs[:, [k]], np.ones((len(pairs), 1))) for k in (0, 1))
+    lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)
+    count = len(pairs)
+    return _Part(
+        first, second, np.full(count, entry.stiffness), lengths,
+        np.full(count, entry.damping), np.zeros((count, 3)), np.zeros(count, bool),
+    )  # fmt: skip

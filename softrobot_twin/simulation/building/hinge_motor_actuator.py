@@ -1,0 +1,113 @@
+"""Motors that turn hinges as actuators: by angle, or by torque."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from softrobot_twin.constraints.hinge_angle import HingeAngles
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.actuator_entries import HingeMotor
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.beam_bodies import BeamBody
+from softrobot_twin.simulation.building.scene_layout import Layout
+from softrobot_twin.simulation.building.unlikely_limits import unlikely
+
+# Limits outside these shares of their natural scales are reported: degrees are a factor of 57, and
+# N mm one of 1000.
+RATE_RANGE = (5.0e-3, 50.0)
+"""Of one radian in a second."""
+TORQUE_RANGE = (1.0e-3, 1.0e3)
+"""Of the torque that bends the beam at the hinge to a radian over its length."""
+
+
+class HingeMotorActuator:
+    """The kind `hinge_motors`; see `ActuatorKind`."""
+
+    section = "hinge_motors"
+    entry = HingeMotor
+    noun = "hinge motor"
+    setpoint = Quantity("angle", "rad")
+    displacement = Quantity("angle", "rad")
+    effort = Quantity("torque", "Nm")
+    sign = 1
+    one_sided = False
+    takes_efforts = True
+    is_effort_driven = False
+    least_setpoint = -np.inf
+    stalls = True
+
+    def build(
+        self, layout: Layout, entries: tuple[HingeMotor, ...], notes: list[str]
+    ) -> ActuatorGroup:
+        """See `ActuatorKind.build`."""
+        hinges = [_hinge(layout, motor, index) for index, motor in enumerate(entries)]
+        _check_driven_once(layout, entries, hinges)
+        ranges = np.array([motor.angle for motor in entries])
+        bending = [_bending(layout.body_named(motor.beam)) for motor in entries]
+        term = HingeAngles(layout.hinged, hinges, ranges, bending)
+        radii = layout.hinged.hinges.radii[term.hinges]
+        return ActuatorGroup(
+            self, tuple(motor.name for motor in entries), term, None, np.zeros(len(entries)),
+            term.scales, ranges,
+            np.array([np.inf if motor.rate is None else motor.rate for motor in entries]),
+            np.array([motor.torque for motor in entries]), 1.0 / radii,
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
+        """Limits that are out of scale; see `ActuatorKind.doubts`."""
+        beams = {beam.name: beam for beam in model.beams}
+        for index, motor in enumerate(model.scene.hinge_motors):
+            key, beam = f"hinge_motors[{index}]", beams[motor.beam]
+            yield from unlikely(f"{key}.rate", motor.rate or 0.0, "rad/s", 1.0, RATE_RANGE,
+                                "is the rate in radians per second?")  # fmt: skip
+            bending = _bending(beam)
+            yield from unlikely(
+                f"{key}.torque", max(map(abs, motor.torque)), "N m", bending, TORQUE_RANGE,
+                f"some {bending:.2g} N m would bend {beam.name} by a radian; is the limit in N m?",
+            )  # fmt: skip
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The axes of the hinges; see `ActuatorKind.paths`."""
+        return tuple(group.term.axis_lines(positions))
+
+    def details(self, entry: HingeMotor, group: ActuatorGroup, index: int) -> str:
+        """See `ActuatorKind.details`."""
+        return f"turns {entry.beam} at its {entry.at}"
+
+
+def _bending(beam: BeamBody) -> float:
+    """Torque that bends a beam by a radian over its length, in its stiffer direction [N m]."""
+    inertia = max(beam.section.inertia_y, beam.section.inertia_z)
+    return float(beam.entry.material.young_modulus * inertia / beam.lengths.sum())
+
+
+def _hinge(layout: Layout, motor: HingeMotor, index: int) -> int:
+    """Index of the hinge that a motor drives."""
+    beam, key = layout.body_named(motor.beam), f"hinge_motors[{index}]"
+    points = len(beam.entry.points)
+    if isinstance(motor.at, int) and motor.at >= points:
+        raise SceneError(
+            layout.scene.path, f"{key}.at", motor.at, "",
+            f"{motor.beam} has the points 0 to {points - 1}",
+        )  # fmt: skip
+    hinge = int(beam.carriers.hinges[beam.node_at(motor.at)])
+    if hinge < 0 or layout.hinged.is_ball[hinge]:
+        joint = "is not on a hinge" if hinge < 0 else "is on a ball joint, which has no axis"
+        raise SceneError(
+            layout.scene.path, f"{key}.at", motor.at, "",
+            f"{motor.beam} {joint} there: {motor.name} turns a beam that is joined by a hinge",
+        )  # fmt: skip
+    return hinge
+
+
+def _check_driven_once(layout: Layout, entries, hinges: list[int]) -> None:
+    """Refuse two motors at one hinge."""
+    for index, hinge in enumerate(hinges):
+        first = hinges.index(hinge)
+        if first != index:
+            raise SceneError(
+                layout.scene.path, f"hinge_motors[{index}].at", entries[index].at, "",
+                f"{entries[first].name} turns this hinge already",
+            )  # fmt: skip

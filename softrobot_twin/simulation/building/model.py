@@ -1,0 +1,111 @@
+"""The built scene: terms, rows and limits. Nothing here changes in a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from softrobot_twin.constraints.hinge_angle import HingeAngles
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.strain_watch import StrainWatch
+from softrobot_twin.mechanics.superelements import Superelements
+from softrobot_twin.scene.schema import Scene
+from softrobot_twin.simulation.building.actuators import Actuators
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.solvers.factorization import Factorization
+
+
+@dataclass
+class Model:
+    """The built scene.
+
+    Attributes:
+        scene: Its description.
+        bodies: Its deformable bodies.
+        rigid: Its rigid bodies.
+        nodes: The nodes of all of them.
+        forces: Force terms; a step sums them.
+        beginners: Objects that use the state at the beginning of a step: terms of motion, which
+            store it, and guided bodies, which are moved. Empty in statics without guided bodies.
+        actuators: The actuators of all kinds.
+        effectors: Constraint term of the effectors, or None when the scene names none.
+        contacts: Constraint term of contacts, or None when the scene names none.
+        rows: All constraint rows: the actuators', the effectors', then the contacts'.
+        markers: Mapping of the markers onto the bodies.
+        marker_ids: Their ids, shape (marker_count,).
+        effector_markers: For each effector, indices into `marker_ids` of its markers.
+        factorization: A⁻¹, laid out for the pattern of all terms.
+        guides: Mover of the guided bodies, or None when the scene has none.
+        notes: Repairs and warnings, a sentence each.
+        superelements: Those of each body that is reduced to vertebrae, by its name.
+        beams: Its beams.
+    """
+
+    scene: Scene
+    bodies: tuple[Body, ...]
+    rigid: tuple
+    nodes: Nodes
+    forces: tuple[ForceTerm, ...]
+    beginners: tuple
+    actuators: Actuators
+    effectors: object | None
+    contacts: object | None
+    rows: RowStack
+    markers: BarycentricMapping
+    marker_ids: np.ndarray
+    effector_markers: tuple[np.ndarray, ...]
+    factorization: Factorization
+    guides: object | None = None
+    notes: list[str] = field(default_factory=list)
+    superelements: dict[str, Superelements] = field(default_factory=dict)
+    beams: tuple = ()
+
+    @property
+    def terms(self) -> tuple:
+        """All terms that a step sums, in the order they are evaluated."""
+        return (*self.forces, *self.rows.terms)
+
+    @property
+    def slides(self):
+        """Object that prescribes displacements without multipliers, or None without any."""
+        return self.actuators.moves
+
+    @property
+    def has_motors_of_hinges(self) -> bool:
+        """True when a motor turns a hinge, which perhaps nothing else holds."""
+        return any(isinstance(term, HingeAngles) for term in self.rows.terms)
+
+    @property
+    def strain_watches(self) -> tuple[StrainWatch, ...]:
+        """Watches of the materials that have a range of strains; empty without any."""
+        watches = (getattr(term.on_points, "strain_watch", None) for term in self.forces)
+        return tuple(watch for watch in watches if watch is not None)
+
+    @property
+    def is_dynamic(self) -> bool:
+        """True when a step needs its duration."""
+        return self.scene.integration != "quasi_static"
+
+    @property
+    def weighs_stiffness(self) -> bool:
+        """True when an effector asks for a stiffness, with a weight."""
+        entries = (effector.stiffness for effector in self.scene.effectors)
+        return any(entry is not None and entry.weight > 0.0 for entry in entries)
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages of a step, in the order they run."""
+        detect = ("detect",) if self.rows.varies else ()
+        solved = any(term.group != "effectors" for term in self.rows.terms)
+        optimise = ("optimise",) if solved else ()
+        stiffness = ("stiffness",) if self.weighs_stiffness else ()
+        reduced = (body.entry.reduced for body in self.bodies)
+        falls_back = any(entry is not None and entry.fallback is not None for entry in reduced)
+        fallback = ("fallback",) if falls_back else ()
+        return (
+            *fallback, *detect, "assemble", "factor", "condense", *stiffness, *optimise, "correct", "residual"
+        )  # fmt: skip

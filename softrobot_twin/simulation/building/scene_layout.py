@@ -1,0 +1,638 @@
+"""Bodies of a scene and their nodes: deformable bodies, point masses and rigid bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry import shapes
+from softrobot_twin.geometry.surface_reading import read_solid_surface
+from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
+from softrobot_twin.mechanics.hinged_frames import HingedFrames, Hinges
+from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
+from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
+from softrobot_twin.mechanics.superelements import Superelements
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.body_entries import (
+    BoxShape,
+    CapsuleShape,
+    CylinderShape,
+    PlaneShape,
+    RigidBody,
+    SphereShape,
+    SurfaceShape,
+)
+from softrobot_twin.scene.references import matching
+from softrobot_twin.simulation.building.beam_bodies import BeamBody, BeamNet
+from softrobot_twin.simulation.building.cavity_walls import cavity_wall, check_walls_of_reduced
+from softrobot_twin.simulation.building.deformable_body import (
+    Body,
+    build_body,
+    carry,
+    holds_still,
+    placed_in_world,
+)
+from softrobot_twin.simulation.building.frame_part import FramePart
+from softrobot_twin.simulation.building.reduced_body import ReducedNodes, on_platform, reduced_nodes
+from softrobot_twin.simulation.building.scene_files import check_files
+from softrobot_twin.simulation.building.vertebrae import Wall, reduced_body
+
+# Length of the facets of a triangulated round shape, as a share of its radius.
+FACETS = 0.4
+
+
+def triangulated(shape) -> tuple[np.ndarray, np.ndarray]:
+    """Surface of a shape: points in its frame [m], (n, 3), and triangles, (triangle_count, 3)."""
+    is_round = isinstance(shape, shapes.Sphere | shapes.Capsule | shapes.Cylinder)
+    return shape.surface(FACETS * shape.radius if is_round else np.inf)
+
+
+def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
+    """Build a shape in the frame of its body or obstacle.
+
+    Args:
+        entry: Its entry in the scene.
+        scene: The scene.
+        notes: List to which repairs are appended.
+        shift: Displacement added to its coordinates [m], shape (3,).
+
+    Returns:
+        A shape of ``geometry.shapes``, or a `SolidSurface`.
+
+    Raises:
+        MeshError: A surface cannot be used.
+    """
+    shift = np.asarray(shift, float)
+    if isinstance(entry, PlaneShape):
+        normal = np.asarray(entry.normal) / np.linalg.norm(entry.normal)
+        return shapes.Plane(shift + entry.point, normal)
+    if isinstance(entry, SphereShape):
+        return shapes.Sphere(shift + entry.centre, entry.radius)
+    if isinstance(entry, CapsuleShape):
+        return shapes.Capsule(shift + np.array(entry.ends), entry.radius)
+    if isinstance(entry, CylinderShape):
+        return shapes.Cylinder(shift + np.array(entry.ends), entry.radius)
+    if isinstance(entry, BoxShape):
+        rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+        return shapes.Box(shift + entry.centre, np.array(entry.size), rotation)
+    return _surface(entry, scene, notes, shift)
+
+
+def _surface(entry: SurfaceShape, scene: Scene, notes: list[str], shift: np.ndarray):
+    return read_solid_surface(
+        scene.file_path(entry.file), scale=entry.scale, rotation=entry.rotation,
+        translation=shift + entry.translation, notes=notes,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """A rigid body of a scene.
+
+    Attributes:
+        entry: Its entry in the scene.
+        index: Its index among all rigid bodies.
+        first_node: Its first frame node.
+        origin: Origin of its frame at rest [m], the centre of mass of a free body, shape (3,).
+        rotation: From its frame to the world at rest, shape (3, 3).
+        centre_of_mass: The frame's origin in the coordinates of the scene entry [m], shape (3,).
+        shape: Its shape, in its frame.
+        mass: Mass, including that of the attached nodes [kg]; 0 for a guided body.
+        inertia: About the centre of mass, in its frame [kg m²], shape (3, 3).
+        radius: Distance of its furthest point from the frame's origin [m].
+        attached: Nodes of soft bodies attached to it among all nodes, shape (attached_count,);
+            empty for a guided body.
+        local: Their positions in its frame [m], shape (attached_count, 3).
+    """
+
+    entry: RigidBody
+    index: int
+    first_node: int
+    origin: np.ndarray
+    rotation: np.ndarray
+    centre_of_mass: np.ndarray
+    shape: object
+    mass: float
+    inertia: np.ndarray
+    radius: float
+    attached: np.ndarray
+    local: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """The body's name."""
+        return self.entry.name
+
+    @property
+    def damping(self) -> float:
+        """α: drag by mass and inertia [1/s]."""
+        return self.entry.damping
+
+    @property
+    def is_free(self) -> bool:
+        """True for a free body, False for a guided one."""
+        return self.entry.motion == "free"
+
+    def carried(self, points) -> BarycentricMapping:
+        """Map points that move with it.
+
+        Args:
+            points: In the world, at rest [m], shape (point_count, 3).
+
+        Returns:
+            Their mapping onto its frame nodes.
+        """
+        local = (np.asarray(points, float).reshape(-1, 3) - self.origin) @ self.rotation
+        nodes = np.tile(self.first_node + np.arange(4), (len(local), 1))
+        return BarycentricMapping(nodes, np.column_stack([1.0 - local.sum(axis=1), local]))
+
+    def distances(self, points) -> np.ndarray:
+        """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
+        points = np.asarray(points, float).reshape(-1, 3)
+        return self.shape.distances((points - self.origin) @ self.rotation)
+
+    def entry_pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origin [m] and rotation of the entry's coordinates at a state, (3,) and (3, 3)."""
+        frame = positions[self.first_node : self.first_node + 4]
+        rotation = (frame[1:] - frame[0]).T
+        return frame[0] - rotation @ self.centre_of_mass, rotation
+
+
+def build_rigid_parts(
+    scene: Scene, bodies: list[Body], net: BeamNet | None, first_node: int, notes: list[str]
+) -> tuple[RigidPart, ...]:
+    """Build all rigid bodies.
+
+    Args:
+        scene: The scene.
+        bodies: Its deformable bodies, whose nodes may be attached.
+        net: Its beams, whose nodes may be joined; None without beams.
+        first_node: Number of nodes of the scene before their frames.
+        notes: List to which repairs are appended.
+
+    Returns:
+        The rigid bodies.
+
+    Raises:
+        SceneError: A free body floats in statics, or a node is attached to it and to another.
+        MeshError: A surface cannot be used.
+    """
+    held = {
+        entry.name for entry in scene.rigid_bodies
+        if entry.motion == "guided" or any(
+            body.is_held and holds_still(body.mesh.node_positions[body.riding[entry.name]])
+            for body in bodies if entry.name in body.riding
+        )
+    }  # fmt: skip
+    if net is not None and scene.integration == "quasi_static":
+        held = net.all_held(held)
+    parts = []
+    for index, entry in enumerate(scene.rigid_bodies):
+        key = f"rigid_bodies[{index}]"
+        if entry.name not in held and scene.integration == "quasi_static":
+            raise SceneError(
+                scene.path, f"{key}.motion", "free", "",
+                f"{entry.name} floats: in quasi_static integration nothing gives it an "
+                "equilibrium; make the scene dynamic, the body guided, or attach it to a soft "
+                "body or join it to a beam that is held",
+            )  # fmt: skip
+        node = first_node + 4 * index
+        parts.append(_build_part(entry, index, node, bodies, scene, notes))
+    _check_attached_once(parts, bodies, scene)
+    return tuple(parts)
+
+
+def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> RigidPart:
+    rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+    shape = build_shape(entry.shape, scene, notes)
+    centre, mass, inertia = np.zeros(3), 0.0, np.zeros((3, 3))
+    attached, points = np.empty(0, np.int64), np.empty((0, 3))
+    if entry.motion == "free":
+        volume, centre, unit_inertia = shape.mass_properties()
+        mass = entry.mass if entry.mass is not None else entry.density * volume
+        inertia = unit_inertia * (mass / volume)
+        attached, points, masses = _attached_to(entry.name, bodies)
+        points = (points - np.asarray(entry.position, float)) @ rotation
+        mass, centre, inertia = _with_point_masses(mass, centre, inertia, masses, points)
+        shape = build_shape(entry.shape, scene, notes, shift=-centre)
+    corners, _ = triangulated(shape)
+    local = points - centre
+    radius = float(np.linalg.norm(np.vstack([corners, local]), axis=1).max())
+    origin = np.asarray(entry.position, float) + rotation @ centre
+    return RigidPart(
+        entry, index, first_node, origin, rotation, centre, shape, mass, inertia, radius,
+        attached, local,
+    )  # fmt: skip
+
+
+def _attached_to(name: str, bodies: list[Body]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes attached to a rigid body: indices, rest positions [m] and masses [kg]."""
+    found = [(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))]
+    for body in bodies:
+        if name in body.riding:
+            nodes = body.riding[name]
+            # Elements at attached nodes have lumped masses in every mass model; see `coupled_to`.
+            masses = body.node_masses()[nodes]
+            found.append((nodes + body.first_node, body.mesh.node_positions[nodes], masses))
+    nodes, points, masses = (np.concatenate(column) for column in zip(*found, strict=True))
+    return nodes, points, masses
+
+
+def _with_point_masses(mass: float, centre, inertia, masses, points):
+    """Mass [kg], centre [m] and inertia about it [kg m²] of a body and of points fixed to it."""
+    if not len(masses):
+        return mass, centre, inertia
+    total = mass + masses.sum()
+    common = (mass * centre + masses @ points) / total
+    for own, arm in [(mass, centre - common), *zip(masses, points - common, strict=True)]:
+        inertia = inertia + own * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return total, common, inertia
+
+
+def _check_attached_once(parts: list[RigidPart], bodies: list[Body], scene: Scene) -> None:
+    """Refuse nodes that are attached to a free rigid body and to another one."""
+    free = {part.name for part in parts if part.is_free}
+    for body in bodies:
+        for name in free & set(body.riding):
+            others = [nodes for other, nodes in body.riding.items() if other != name]
+            shared = np.intersect1d(body.riding[name], np.concatenate([np.empty(0, int), *others]))
+            if len(shared):
+                raise SceneError(
+                    scene.path, f"{body.key}.attached", f"{len(shared)} nodes", "",
+                    f"are attached to {name}, which moves by itself, and to another rigid body",
+                )  # fmt: skip
+
+
+def frame_nodes(
+    positions: np.ndarray, free_nodes: np.ndarray, free_index: np.ndarray,
+    sizes: list[float], parts: tuple[RigidPart, ...], hinges: Hinges | None = None,
+) -> Nodes:  # fmt: skip
+    """Add the frame nodes of rigid bodies to all other nodes.
+
+    Args:
+        positions: The other nodes at rest [m], shape (n, 3).
+        free_nodes: Those that move, shape (free,).
+        free_index: Their unknowns, shape (n,).
+        sizes: Sizes of the other bodies [m].
+        parts: The rigid bodies.
+        hinges: Joints of the hinged frames behind them; None without any.
+
+    Returns:
+        All nodes.
+    """
+    free = np.array([part.is_free for part in parts], bool)
+    unknowns = len(free_nodes) + 2 * int(free.sum())
+    radii = np.array([part.radius for part in parts])
+    moving = [part for part in parts if part.is_free]
+    attached = AttachedNodes(
+        np.concatenate([np.empty(0, np.int64), *(part.attached for part in moving)]),
+        np.repeat(np.arange(len(moving)), [len(part.attached) for part in moving]),
+        np.concatenate([np.empty((0, 3)), *(part.local for part in moving)]),
+    )
+    rest = np.vstack([positions, RigidFrames.rest_nodes([(p.origin, p.rotation) for p in parts])])
+    if hinges is None:
+        frames = RigidFrames(
+            len(positions), free, len(free_nodes), unknowns, radii[free], attached
+        )
+    else:
+        unknowns += len(hinges.parents)
+        frames = HingedFrames(
+            len(positions), free, len(free_nodes), unknowns, hinges, radii[free], attached
+        )
+        rest = np.vstack([rest, frames.rest_nodes(frames.rest_poses(rest))])
+    free_index[attached.nodes] = frames.attached_index()
+    rest.setflags(write=False)
+    return Nodes(
+        rest, free_nodes, np.concatenate([free_index, frames.free_index()]), unknowns,
+        max([*sizes, *(2.0 * radii)]), (frames,),
+    )  # fmt: skip
+
+
+class Layout(NamedTuple):
+    """The bodies of a scene and their nodes.
+
+    Attributes:
+        scene: The scene.
+        bodies: Its deformable bodies.
+        rigid: Its rigid bodies, shape (rigid_body_count,).
+        mass_nodes: Nodes of each mass-spring body, by its name.
+        nodes: All nodes.
+        vertebrae: Vertebrae of reduced bodies; their frames come after those of rigid bodies.
+        superelements: Those of each reduced body, by its name.
+        beams: Its beams.
+        beam_frames: Frames of their nodes; they come after those of vertebrae.
+    """
+
+    scene: Scene
+    bodies: tuple[Body, ...]
+    rigid: tuple
+    mass_nodes: dict[str, np.ndarray]
+    nodes: Nodes
+    vertebrae: tuple[FramePart, ...] = ()
+    superelements: dict[str, Superelements] = {}
+    beams: tuple[BeamBody, ...] = ()
+    beam_frames: tuple[FramePart, ...] = ()
+
+    @property
+    def asked(self) -> dict[str, ReducedNodes] | None:
+        """The reduced bodies by name, for `lay_out`; None where no term asks for points still."""
+        found = {body.name: body.reduction for body in self.bodies if body.reduction is not None}
+        return found if any(nodes.points is None for nodes in found.values()) else None
+
+    @property
+    def framed(self) -> tuple:
+        """All parts that have a frame: rigid bodies, vertebrae, then nodes of beams."""
+        return (*self.rigid, *self.vertebrae, *self.beam_frames)
+
+    @property
+    def frames(self) -> RigidFrames:
+        """Frames of the rigid bodies of a scene that has any."""
+        return self.nodes.kinds[0]
+
+    @property
+    def hinged(self) -> HingedFrames | None:
+        """The same frames where some are hinged to others; None without hinges."""
+        frames = self.nodes.kinds[0] if self.nodes.kinds else None
+        return frames if isinstance(frames, HingedFrames) else None
+
+    def body_named(self, name: str | None):
+        """The body of a name, of any kind; without a name the only deformable one."""
+        if name is None:
+            return self.bodies[0]
+        return next(b for b in (*self.bodies, *self.rigid, *self.beams) if b.name == name)
+
+    def carried(
+        self, name: str | None, points, key: str, notes: list[str], spread_radius: float = 0.0
+    ) -> BarycentricMapping:
+        """Map points onto a body.
+
+        Args:
+            name: The body; None for the only deformable one.
+            points: Points at rest [m], shape (point_count, 3).
+            key: Scene entry of the points, for errors.
+            notes: List to which a warning for each snapped point is appended.
+            spread_radius: See `carry`.
+
+        Returns:
+            The mapping.
+
+        Raises:
+            SceneError: A point is too far from a deformable body.
+        """
+        body = self.body_named(name)
+        if isinstance(body, Body):
+            return carry(body, points, key, self.scene, notes, spread_radius)
+        return body.carried(points)
+
+    def bodies_of(self, entry) -> list:
+        """The body of an entry that may be `also_on` others, and then these, each once."""
+        every = [b.name for b in (*self.bodies, *self.rigid, *self.beams)]
+        names = [self.body_named(entry.body).name]
+        for pattern in entry.also_on:
+            names += matching(pattern, every)
+        return [self.body_named(name) for name in dict.fromkeys(names)]
+
+    def carried_by_nearest(
+        self, bodies: list, points, key: str, notes: list[str], spread_radius: float = 0.0
+    ) -> BarycentricMapping:
+        """Map each point onto the nearest of several bodies, the first of those equally near.
+
+        Args:
+            bodies: The bodies, see `bodies_of`.
+            points: Points at rest [m], shape (point_count, 3).
+            key: Scene entry of the points, for errors.
+            notes: List to which a warning for each snapped point is appended.
+            spread_radius: See `carry`.
+
+        Returns:
+            The mapping.
+
+        Raises:
+            SceneError: A point is too far from a deformable body.
+        """
+        points = np.asarray(points, float).reshape(-1, 3)
+        nearest = np.argmin([body.distances(points) for body in bodies], axis=0)
+        mappings, places = [], []
+        for index, body in enumerate(bodies):
+            own = np.flatnonzero(nearest == index)
+            if len(own):
+                mappings.append(
+                    carry(body, points[own], key, self.scene, notes, spread_radius, own).reduced()
+                    if isinstance(body, Body) else body.carried(points[own]).reduced(NO_LEVER)
+                )  # fmt: skip
+                places.append(own)
+        joined = reduce(BarycentricMapping.followed_by, mappings)
+        order = np.argsort(np.concatenate(places))
+        return BarycentricMapping(joined.nodes[order], joined.barycentric_weights[order])
+
+    def in_world(self, name: str | None, frame: str, points) -> np.ndarray:
+        """Points of an entry with its own frame, in the world [m], shape (count, 3)."""
+        if frame == "world":
+            return np.asarray(points, float).reshape(-1, 3)
+        return placed_in_world(self.body_named(name).entry, points)
+
+    def mesh_among_nodes(self, body: Body):
+        """A body's mesh, with nodes numbered among all nodes."""
+        positions = self.nodes.rest_positions
+        if len(positions) == body.mesh.node_count:
+            return body.mesh
+        return body.mesh.renumbered(positions, body.first_node)
+
+
+def lay_out(
+    scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | None = None
+) -> Layout:
+    """Read all bodies of a scene and number their nodes.
+
+    Args:
+        scene: The scene.
+        notes: List to which repairs are appended.
+        asked: The reduced bodies, by name, after their terms have asked for points; None before,
+            when all nodes of their meshes are points.
+
+    Returns:
+        The layout.
+
+    Raises:
+        MeshError: A mesh cannot be used.
+        SceneError: An entry does not fit.
+    """
+    check_files(scene)
+    check_walls_of_reduced(scene)
+    net = BeamNet(scene) if scene.beams else None
+    guided = {entry.name for entry in scene.rigid_bodies if entry.motion == "guided"}
+    held_bodies = set() if net is None else net.reached(guided)
+    bodies: list[Body] = []
+    first_node = 0
+    for index, entry in enumerate(scene.deformables):
+        key = "body" if scene.body is not None else f"bodies[{index}]"
+        bodies.append(build_body(entry, key, first_node, scene, notes, held_bodies))
+        if entry.reduced is not None:
+            bodies[-1] = _with_coordinates(bodies[-1], scene, asked)
+        if entry.vertebrae is None:
+            first_node += bodies[-1].scene_node_count
+    if any(body.entry.vertebrae is not None for body in bodies):
+        bodies = _reduced(bodies, scene)
+    with_nodes = [body for body in bodies if body.vertebrae is None]
+    positions = [body.mesh.node_positions if body.reduction is None else body.reduction.rest_nodes()
+                 for body in with_nodes]  # fmt: skip
+    fixed = [body.fixed if body.reduction is None else body.reduction.are_points()
+             for body in with_nodes]  # fmt: skip
+    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.as_tets)
+             for body in bodies]  # fmt: skip
+    mass_nodes = {}
+    for entry in scene.mass_springs:
+        mass_nodes[entry.name] = first_node + np.arange(len(entry.points))
+        positions.append(np.asarray(entry.points, float))
+        sizes.append(size_of_points(positions[-1]))
+        fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
+        first_node += len(entry.points)
+    rigid = build_rigid_parts(scene, bodies, net, first_node, notes)
+    bodies = [on_platform(body, rigid) for body in bodies]
+    reduced = [body.reduction for body in bodies if body.reduction is not None]
+    _note_unused_contact_surfaces(bodies, scene, notes)
+    first_node += 4 * len(rigid)
+    for index, body in enumerate(bodies):
+        if body.vertebrae is not None:
+            placed = replace(body.vertebrae, first_frame_node=first_node)
+            bodies[index] = replace(body, vertebrae=placed)
+            first_node += 4 * len(placed.parts)
+    vertebrae = tuple(part for body in bodies if body.vertebrae for part in body.vertebrae.parts)
+    beams, beam_frames, hinges = (), (), None
+    if net is not None:
+        beams, beam_frames = net.placed(rigid, first_node), net.frame_parts()
+        sizes += [size_of_points(beam.places) for beam in beams]
+    framed = (*rigid, *vertebrae, *beam_frames)
+    if net is not None and net.pivots:
+        before = len(framed) - len(beam_frames)
+        hinges = net.hinges(framed, before, first_node - 4 * before)
+    nodes = _number(positions, fixed, sizes, framed, hinges, reduced)
+    if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
+        raise _nothing_moves(scene)
+    superelements = {
+        body.name: _superelements(body, nodes, scene) for body in bodies if body.vertebrae
+    }
+    return Layout(
+        scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements, beams,
+        beam_frames,
+    )  # fmt: skip
+
+
+def whole_layout(scene: Scene, bodies: list[Body]) -> Layout:
+    """Deformable bodies before their nodes are numbered, to which points can be mapped."""
+    return Layout(scene, tuple(bodies), (), {}, None)
+
+
+def walls_on(body: Body, whole: Layout) -> tuple[Wall, ...]:
+    """Walls of cavities on a body, on its own nodes.
+
+    Args:
+        body: The body, not reduced.
+        whole: All bodies; see `whole_layout`.
+    """
+    walls = []
+    for index, cavity in enumerate(whole.scene.cavities):
+        for place, wall in enumerate(cavity.walls):
+            if whole.body_named(wall.body).name == body.name:
+                key = f"cavities[{index}].walls[{place}]"
+                walls.append(Wall(cavity.name, *cavity_wall(whole, wall, key, [])))
+    return tuple(walls)
+
+
+def _reduced(bodies: list[Body], scene: Scene) -> list[Body]:
+    """The bodies, those with vertebrae reduced to them."""
+    own = [replace(body, first_node=0) for body in bodies]
+    whole = whole_layout(scene, own)
+    return [
+        body if body.entry.vertebrae is None
+        else reduced_body(alone, walls_on(alone, whole), scene)
+        for body, alone in zip(bodies, own, strict=True)
+    ]  # fmt: skip
+
+
+def _superelements(body: Body, nodes: Nodes, scene: Scene) -> Superelements:
+    """The superelements of a reduced body, with cavities numbered as in the scene."""
+    reduced, names = body.vertebrae, [cavity.name for cavity in scene.cavities]
+    place = np.array([names.index(name) for name in reduced.division.cavities], np.int64)
+    fits = [
+        fit._replace(end_points=ends, cavities=place[fit.cavities], shares=shares)
+        for fit, ends, shares in zip(
+            reduced.reduction.fits, reduced.local_ends, reduced.shared_masses(), strict=True
+        )
+    ]  # fmt: skip
+    return Superelements(
+        tuple(fits), reduced.reduction.degree, reduced.frame_nodes, len(names),
+        nodes.kinds[0].unknowns_of(reduced.frame_nodes), scene.gravity,
+    )  # fmt: skip
+
+
+def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
+    contact = scene.contact
+    named = set() if contact is None else {name for t in contact.between for name in t.pair}
+    # A predefined point may omit its body if there is only one.
+    points = contact is not None and bool(contact.points)
+    for body in bodies:
+        if body.entry.contact_surface is not None and body.name not in named and not points:
+            notes.append(
+                f"{body.key}.contact_surface is not used: contact.between names no pair with "
+                f"{body.name}"
+            )
+
+
+def _nothing_moves(scene: Scene) -> SceneError:
+    """The error of a scene whose bodies have no unknown."""
+    key, what = "mass_springs", "all points are fixed"
+    if scene.beams:
+        key, what = "beams", "all nodes are fixed or joined to guided bodies"
+    elif scene.deformables:
+        key = "body.fixed" if scene.body is not None else "bodies"
+        what = "all nodes are fixed or attached"
+    return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")
+
+
+def _number(
+    positions: list[np.ndarray], fixed: list[np.ndarray], sizes: list[float], rigid: tuple,
+    hinges: Hinges | None, reduced: list[ReducedNodes],
+) -> Nodes:  # fmt: skip
+    """Number the unknowns: the free nodes, in order."""
+    held = np.concatenate([np.empty(0, bool), *fixed])
+    free_nodes = np.flatnonzero(~held)
+    free_index = np.full(len(held), -1, dtype=np.int64)
+    free_index[free_nodes] = np.arange(len(free_nodes))
+    rest = np.concatenate([np.empty((0, 3)), *positions])
+    if rigid or hinges is not None:
+        nodes = frame_nodes(rest, free_nodes, free_index, sizes, rigid, hinges)
+    else:
+        rest.setflags(write=False)
+        # A single point has no size that could limit its displacement.
+        size = max(sizes) or np.inf
+        nodes = Nodes(rest, free_nodes, free_index, len(free_nodes), size)
+    return _with_reduced_points(nodes, reduced) if reduced else nodes
+
+
+def _with_reduced_points(nodes: Nodes, reduced: list[ReducedNodes]) -> Nodes:
+    """The nodes, the points of reduced bodies numbered after all other carried points."""
+    index = nodes.free_index.copy()
+    first = nodes.free_node_count + sum(len(kind.carried_unknowns) for kind in nodes.kinds)
+    kinds = tuple(body.kind(index) for body in reduced)
+    for body, kind in zip(reduced, kinds, strict=True):
+        count = len(kind.carried_unknowns)
+        index[body.first_point : body.first_point + count] = first + np.arange(count)
+        first += count
+    return replace(nodes, free_index=index, kinds=(*nodes.kinds, *kinds))
+
+
+def _with_coordinates(
+    body: Body, scene: Scene, asked: dict[str, ReducedNodes] | None
+) -> Body:
+    """A body in the coordinates of its basis, with all points or those that were asked for."""
+    if asked is None:
+        nodes = replace(reduced_nodes(body, scene), first_node=body.first_node)
+    else:
+        nodes = replace(asked[body.name].with_asked_points(), first_node=body.first_node)
+    return replace(body, reduction=nodes)

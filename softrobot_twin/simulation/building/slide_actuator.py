@@ -1,0 +1,205 @@
+"""Slides: actuators that move a platform, with all attached nodes, by a displacement.
+
+A slide has no multiplier: it prescribes a move u. In statics a body that is held only by the
+platform is translated with it, as no inner force changes; so u shifts positions, effectors and gaps
+by
+
+    x ← x + a u,    δ_e ← δ_e + G_e u,    δ_c ← δ_c + G_c u
+
+with the axis a, G_e = a in the effectors' directions and G_c = n · a where the platform carries the
+first side of a contact, less that where it carries the second.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.actuator_entries import Slide
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.scene_layout import Layout
+
+NOWHERE = -1
+
+
+@njit(**KERNEL)
+def shift_riders(positions, slide_of_node, axes, moves):
+    """Translate every attached node along its slide's axis."""
+    for n in range(len(positions)):
+        k = slide_of_node[n]
+        if k != NOWHERE:
+            for i in range(3):
+                positions[n, i] += moves[k] * axes[k, i]
+
+
+@njit(**KERNEL)
+def write_slide_positions(positions, frames, rest_origins, axes, slide_positions):
+    """Position of each slide: displacement of its frame along its axis [m]."""
+    for k in range(len(frames)):
+        n, along = frames[k], 0.0
+        for i in range(3):
+            along += (positions[n, i] - rest_origins[k, i]) * axes[k, i]
+        slide_positions[k] = along
+
+
+@njit(**KERNEL)
+def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
+    """Add the motion of each side along the contacts' directions."""
+    for c in range(len(columns) // rows_per_contact):
+        for side in range(2):
+            # All four nodes of a rigid side are frame nodes.
+            first = 4 * side
+            node = max(nodes[c, first], nodes[c, first + 1], nodes[c, first + 2])
+            k = slide_of_node[node] if node >= 0 else NOWHERE
+            if k == NOWHERE:
+                continue
+            for i in range(rows_per_contact):
+                d = directions[c, i]
+                along = d[0] * axes[k, 0] + d[1] * axes[k, 1] + d[2] * axes[k, 2]
+                columns[rows_per_contact * c + i, k] += along if side == 0 else -along
+
+
+class Slides:
+    """All slides of a scene.
+
+    Attributes:
+        count: Number of slides.
+        axes: Their unit directions, shape (count, 3).
+    """
+
+    def __init__(self, layout: Layout):
+        """Find the nodes that each slide moves.
+
+        Args:
+            layout: The bodies.
+
+        Raises:
+            SceneError: A body on a slide is also held elsewhere, or the scene is dynamic.
+        """
+        scene = layout.scene
+        if scene.integration != "quasi_static":
+            raise SceneError(
+                scene.path, "slides", scene.slides[0].name, "",
+                "slides are built for quasi_static scenes only; in others guide the body by poses",
+            )  # fmt: skip
+        self.count = len(scene.slides)
+        axes = np.array([slide.axis for slide in scene.slides], float)
+        self.axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        parts = [layout.body_named(slide.body) for slide in scene.slides]
+        self._frames = np.array([part.first_node for part in parts])
+        self._rest_origins = np.array([part.origin for part in parts])
+        self._slide_of_node = np.full(len(layout.nodes.rest_positions), NOWHERE)
+        self._weights = np.zeros(self.count)
+        for index, (slide, part) in enumerate(zip(scene.slides, parts, strict=True)):
+            self._slide_of_node[part.first_node : part.first_node + 4] = index
+            for body in layout.bodies:
+                if slide.body in body.riding:
+                    _check_rides_whole(layout, body, slide)
+                    self._slide_of_node[_riders(body)] = index
+                    self._weights[index] += body.mass * self.axes[index] @ np.array(scene.gravity)
+
+    def positions(self, positions: np.ndarray) -> np.ndarray:
+        """Positions of the slides [m], shape (count,)."""
+        slide_positions = np.empty(self.count)
+        write_slide_positions(
+            positions, self._frames, self._rest_origins, self.axes, slide_positions
+        )  # fmt: skip
+        return slide_positions
+
+    def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
+        """Translate all attached nodes.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            moves: Move of each slide [m], shape (count,).
+        """
+        shift_riders(positions, self._slide_of_node, self.axes, moves)
+
+    def effector_columns(self, effectors) -> np.ndarray:
+        """G_e, shape (effector_row_count, count)."""
+        columns = np.zeros((effectors.row_count, self.count))
+        for row, (index, axis) in enumerate(
+            zip(effectors.row_effector, effectors.row_axis, strict=True)
+        ):
+            slide = self._slide_of_node[effectors.effectors[index].points.nodes[0, 0]]
+            # A slide turns nothing.
+            if slide != NOWHERE and axis < 3:
+                columns[row, slide] = self.axes[slide, axis]
+        return columns
+
+    def contact_columns(self, contacts) -> np.ndarray:
+        """G_c of the present contacts, shape (contact_row_count, count)."""
+        columns = np.zeros((contacts.row_count, self.count))
+        write_contact_columns(
+            self._slide_of_node, self.axes, contacts.nodes, contacts.directions,
+            contacts.rows_per_contact, columns,
+        )  # fmt: skip
+        return columns
+
+    def loads(self, contact_columns: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
+        """Force with which each slide holds its bodies [N], shape (count,)."""
+        return -(self._weights + contact_columns.T @ contact_forces)
+
+
+class SlideActuator:
+    """The kind `slides`; see `ActuatorKind`. Files call its position a length, as a cable's."""
+
+    section = "slides"
+    entry = Slide
+    noun = "slide"
+    setpoint = Quantity("length", "m")
+    displacement = Quantity("shortening", "m")
+    effort = Quantity("tension", "N")
+    # A positive move of a slide is a negative shortening.
+    sign = -1
+    one_sided = False
+    takes_efforts = False
+    is_effort_driven = False
+    least_setpoint = -np.inf
+
+    def build(self, layout: Layout, entries: tuple[Slide, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`."""
+        travels = -np.array([slide.travel for slide in entries])[:, ::-1]
+        widest = np.abs(travels).max(axis=1)
+        return ActuatorGroup(
+            self, tuple(slide.name for slide in entries), None, Slides(layout),
+            np.zeros(len(entries)), np.where(widest > 0.0, widest, layout.nodes.size), travels,
+            np.array([np.inf if slide.rate is None else slide.rate for slide in entries]),
+            np.tile([-np.inf, np.inf], (len(entries), 1)), np.ones(len(entries)),
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup):
+        """None; see `ActuatorKind.doubts`."""
+        return iter(())
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """None: the platform itself is drawn; see `ActuatorKind.paths`."""
+        return ()
+
+    def details(self, entry: Slide, group: ActuatorGroup, index: int) -> str:
+        """See `ActuatorKind.details`."""
+        return f"moves {entry.body} along {list(entry.axis)}"
+
+
+def _riders(body) -> np.ndarray:
+    """Nodes of the scene that are places of a body, shape (count,): not coordinates."""
+    nodes = body.first_node + np.arange(body.scene_node_count)
+    return nodes if body.reduction is None else nodes[body.reduction.are_points()]
+
+
+def _check_rides_whole(layout: Layout, body, slide) -> None:
+    """Refuse bodies on a slide that are also held elsewhere."""
+    scene = layout.scene
+    held_elsewhere = len(body.entry.fixed) or set(body.riding) != {slide.body}
+    own = [cable for cable in scene.cables if body in layout.bodies_of(cable)]
+    pulled = [c.name for c in own if c.pull_point_on not in ("body", slide.body) or c.also_on]
+    sprung = [spring.name for spring in scene.springs
+              if body.name in {end.on for end in spring.ends}]  # fmt: skip
+    if held_elsewhere or pulled or sprung:
+        by = "fixed nodes" if held_elsewhere else ", ".join(pulled or sprung)
+        raise SceneError(
+            scene.path, "slides", slide.name, "",
+            f"{body.name} rides on {slide.body} but is also held elsewhere, by {by}; all that "
+            "holds it must ride with it",
+        )  # fmt: skip

@@ -1,0 +1,106 @@
+"""Names of the columns of all CSV files: of targets and commands, and of what runs write.
+
+One name for one quantity, wherever it stands: ``<name>_<quantity>_<unit>`` in SI units, such as
+``tip_x_m``, ``north_length_m`` and ``air_pressure_Pa``; m3 stands for cubic metres, Nm for newton
+metres, and a part of a quaternion has no unit. So what a run writes can be given back as input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from softrobot_twin.simulation.building.actuator_kinds import Quantity
+
+TIME = "time_s"
+STEP = "step"
+STATUS = "status"
+DRIVEN_BY = "driven_by"
+"""Column that tells what drove a step: ``targets``, ``setpoints``, ``efforts`` or ``hold``."""
+
+TARGETS, SETPOINTS, EFFORTS, HOLD = "targets", "setpoints", "efforts", "hold"
+
+AXES = ("x", "y", "z")
+_TURN = ("qx", "qy", "qz", "qw")
+
+UNITS = ("N_per_m", "m_per_N", "m3", "Nm", "Pa", "rad", "m", "N", "J", "s")
+"""Ends of columns that are units; an end that holds another one comes before it."""
+
+
+def column(name: str, quantity: Quantity) -> str:
+    """Column of a quantity of an actuator or pulley, such as ``north_length_m``."""
+    return f"{name}_{quantity.word}_{quantity.unit}"
+
+
+def position_columns(name: str) -> tuple[str, ...]:
+    """Columns of the place of an effector or a body [m], such as ``tip_x_m``."""
+    return tuple(f"{name}_{axis}_m" for axis in AXES)
+
+
+def quaternion_columns(name: str) -> tuple[str, ...]:
+    """Columns of the turn of an effector or a body (x, y, z, w), such as ``tip_qx``."""
+    return tuple(f"{name}_{part}" for part in _TURN)
+
+
+def stiffness_columns(name: str) -> tuple[str, ...]:
+    """Columns of the stiffness of an effector [N/m], such as ``tip_kx_N_per_m``."""
+    return tuple(f"{name}_k{axis}_N_per_m" for axis in AXES)
+
+
+def target_name(name: str) -> str:
+    """Name under which the targets of an effector stand beside its place in what a run writes."""
+    return f"{name}_target"
+
+
+def force_columns(name: str) -> tuple[str, ...]:
+    """Columns of the force of a touch [N], such as ``finger_force_x_N``."""
+    return tuple(f"{name}_force_{axis}_N" for axis in AXES)
+
+
+def displacement_columns(name: str) -> tuple[str, ...]:
+    """Columns of the displacement of a touch [m], such as ``finger_displacement_x_m``."""
+    return tuple(f"{name}_displacement_{axis}_m" for axis in AXES)
+
+
+def body_name(name: str, effectors: Iterable[str]) -> str:
+    """Name of a rigid body in what a run writes; an effector of the same name has its own columns.
+    """
+    return f"{name}_body" if name in effectors else name
+
+
+def unit_of(column_name: str) -> str:
+    """Unit of a column; empty without one."""
+    return next((unit for unit in UNITS if column_name.endswith(f"_{unit}")), "")
+
+
+_OLD_ENDS = {
+    **{axis: f"{axis}_m" for axis in AXES},
+    **{part: part for part in _TURN},
+    **{f"k{axis}": f"k{axis}_N_per_m" for axis in AXES},
+}
+
+
+def name_today(old: str, quantities: Iterable[Quantity]) -> str:
+    """Name that a column of earlier targets files, ``t`` or ``tip.x``, has today.
+
+    Args:
+        old: The name in the file.
+        quantities: Quantities of actuators.
+
+    Returns:
+        The name of today; `old` itself where it was no name of earlier files.
+    """
+    if old == "t":
+        return TIME
+    name, _, word = old.rpartition(".")
+    if not name:
+        return old
+    if word in _OLD_ENDS:
+        return f"{name}_{_OLD_ENDS[word]}"
+    found = next((quantity for quantity in quantities if quantity.word == word), None)
+    return old if found is None else column(name, found)
+
+
+def is_output(header: Iterable[str]) -> bool:
+    """Whether a file with these columns was written by a run."""
+    names = set(header)
+    return {STEP, TIME} <= names and bool(names & {STATUS, DRIVEN_BY})

@@ -1,0 +1,1 @@
+"""Optional effects around a step: parts, and what watches or replaces a reduced body."""

@@ -1,0 +1,31 @@
+"""The optional effects around a step: a new one is a file with a `StepPart`, and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.effects.touches import touches_of
+from softrobot_twin.simulation.step.step_part import StepPart, memories_of_terms
+
+EFFECTS: list[Callable[[Model], Iterator[StepPart]]] = [memories_of_terms, touches_of]
+"""Each gives the parts that a scene calls for."""
+
+
+def step_parts(model: Model) -> tuple[StepPart, ...]:
+    """All parts that a scene calls for.
+
+    Args:
+        model: The built scene.
+
+    Raises:
+        SceneError: One is not built beside something else in the scene.
+    """
+    parts = tuple(part for parts_of in EFFECTS for part in parts_of(model))
+    for part in parts:
+        if reason := part.why_not():
+            raise SceneError(
+                model.scene.path, part.name, "", "", f"is not built beside {reason}"
+            )
+    return parts

@@ -1,0 +1,202 @@
+"""Looks for nearer poses by simulation, where a robot rests away from its targets.
+
+The inverse problem follows its linearization downhill, so it may rest where a nearer pose exists that no
+small move leads to. From there the simulation goes on while the robot stays: one actuator, or all, go by a
+share of their scales, and from where that leads the targets are followed as always. Where the body comes
+to rest nearer to them, the robot goes the same way. In a narrow valley a linearization may see no way down
+though there is one: at last, each actuator moves a little, and the least squares of what that did tell
+where to go. What is tried is taken back by restoring the state. It costs time only: in place of each step
+of the robot, which would change nothing, it is one of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from softrobot_twin.simulation.building.actuators import Actuators
+from softrobot_twin.simulation.command import FollowTargets
+from softrobot_twin.simulation.result import StepResult
+from softrobot_twin.simulation.state import State
+
+# Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
+# its limits shorten to less than the last share is not.
+MOVES, LEAST_MOVE = (0.05, -0.1, -0.03, 0.15), 0.01
+# After these, so many moves of all actuators are tried, at random with this standard deviation.
+RANDOM_MOVES, RANDOM_MOVE = 8, 0.1
+# A pose is nearer where the weighted sum of squared distances is below this share.
+NEARER = 0.985
+# Steps of one trial; steps in which it comes no nearer than so far by `PROGRESS`, before it is given up
+# where it is not nearer. Where it is, it goes on until so many steps in balance were calm.
+MOST_STEPS, PATIENCE, PROGRESS, CALM_STEPS = 300, 12, 5.0e-3, 40
+# The descent by measured moves: their length and the first and least radius of its steps, as shares of
+# the actuators' scales; how often it measures; the share by which T must fall to go on.
+MEASURED_MOVE, FIRST_RADIUS, LEAST_RADIUS, MOST_DESCENTS, DESCENT = 1.0e-3, 0.02, 2.0e-4, 12, 2.0e-3
+
+
+class Trial(NamedTuple):
+    """What is tried.
+
+    Attributes:
+        goal: Displacements to which the actuators go, or efforts of what is driven by them, shape
+            (actuator_count,).
+        follows: Whether the targets are followed from there; else the actuators stay.
+        measures: Whether it is over there, and only the misses are asked for.
+    """
+
+    goal: np.ndarray
+    follows: bool
+    measures: bool = False
+
+
+class Exploration:
+    """Trials from one state towards the same targets.
+
+    Attributes:
+        command: The command to follow the targets.
+        result: What tells that the robot rests.
+        misses: Distances from the targets where it stays, times the roots of their weights [m], shape (n,).
+        trial: The present trial; None where all were in vain.
+        is_found: Whether the present trial leads nearer, so that the robot itself goes this way.
+        state: Where the present trial stands.
+        factor_age: Age of its factor; see `Newton`.
+    """
+
+    def __init__(
+        self, command: FollowTargets, result: StepResult, misses: np.ndarray, actuators: Actuators
+    ):
+        """Begin with the first trial.
+
+        Args:
+            command: The command to follow the targets.
+            result: What tells that the robot rests.
+            misses: See `misses`.
+            actuators: The actuators.
+        """
+        self.command, self.result, self.misses = command, result, misses
+        self._is_free = np.ones(actuators.count, dtype=bool)
+        if command.commanded is not None:
+            self._is_free = np.isnan(command.commanded)
+        self._drives, self._limits = actuators.drives(result.state.setpoints), actuators.limits
+        self.is_found, self._trials = False, self._all_trials()
+        self._begin(next(self._trials, None))
+
+    @property
+    def missed(self) -> float:
+        """Weighted sum of squared distances where the robot stays [m²]."""
+        return float(self.misses @ self.misses)
+
+    def next_trial(self, reached: np.ndarray | None = None) -> None:
+        """Begin the next trial where the robot stays, or end.
+
+        Args:
+            reached: The misses where the last one came to; None where it came to no stable balance.
+        """
+        try:
+            self._begin(self._trials.send(reached))
+        except StopIteration:
+            self._begin(None)
+
+    def _begin(self, trial: Trial | None) -> None:
+        self.trial = trial
+        self.state: State = self.result.state
+        self.factor_age: int | None = None
+        self._best, self._count, self._since, self._calm_count = np.inf, 0, 0, 0
+
+    def end(self, result: StepResult) -> None:
+        """Give up: the robot stays where a result tells that it rests."""
+        self.trial, self.is_found, self.result = None, False, result
+
+    def judge(self, misses: np.ndarray, has_gone: bool, is_stable: bool, is_calm: bool) -> None:
+        """Judge a step of the trial, and begin the next trial where it is over.
+
+        Args:
+            misses: Those where the step began [m], shape (n,).
+            has_gone: Whether the actuators have gone to the goal.
+            is_stable: Whether the step ended in stable balance.
+            is_calm: Whether it moved no actuator.
+        """
+        self._count += 1
+        if self._count >= MOST_STEPS:
+            self.next_trial()
+        elif self.trial.measures:
+            if has_gone:
+                self.next_trial(misses if is_stable else None)
+        elif has_gone:
+            missed = float(misses @ misses)
+            self._since += 1
+            if missed < NEARER * self.missed or missed < (1.0 - PROGRESS) * self._best:
+                self._best, self._since = min(missed, self._best), 0
+            is_good = missed < NEARER * self.missed and is_stable and is_calm
+            self._calm_count = self._calm_count + 1 if is_good else 0
+            self.is_found = self._calm_count >= CALM_STEPS
+            if self._since >= PATIENCE:
+                self.next_trial()
+
+    def _all_trials(self) -> Generator[Trial, np.ndarray | None, None]:
+        for goal in self._goals():
+            yield Trial(goal, follows=True)
+        found = yield from self._descend()
+        if found is not None:
+            yield Trial(found, follows=False)
+
+    def _goals(self) -> Iterator[np.ndarray]:
+        """Places from where the targets are followed: first one actuator has moved, then all."""
+        count, scale = len(self._drives), self._limits.drive_scale
+        moves = [share * np.eye(count)[i] for share in MOVES for i in np.flatnonzero(self._is_free)]
+        rng = np.random.default_rng(0)
+        moves += [RANDOM_MOVE * rng.normal(size=count) * self._is_free for _ in range(RANDOM_MOVES)]
+        for move in moves:
+            goal = self._within(self._drives + move * scale)
+            if (np.abs(goal - self._drives) >= LEAST_MOVE * scale).any():
+                yield goal
+
+    def _within(self, drives: np.ndarray) -> np.ndarray:
+        return np.clip(drives, self._limits.drive_min, self._limits.drive_max)
+
+    def _descend(self) -> Generator[Trial, np.ndarray | None, np.ndarray | None]:
+        """Gauss-Newton with measured derivatives; gives a nearer place of the actuators, or None."""
+        place, misses, radius = self._drives, self.misses, FIRST_RADIUS
+        for _ in range(MOST_DESCENTS):
+            slopes = yield from self._slopes(place, misses)
+            before = misses @ misses
+            while radius >= LEAST_RADIUS and misses @ misses == before:
+                tried = self._least_squares(place, misses, slopes, radius)
+                reached = yield Trial(tried, follows=False, measures=True)
+                is_lower = reached is not None and reached @ reached < before
+                radius *= 2.0 if is_lower else 0.25
+                if is_lower:
+                    place, misses = tried, reached
+            if misses @ misses > (1.0 - DESCENT) * before:
+                break
+        return place if misses @ misses < NEARER * self.missed else None
+
+    def _slopes(
+        self, place: np.ndarray, misses: np.ndarray
+    ) -> Generator[Trial, np.ndarray | None, np.ndarray]:
+        """Measured derivatives of the misses by shares of the actuators' scales, shape (n, count)."""
+        slopes = np.zeros((len(misses), len(place)))
+        for i in np.flatnonzero(self._is_free):
+            move = MEASURED_MOVE * self._limits.drive_scale[i]
+            if place[i] + move > self._limits.drive_max[i]:
+                move = -move
+            moved = place.copy()
+            moved[i] += move
+            reached = yield Trial(moved, follows=False, measures=True)
+            if reached is not None:
+                slopes[:, i] = (reached - misses) / (move / self._limits.drive_scale[i])
+        return slopes
+
+    def _least_squares(
+        self, place: np.ndarray, misses: np.ndarray, slopes: np.ndarray, radius: float
+    ) -> np.ndarray:
+        """Where the linear misses are least within limits and a radius, shape (actuator_count,)."""
+        limits, scale = self._limits, self._limits.drive_scale
+        least = np.maximum((limits.drive_min - place) / scale, -radius)
+        most = np.minimum((limits.drive_max - place) / scale, radius)
+        # Bounds must not meet, for what is not free nor for what is at its limit.
+        moves = lsq_linear(slopes, -misses, (np.minimum(least, 0.0) - 1e-12, np.maximum(most, 0.0) + 1e-12))
+        return self._within(place + np.where(self._is_free, moves.x, 0.0) * scale)

@@ -1,0 +1,232 @@
+"""Another model of a scene, to which a simulation changes where its reduced bodies are too wrong.
+
+A scene names the wanted error of a reduced body and what is fallen back to: the same basis with its
+spare modes (``enrich``), or all nodes (``full_model``). Both models are built with the scene. Every
+`CHECK_EVERY` steps the other one takes the state, steps once with the actuators held, and tells how
+far its effectors move. Above the wanted error the simulation goes on with the better model, and it
+goes back where the difference is below half of it.
+
+Both models have the same actuators, so setpoints and efforts go over as they are, and limits of
+rates hold through the change. To more modes, coordinates stay and spare ones begin at zero; all nodes
+begin where the coordinates place them. Back, coordinates are those of the nearest shape of the basis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.reduced_points import ReducedPoints
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import with_entries
+from softrobot_twin.simulation.effects.reduction_error import largest_on_each_body, step_held
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.coordinate_range import reduced_bodies
+from softrobot_twin.simulation.step.steppable import Steppable
+
+# Steps between two looks at the other model, each of which takes the time of one of its steps.
+CHECK_EVERY = 10
+# The simulation goes back where the error is below this share of the wanted one.
+BACK_SHARE = 0.5
+ENRICH, FULL_MODEL = "enrich", "full_model"
+
+
+def bodies_with_fallback(model: Model) -> tuple[Body, ...]:
+    """The reduced bodies that name a fallback."""
+    return tuple(
+        body for body in reduced_bodies(model) if body.entry.reduced.fallback is not None
+    )
+
+
+def build_fallback(simulation: Steppable) -> Fallback | None:
+    """The other model of a simulation; None where its scene names none.
+
+    Raises:
+        SceneError: It cannot be built for this scene.
+    """
+    bodies = bodies_with_fallback(simulation.model)
+    return Fallback(simulation, bodies) if bodies else None
+
+
+def better_scene(scene: Scene, bodies: tuple[Body, ...]) -> Scene:
+    """The scene that is fallen back to."""
+    entries = {}
+    for body in bodies:
+        entry = body.entry.reduced
+        changed = entry.model_copy(update={"spare_modes": True, "fallback": None, "error": None})
+        entries[body.name] = changed if entry.fallback == ENRICH else None
+    return with_entries(scene, entries)
+
+
+class Fallback:
+    """The other model, and which of the two is in use.
+
+    Attributes:
+        is_active: Whether the better model is in use.
+        other: The simulation of the model that is not in use.
+        limits: Names that tell so among the active limits of a step, such as ``body.enrich``.
+    """
+
+    def __init__(self, simulation: Steppable, bodies: tuple[Body, ...]):
+        """Build the better model.
+
+        Args:
+            simulation: The simulation, built with reduced bodies.
+            bodies: Those with a fallback.
+        """
+        scene = simulation.scene
+        _refuse(simulation.model, bodies)
+        self._wanted = {body.name: body.entry.reduced.error for body in bodies}
+        self.limits = tuple(f"{body.name}.{body.entry.reduced.fallback}" for body in bodies)
+        self.is_active, self._until_check = False, CHECK_EVERY
+        self.other = type(simulation)(
+            better_scene(scene, bodies), simulation.now, with_warnings=False
+        )
+        self._reduced, self._better = simulation.model, self.other.model
+        self._pairs = list(zip(self._reduced.bodies, self._better.bodies, strict=True))
+        self._inverses: dict[str, np.ndarray] = {}
+
+    def warm_up(self) -> None:
+        """Run every path of the other model once; see `Simulation.warm_up`."""
+        self.other.warm_up()
+
+    def choose(self, simulation: Steppable) -> None:
+        """Before a step: look at the other model when due, and change to it where it is called for.
+
+        Args:
+            simulation: The simulation.
+        """
+        self._until_check -= 1
+        if self._until_check:
+            return
+        self._until_check = CHECK_EVERY
+        state = simulation.state
+        other = self.reduced_state(state) if self.is_active else self.better_state(state)
+        self.other.restore(other)
+        result = step_held(self.other, state)
+        apart = np.linalg.norm(
+            result.effector_positions - simulation.effector_positions(), axis=1
+        )
+        errors = largest_on_each_body(self._reduced, apart)
+        shares = [errors[name] / wanted for name, wanted in self._wanted.items()]
+        if self.is_active:
+            is_called_for = not result.status.is_failure and max(shares) < BACK_SHARE
+        else:
+            is_called_for = not result.status.is_failure and max(shares) > 1.0
+        if is_called_for:
+            self.other.restore(other)
+            self._exchange(simulation)
+
+    def fit(self, simulation: Steppable, state: State) -> None:
+        """Change to the model that a state is of, before it is restored."""
+        count = len(state.positions)
+        if count != len(simulation.state.positions) and count == len(self.other.state.positions):
+            self._exchange(simulation)
+
+    def reset(self, simulation: Steppable) -> None:
+        """Go back to the reduced model, without a state."""
+        self._until_check = CHECK_EVERY
+        if self.is_active:
+            self._exchange(simulation)
+
+    def _exchange(self, simulation: Steppable) -> None:
+        """Exchange what the two simulations are made of; this object stays with its own."""
+        other, own = vars(self.other), vars(simulation)
+        other["fallback"], own["fallback"] = self, None
+        simulation.__dict__, self.other.__dict__ = other, own
+        self.is_active = not self.is_active
+
+    def better_state(self, state: State) -> State:
+        """A state of the reduced model for the better one."""
+        return self._with(state, self._better, [
+            (own, self._refined(state.positions, own, more)) for own, more in self._pairs
+        ])  # fmt: skip
+
+    def reduced_state(self, state: State) -> State:
+        """A state of the better model for the reduced one."""
+        return self._with(state, self._reduced, [
+            (more, self._reduced_nodes(state.positions, own, more)) for own, more in self._pairs
+        ])  # fmt: skip
+
+    def _with(self, state: State, model: Model, parts: list) -> State:
+        """A state for the other model; what follows the bodies among the nodes stays.
+
+        Args:
+            state: The state.
+            model: The other model.
+            parts: Each body of the state's model, and its nodes in the other one [m].
+        """
+        tail = sum(body.scene_node_count for body, _ in parts)
+        positions = np.concatenate([*(nodes for _, nodes in parts), state.positions[tail:]])
+        for kind in model.nodes.kinds:
+            if isinstance(kind, ReducedPoints):
+                kind.place(positions)
+        return replace(state, positions=positions)
+
+    def _refined(self, positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
+        """Nodes of a body in the better model, points left out of account [m]."""
+        nodes = own.reduction
+        if nodes is None:
+            return positions[own.first_node : own.first_node + own.scene_node_count]
+        if more.reduction is None:
+            return nodes.mesh_positions(positions)
+        coordinates = positions[nodes.coordinate_nodes]
+        better = np.zeros((more.reduction.node_count, 3))
+        better[: len(coordinates)] = coordinates
+        return better
+
+    def _reduced_nodes(self, positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
+        """Nodes of a body in the reduced model, points left out of account [m]."""
+        nodes, first = own.reduction, more.first_node
+        if nodes is None:
+            return positions[first : first + more.scene_node_count]
+        reduced = np.zeros((nodes.node_count, 3))
+        count = nodes.mode_count // 3
+        if more.reduction is None:
+            moved = positions[first : first + len(nodes.rest)] - nodes.rest
+            reduced[:count] = (self._inverse_of(own) @ moved.ravel()).reshape(-1, 3)
+        else:
+            reduced[:count] = positions[more.reduction.coordinate_nodes[:count]]
+        return reduced
+
+    def _inverse_of(self, body: Body) -> np.ndarray:
+        """(ΦᵀΦ)⁻¹Φᵀ of a body, shape (mode_count, 3 node_count)."""
+        if body.name not in self._inverses:
+            basis = body.reduction.basis.reshape(-1, body.reduction.mode_count)
+            self._inverses[body.name] = np.linalg.solve(basis.T @ basis, basis.T)
+        return self._inverses[body.name]
+
+
+def _refuse(model: Model, bodies: tuple[Body, ...]) -> None:
+    """Refuse scenes for which no fallback is built, by name."""
+    scene = model.scene
+    first = f"{bodies[0].key}.reduced.fallback"
+    kinds = {body.entry.reduced.fallback for body in bodies}
+    beside = {
+        "guided rigid bodies and slides": model.guides is not None or model.slides is not None,
+        "contact": scene.contact is not None,
+        "sealed cavities": bool(scene.sealed_cavities),
+        "friction along cables": not model.actuators.conserves,
+        "two kinds of fallback": len(kinds) > 1,
+    }
+    for what, is_there in beside.items():
+        if is_there:
+            raise SceneError(
+                scene.path, first, " and ".join(sorted(kinds)), "",
+                f"beside {what} a fallback is not built",
+            )  # fmt: skip
+    if not scene.effectors:
+        raise SceneError(
+            scene.path, first, kinds.pop(), "", "needs an effector, whose error is judged"
+        )
+    for body in bodies:
+        entry = body.entry.reduced
+        if entry.fallback == ENRICH and not body.reduction.reduction.spare_count:
+            raise SceneError(
+                scene.path, f"{body.key}.reduced.fallback", ENRICH, "",
+                f"{entry.file} has no spare modes",
+            )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Tables of whole runs: columns that are written, and files that are read."""

@@ -1,0 +1,969 @@
+"""Reads the CSV files of offline runs: a targets file or a commands file.
+
+A targets file has one row per step, with targets of effectors, setpoints or efforts of actuators. A
+commands file has rows at increasing times, with commands of actuators and guided bodies that are
+interpolated. A table may mix lengths of cables with pressures of cavities: all columns are
+setpoints if each is what that actuator's setpoint holds, and efforts if each is that actuator's
+effort.
+
+Both have the columns of `table_columns`. What a run wrote can be given back as either: the columns
+that drove it are read, the others are results and are left out. Targets files with the names of
+earlier versions, ``t,tip.x``, are read with a note.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene.refusal_messages import nearest
+from softrobot_twin.simulation import Hold, Simulation, Touched
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
+from softrobot_twin.simulation.building.pulleys import ANGLE, Pulleys
+from softrobot_twin.simulation.building.table_columns import (
+    AXES,
+    DRIVEN_BY,
+    EFFORTS,
+    HOLD,
+    SETPOINTS,
+    TARGETS,
+    TIME,
+    body_name,
+    column,
+    displacement_columns,
+    force_columns,
+    is_output,
+    name_today,
+    position_columns,
+    quaternion_columns,
+    stiffness_columns,
+    target_name,
+    unit_of,
+)
+from softrobot_twin.simulation.command import (
+    DEFAULT_TIME_STEP,
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+)
+
+
+class TableFileError(SoftRobotTwinError):
+    """A file of targets or commands cannot be run.
+
+    Attributes:
+        path: The file.
+        row: Line of the file, counted from 1, or None for the whole file.
+        column: Name of the column, or an empty string.
+        value: Content of the cell, or None.
+        unit: Unit the value is read in, or an empty string.
+        reason: What is required.
+        what: The message without the file.
+    """
+
+    def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
+                 value: object = None, unit: str = ""):
+        self.path = path
+        self.row = row
+        self.column = column
+        self.value = value
+        self.unit = unit
+        self.reason = reason
+        location = f"{path}" if row is None else f"{path}, row {row}"
+        stated = "" if value is None else f" = {value!r} {unit}".rstrip()
+        named = f": {column}{stated}" if column else ""
+        told = f"{named}: {reason}"
+        self.what = told.removeprefix(": ") if row is None else f"row {row}{told}"
+        super().__init__(f"{location}{told}")
+
+
+def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
+    """Reads a CSV file as text.
+
+    Args:
+        path: The file.
+        example: A valid header, for the message about an empty file.
+
+    Returns:
+        Header, line number of each row, and the rows' cells.
+
+    Raises:
+        TableFileError: The file cannot be read, or has no header or no row.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise TableFileError(path, f"cannot be read as CSV text: {reason}") from error
+    rows = [(line, row) for line, row in rows if any(row)]
+    if not rows:
+        raise TableFileError(path, f"is empty; a header such as {example} is required")
+    first = rows[0][1]
+    separator = next((mark for mark in ";\t" if len(first) == 1 and mark in first[0]), None)
+    if separator:
+        raise TableFileError(path, f"cells must be separated by commas, not by {separator!r}", 1)
+    if len(rows) == 1:
+        raise TableFileError(path, "has a header but no row of values")
+    (_, header), *body = rows
+    return header, [line for line, _ in body], [row for _, row in body]
+
+
+class Columns:
+    """The columns of a file or a table, which readers take out by name.
+
+    Attributes:
+        source: The file; of a table its name.
+        lines: Line of each row in the file.
+        is_output: Whether a run wrote it.
+        notes: What the user should know, such as that its names are of an earlier version.
+        taken: Values of the columns that were taken out, by name.
+    """
+
+    def __init__(self, source: Path, header: Sequence[str], lines: Sequence[int],
+                 cells: Sequence[Sequence[object]]):
+        """Stores the rows.
+
+        Args:
+            source: The file.
+            header: Name of each column.
+            lines: Line of each row in the file.
+            cells: Cells of each row.
+
+        Raises:
+            TableFileError: A column is given twice, or a row has not one cell for each column.
+        """
+        self.source, self.lines, self._cells = source, list(lines), cells
+        self.taken: dict[str, np.ndarray] = {}
+        self.notes: tuple[str, ...] = ()
+        self.is_output = is_output(header)
+        self._given = {name: name for name in header}
+        if len(self._given) < len(header):
+            twice = next(name for name in header if list(header).count(name) > 1)
+            raise TableFileError(source, "appears twice in the header", 1, twice or "''")
+        for line, row in zip(self.lines, cells, strict=True):
+            if len(row) != len(header):
+                raise TableFileError(
+                    source, f"has {len(row)} cells where the header has {len(header)}", line)
+        self._places = {name: place for place, name in enumerate(header)}
+        self._made: dict[str, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._made or name in self._places
+
+    @property
+    def left(self) -> list[str]:
+        """Names of the columns that nobody has taken out."""
+        return [*self._places, *self._made]
+
+    def given(self, name: str) -> str:
+        """Name of a column in the file, which may be one of an earlier version."""
+        return self._given.get(name, name)
+
+    def rename(self, names: Mapping[str, str]) -> None:
+        """Gives columns other names.
+
+        Args:
+            names: New name of each column, by that which it has.
+        """
+        self._given = {names.get(new, new): old for new, old in self._given.items()}
+        self._places = {names.get(old, old): place for old, place in self._places.items()}
+
+    def keep(self, names: Collection[str]) -> None:
+        """Leaves out all other columns."""
+        self._places = {name: place for name, place in self._places.items() if name in names}
+
+    def begin_earlier(self) -> None:
+        """Adds a row where the first step of a run began: its rows are at the ends of steps."""
+        place, cells = self._places[TIME], self._cells
+        first, second = (self._number(TIME, line, row[place])
+                         for line, row in zip(self.lines[:2], cells[:2], strict=True))
+        begin = list(cells[0])
+        begin[place] = first - (second - first)
+        self._cells, self.lines = [begin, *cells], [self.lines[0], *self.lines]
+
+    def texts(self, name: str) -> list[str]:
+        """Cells of a column, which stays."""
+        return [str(row[self._places[name]]) for row in self._cells]
+
+    def pop(self, name: str) -> np.ndarray:
+        """Takes a column out.
+
+        Args:
+            name: One of `left`.
+
+        Returns:
+            Its values, shape (row_count,).
+
+        Raises:
+            TableFileError: A cell is not a finite number.
+        """
+        if name in self._made:
+            values = self._made.pop(name)
+        else:
+            place = self._places.pop(name)
+            values = np.array([self._number(name, line, row[place])
+                               for line, row in zip(self.lines, self._cells, strict=True)])
+        self.taken[name] = values
+        return values
+
+    def put(self, name: str, values: np.ndarray) -> None:
+        """Adds a column that follows from others."""
+        self._made[name] = values
+
+    def _number(self, name: str, line: int, cell) -> float:
+        try:
+            number = float(cell)
+        except (TypeError, ValueError):
+            raise TableFileError(
+                self.source, "must be a number", line, self.given(name), cell, unit_of(name)
+            ) from None
+        if not math.isfinite(number):
+            raise TableFileError(
+                self.source, "must be finite", line, self.given(name), cell, unit_of(name))
+        return number
+
+    def times(self) -> np.ndarray:
+        """Takes the times of the rows out [s], shape (row_count,).
+
+        Raises:
+            TableFileError: There is no such column, or a time is not later than the one before.
+        """
+        if TIME not in self:
+            raise TableFileError(
+                self.source, "the header lacks this column of times in seconds", 1, TIME)
+        times = self.pop(TIME)
+        late = np.flatnonzero(np.diff(times) <= 0.0)
+        if late.size:
+            row = int(late[0]) + 1
+            raise TableFileError(
+                self.source, f"must be later than {float(times[row - 1])!r} s, the row before",
+                self.lines[row], self.given(TIME), float(times[row]), "s")
+        return times
+
+
+def open_columns(source: Path | str | Mapping, example: str) -> Columns:
+    """Opens a CSV file, or a table of columns by name such as a dict or a pandas DataFrame.
+
+    Args:
+        source: The file, or the table.
+        example: A valid header, for the message about an empty file.
+
+    Raises:
+        TableFileError: The file cannot be read or has no rows, or the columns differ in length.
+    """
+    if isinstance(source, (str, Path)):
+        path = Path(source)
+        return Columns(path, *read_cells(path, example))
+    table, names = Path("table"), [str(name) for name in source.keys()]
+    columns = [np.atleast_1d(np.asarray(source[name])) for name in source.keys()]
+    if not columns or not len(columns[0]):
+        raise TableFileError(table, f"has no rows; columns such as {example} are required")
+    for name, values in zip(names, columns, strict=True):
+        if values.shape != columns[0].shape or values.ndim != 1:
+            raise TableFileError(table, f"has the shape {values.shape}, {names[0]} has "
+                                 f"{columns[0].shape}", None, name)
+    return Columns(table, names, range(1, len(columns[0]) + 1), list(zip(*columns, strict=True)))
+
+
+NOT_UNIT = 1.0e-2
+"""A quaternion that is off unit length by more is not rounded but a mistake."""
+TARGETS_EXAMPLE = ",".join((TIME, *position_columns("tip")))
+
+
+@dataclass(frozen=True)
+class TargetTable:
+    """A targets file, read and checked.
+
+    Attributes:
+        kind: ``targets``, ``setpoints`` or ``efforts``.
+        times: Column ``time_s`` [s], shape (row_count,).
+        time_steps: Time since the row before [s], shape (row_count,); for the first row that of the
+            second, or `DEFAULT_TIME_STEP`.
+        values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
+            that the file does not name; or setpoints or efforts of the actuators, such as lengths
+            [m], pressures [Pa] or tensions [N], shape (row_count, actuator_count), NaN for those
+            that take no efforts.
+        orientations: Wanted turns of effectors from rest as unit quaternions (x, y, z, w), shape
+            (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
+        stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
+            where the file gives none; None in a file without.
+        notes: What the user should know about the file.
+    """
+
+    kind: str
+    times: np.ndarray
+    time_steps: np.ndarray
+    values: np.ndarray
+    orientations: np.ndarray | None = None
+    stiffness: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+    def command(self, row: int) -> Command:
+        """Command of a row, counted from 0."""
+        values, step = self.values[row], float(self.time_steps[row])
+        if self.kind == TARGETS:
+            turns = None if self.orientations is None else self.orientations[row]
+            stiffness = None if self.stiffness is None else self.stiffness[row]
+            return FollowTargets(values, step, None, turns, stiffness)
+        build = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
+        return build[self.kind](values, step)
+
+
+def read_targets(source: Path | str | Mapping, simulation: Simulation) -> TargetTable:
+    """Reads and checks a targets file.
+
+    Args:
+        source: CSV file with a header and one row a step, or a table of columns by name.
+        simulation: Simulation with the effectors and actuators.
+
+    Raises:
+        TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
+            column, or contains a value that is not finite, a time that does not increase, a
+            quaternion that is not of unit length, a stiffness that is not positive, or a setpoint
+            or an effort that its kind cannot have.
+    """
+    columns = open_columns(source, TARGETS_EXAMPLE)
+    _take_old_names(columns, simulation.actuators.kind_of.values())
+    if columns.is_output and not keep_targets(columns, simulation.effector_names):
+        _keep_what_drove(columns, simulation)
+    times = columns.times()
+    given = {name: [own for own in _columns_of_targets(name) if own in columns]
+             for name in simulation.effector_names}
+    kind, values, turns, stiffness = TARGETS, None, None, None
+    if any(given.values()):
+        values = _target_positions(columns, given)
+        turns = _target_turns(columns, simulation)
+        stiffness = _target_stiffness(columns, simulation)
+    else:
+        kind, values = _actuator_values(columns, simulation)
+    if columns.left:
+        _refuse_column(columns, simulation)
+    if kind == HOLD:
+        raise TableFileError(
+            columns.source, f"the header names nothing to drive besides {TIME}", 1)
+    if kind != TARGETS:
+        _refuse_undriven(columns, simulation, kind, values)
+    return TargetTable(kind, times, _time_steps(times), values, turns, stiffness, columns.notes)
+
+
+def read_path(
+    source: Path | str, effector: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, tuple[str, ...]]:
+    """Reads the targets of one effector from a targets file, whatever else that drives.
+
+    Args:
+        source: CSV file with a header; of what a run wrote the targets are read where it has some,
+            the places that the effector reached where it has none.
+        effector: The effector.
+
+    Returns:
+        Times [s], shape (row_count,); positions [m], shape (row_count, 3); unit quaternions
+        (x, y, z, w), shape (row_count, 4), or None; and notes for the user.
+
+    Raises:
+        TableFileError: The file cannot be read or contains no path of the effector.
+    """
+    columns = open_columns(source, ",".join((TIME, *position_columns(effector))))
+    _take_old_names(columns)
+    if columns.is_output:
+        keep_targets(columns, (effector,))
+    times = columns.times()
+    given = {effector: [own for own in _columns_of_targets(effector) if own in columns]}
+    if not given[effector]:
+        raise TableFileError(columns.source, "the header lacks this column", 1,
+                             columns.given(position_columns(effector)[0]))
+    positions = _target_positions(columns, given)[:, 0]
+    return times, positions, _quaternions(columns, effector), columns.notes
+
+
+def _take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
+    """Gives the columns of a targets file of earlier versions the names of today."""
+    if "t" not in columns or TIME in columns:
+        return
+    known = [quantity for kind in (*kinds, *actuator_kinds())
+             for quantity in (kind.setpoint, kind.effort, kind.displacement)]
+    today = {name: name_today(name, known) for name in columns.left}
+    columns.rename(today)
+    renamed = ", ".join(new for old, new in today.items() if new != old)
+    columns.notes = (f"{columns.source} has names of columns of an earlier version; those of today "
+                     f"are {renamed}",)
+
+
+def keep_targets(columns: Columns, effectors: Sequence[str]) -> bool:
+    """Leaves of what a run wrote the targets that it followed, as a targets file has them.
+
+    Args:
+        columns: Those of the run; a run that followed no targets stays as it is.
+        effectors: Names of the effectors.
+
+    Returns:
+        Whether it followed targets.
+    """
+    names = {}
+    for name in effectors:
+        told = _columns_of_targets(target_name(name))
+        names.update(
+            (old, new) for old, new in zip(told, _columns_of_targets(name)) if old in columns)
+    if names:
+        columns.keep([TIME, *names])
+        columns.rename(names)
+    return bool(names)
+
+
+def _keep_what_drove(columns: Columns, simulation: Simulation, surroundings: bool = False) -> None:
+    """Leaves of what a run wrote the setpoints or efforts by which it was driven.
+
+    Args:
+        columns: Those of the run. A run by targets is left its setpoints.
+        simulation: The scene.
+        surroundings: Whether poses of guided bodies and forces of touches are left too.
+    """
+    by_effort = DRIVEN_BY in columns and set(columns.texts(DRIVEN_BY)) == {EFFORTS}
+    names = {TIME: TIME}
+    for name, kind in simulation.actuators.kind_of.items():
+        if kind.takes_efforts or not by_effort:
+            own = column(name, kind.effort if by_effort else kind.setpoint)
+            names[own] = own
+    if surroundings:
+        guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+        for name in guided:
+            for columns_of in (position_columns, quaternion_columns):
+                told = columns_of(body_name(name, simulation.effector_names))
+                names.update(zip(told, columns_of(name), strict=True))
+        for name in simulation.touch_names:
+            names.update((own, own) for own in force_columns(name))
+    columns.keep(names)
+    columns.rename(names)
+
+
+def _columns_of_targets(name: str) -> tuple[str, ...]:
+    """All columns that tell what is wanted of an effector."""
+    return position_columns(name) + quaternion_columns(name) + stiffness_columns(name)
+
+
+def _target_positions(columns: Columns, given: Mapping[str, list[str]]) -> np.ndarray:
+    """Targets [m], shape (row_count, effector_count, 3), NaN for effectors without.
+
+    Args:
+        columns: Those of the file.
+        given: Columns of each effector that the file has.
+    """
+    values = np.full((len(columns), len(given), 3), np.nan)
+    for place, (name, own) in enumerate(given.items()):
+        if not own:
+            continue
+        needed = position_columns(name)
+        turns = quaternion_columns(name)
+        if any(part in own for part in turns):
+            needed += turns
+        for one in needed:
+            if one not in columns:
+                others = [left for left in columns.left
+                          if not any(left in _columns_of_targets(effector) for effector in given)]
+                raise TableFileError(
+                    columns.source, "the header lacks this column: an effector's target needs x, y "
+                    "and z" + (", an orientation qx, qy, qz and qw too" if one in turns else "")
+                    + nearest(one, others), 1, columns.given(one))
+        for axis, one in enumerate(position_columns(name)):
+            values[:, place, axis] = columns.pop(one)
+    return values
+
+
+def _target_turns(columns: Columns, simulation: Simulation) -> np.ndarray | None:
+    """Wanted turns, shape (row_count, effector_count, 4); None without any."""
+    names = list(simulation.effector_names)
+    asking = [name for name, asks in zip(names, simulation.oriented_effectors) if asks]
+    turns = None
+    for place, name in enumerate(names):
+        first = next((part for part in quaternion_columns(name) if part in columns), None)
+        if first is None:
+            continue
+        if name not in asking:
+            raise TableFileError(
+                columns.source, "the effector has no orientation in the scene; those with one: "
+                f"{', '.join(asking) or 'none'}", 1, columns.given(first))
+        if turns is None:
+            turns = np.full((len(columns), len(names), 4), np.nan)
+        turns[:, place] = _quaternions(columns, name)
+    return turns
+
+
+def _quaternions(columns: Columns, name: str) -> np.ndarray | None:
+    """Unit quaternions of an effector, shape (row_count, 4); None without."""
+    parts = quaternion_columns(name)
+    if parts[0] not in columns:
+        return None
+    quaternions = np.column_stack([columns.pop(part) for part in parts])
+    _refuse_lengths(columns.source, name, quaternions, columns.lines)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def _target_stiffness(columns: Columns, simulation: Simulation) -> np.ndarray | None:
+    """Wanted stiffnesses [N/m], shape (row_count, effector_count, 3); None without any."""
+    names = list(simulation.effector_names)
+    asking = [name for name, asks in zip(names, simulation.stiff_effectors) if asks]
+    stiffness = None
+    for place, name in enumerate(names):
+        for axis, part in enumerate(stiffness_columns(name)):
+            if part not in columns:
+                continue
+            if name not in asking:
+                raise TableFileError(
+                    columns.source, "the effector has no stiffness in the scene; those with one: "
+                    f"{', '.join(asking) or 'none'}", 1, columns.given(part))
+            own = columns.pop(part)
+            if (own <= 0.0).any():
+                row = int(np.argmin(own))
+                raise TableFileError(columns.source, "must be positive: it is a stiffness",
+                                     columns.lines[row], columns.given(part), float(own[row]),
+                                     "N/m")
+            if stiffness is None:
+                stiffness = np.full((len(columns), len(names), 3), np.nan)
+            stiffness[:, place, axis] = own
+    return stiffness
+
+
+def _refuse_column(columns: Columns, simulation: Simulation) -> None:
+    """Refuses a column of a targets file that is left when all others were taken."""
+    name = columns.left[0]
+    kinds = simulation.actuators.kinds
+    quantities = dict.fromkeys(quantity for one in (*kinds, *actuator_kinds())
+                               for quantity in (one.setpoint, one.displacement, one.effort))
+    quantities[ANGLE] = None
+    ends = {f"_{quantity.word}_{quantity.unit}": "actuator" for quantity in quantities}
+    ends.update((end, "effector") for end in _columns_of_targets(""))
+    what, owner = next(
+        ((what, name[:-len(end)]) for end, what in ends.items() if name.endswith(end)), ("", ""))
+    actuators = simulation.actuators
+    known = {"effector": simulation.effector_names, "actuator": actuators.names}
+    motors = (*(motor.name for motor in simulation.scene.motors), *actuators.pulleys.names)
+    kind = actuators.kind_of.get(owner) if what == "actuator" else None
+    if kind is not None and name not in [column(owner, one) for one in _commandable(kind)]:
+        raise TableFileError(
+            columns.source, f"this {kind.noun} is driven by its {kind.setpoint.word}: use "
+            f"{column(owner, kind.setpoint)}", 1, columns.given(name))
+    if what and owner in (*known[what], *(motors if what == "actuator" else ())):
+        others = ", ".join(columns.given(one) for one in columns.taken if one != TIME)
+        raise TableFileError(
+            columns.source, f"cannot be combined with {others}: a file contains effector targets, "
+            "or setpoints of actuators, or their efforts, only one of these"
+            f"{_setpoint_columns(actuators.kind_of)}", 1, columns.given(name))
+    if what:
+        listed = ", ".join(known[what]) or "none"
+        raise TableFileError(
+            columns.source, f"the scene has no {what} {owner!r}; its {what}s: {listed}", 1,
+            columns.given(name))
+    today = name_today(name, quantities)
+    near = nearest(name, (TIME, *_columns_of_actuators(simulation),
+                          *(one for own in simulation.effector_names
+                            for one in _columns_of_targets(own))))
+    use = f"use {today}" if today != name else (
+        f"valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
+        f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}{near}")
+    raise TableFileError(
+        columns.source, f"is not a valid column; {use}", 1, columns.given(name) or "''")
+
+
+def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[int]) -> None:
+    """Refuses quaternions that are not of unit length."""
+    off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
+    if off.max() > NOT_UNIT:
+        raise TableFileError(path, f"{name}'s quaternion is not of unit length",
+                             lines[int(off.argmax())])
+
+
+def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
+    """Why some of the values are impossible; empty where all are possible."""
+    if commanded == "efforts" and kind.one_sided and (values < 0.0).any():
+        return f"must not be negative: a {kind.noun} cannot push"
+    if commanded == "setpoints" and (values < kind.least_setpoint).any():
+        bound = "negative" if kind.least_setpoint == 0.0 else f"below {kind.least_setpoint:g}"
+        return f"must not be {bound}: the {kind.setpoint.word} of a {kind.noun} cannot be"
+    return ""
+
+
+_DIRECT = (SETPOINTS, EFFORTS)
+"""What columns of actuators give. A pressure is both where it is what the setpoint holds."""
+
+
+def _common_meaning(path: Path, meanings: Mapping[str, Collection[str]], rule: str) -> str:
+    """What all columns of a table give.
+
+    Args:
+        path: The file, for errors.
+        meanings: What each column can give, by its name; at least one.
+        rule: What may be combined, for errors.
+    """
+    columns = list(meanings)
+    common = list(meanings[columns[0]])
+    for column, possible in meanings.items():
+        left = [meaning for meaning in common if meaning in possible]
+        if not left:
+            other = next(c for c in columns if not set(meanings[c]) & set(possible))
+            raise TableFileError(path, f"cannot be combined with {other}: {rule}", 1, column)
+        common = left
+    return common[0]
+
+
+def _setpoint_columns(kind_of: Mapping[str, ActuatorKind]) -> str:
+    """Columns of setpoints of each actuator, for messages; empty where all have one quantity."""
+    if len({kind.setpoint for kind in kind_of.values()}) < 2:
+        return ""
+    columns = [column(name, kind.setpoint) for name, kind in kind_of.items()]
+    return f"; setpoints of this scene are {', '.join(columns)}"
+
+
+def _time_steps(times: np.ndarray) -> np.ndarray:
+    if len(times) == 1:
+        return np.array([DEFAULT_TIME_STEP])
+    steps = np.diff(times)
+    return np.concatenate([steps[:1], steps])
+
+
+_EXAMPLE = f"{TIME},<cable>_shortening_m"
+
+
+class Pose:
+    """Commanded poses of a guided body over time."""
+
+    def __init__(self, times: np.ndarray, positions: np.ndarray, quaternions: np.ndarray | None):
+        """Stores the rows.
+
+        Args:
+            times: Of the rows [s], shape (row_count,).
+            positions: Of the body's origin [m], shape (row_count, 3).
+            quaternions: x, y, z, w, shape (row_count, 4); None without rotations.
+        """
+        self._times, self._positions = times, positions
+        self._turn = None
+        if quaternions is not None:
+            self._turn = Slerp(times, Rotation.from_quat(quaternions))
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
+        """Position [m] and quaternion x, y, z, w (None without rotations) at a time [s]."""
+        position = np.array([np.interp(time, self._times, x) for x in self._positions.T])
+        return position, None if self._turn is None else self._turn([time]).as_quat()[0]
+
+
+class TouchColumns:
+    """Forces or displacements of a touch over time.
+
+    A displacement is counted from where the point is when the touch begins; a force or a
+    displacement of zero is no touch.
+    """
+
+    def __init__(self, times: np.ndarray, values: np.ndarray, are_forces: bool):
+        """Stores the rows.
+
+        Args:
+            times: Of the rows [s], shape (row_count,).
+            values: Forces [N] or displacements [m], shape (row_count, 3).
+            are_forces: Which of both.
+        """
+        self._times, self._values, self.are_forces = times, values, are_forces
+
+    def at(self, time: float) -> np.ndarray:
+        """Force [N] or displacement [m] at a time [s], shape (3,)."""
+        return np.array([np.interp(time, self._times, column) for column in self._values.T])
+
+
+@dataclass(frozen=True)
+class CommandTable:
+    """A commands file, read and checked.
+
+    Attributes:
+        kind: ``setpoints``, ``efforts``, or ``hold`` where no actuator is driven.
+        times: Times of the rows [s], shape (row_count,).
+        values: Setpoints or efforts of the actuators, such as lengths [m], pressures [Pa] or
+            tensions [N], shape (row_count, actuator_count); NaN for those that take no efforts.
+        poses: Poses of the driven guided bodies, by name.
+        is_constant: For each row but the last, whether nothing changes until the next,
+            shape (row_count - 1,).
+        touches: Forces or displacements of touches, by name.
+    """
+
+    kind: str
+    times: np.ndarray
+    values: np.ndarray
+    poses: Mapping[str, Pose]
+    is_constant: np.ndarray
+    touches: Mapping[str, TouchColumns] = field(default_factory=dict)
+
+    def touched(self, time: float, simulation: Simulation) -> Touched | None:
+        """Touches at a time [s]; None without any.
+
+        Args:
+            time: The time [s].
+            simulation: Its touches may have begun already.
+        """
+        before, names = simulation.touches, simulation.touch_names
+        forces, places = (np.full((len(names), 3), np.nan) for _ in range(2))
+        for name, columns in self.touches.items():
+            index, value = names.index(name), columns.at(time)
+            if not value.any():
+                continue
+            if columns.are_forces:
+                forces[index] = value
+            else:
+                origins = before.origins if before.is_touched[index] else before.points
+                places[index] = origins[index] + value
+        acts = np.isfinite(forces).any() or np.isfinite(places).any()
+        return Touched(forces, places) if acts else None
+
+    def command(self, time: float, time_step: float) -> Command:
+        """Command of the actuators at a time [s], for a step of a duration [s]."""
+        if self.kind == HOLD:
+            return Hold(time_step)
+        values = np.array([np.interp(time, self.times, column) for column in self.values.T])
+        kinds = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
+        return kinds[self.kind](values, time_step)
+
+    @property
+    def longest_hold(self) -> tuple[float, float]:
+        """Start and end of the longest interval with constant commands [s]; NaN if there is
+        none.
+        """
+        best, begin = (math.nan, math.nan), None
+        for index, stands in enumerate([*self.is_constant, False]):
+            if stands and begin is None:
+                begin = self.times[index]
+            elif not stands and begin is not None:
+                if not self.times[index] - begin <= best[1] - best[0]:
+                    best = (float(begin), float(self.times[index]))
+                begin = None
+        return best
+
+
+def read_commands(source: Path | str | Mapping, simulation: Simulation) -> CommandTable:
+    """Reads a commands file for a simulation.
+
+    Args:
+        source: CSV file with a header, then rows at increasing times, or a table of columns by
+            name. A file that a run wrote begins where its first step began.
+        simulation: Simulation with the actuators, motors and guided bodies.
+
+    Raises:
+        TableFileError: The file cannot be read, names something unknown, mixes setpoints with
+            efforts, drives an actuator twice or not at all, or contains a value that is not a
+            finite number, a time that does not increase, or a quaternion that is not of unit length.
+    """
+    columns = open_columns(source, _EXAMPLE)
+    if TIME in columns and len(columns) < 2:
+        raise TableFileError(
+            columns.source, "has one row; a run from the first row to the last needs two")
+    if columns.is_output:
+        _keep_what_drove(columns, simulation, surroundings=True)
+        columns.begin_earlier()
+    times = columns.times()
+    kind, values = _actuator_values(columns, simulation)
+    _refuse_undriven(columns, simulation, kind, values)
+    poses = _poses(columns, simulation, times)
+    touches = _touches(columns, simulation, times)
+    if columns.left:
+        guided = [entry.name for entry in simulation.scene.rigid_bodies]
+        near = nearest(columns.left[0], (
+            TIME, *_columns_of_actuators(simulation),
+            *(one for own in guided for one in position_columns(own) + quaternion_columns(own)),
+            *(one for own in simulation.touch_names
+              for one in force_columns(own) + displacement_columns(own))))
+        raise TableFileError(
+            columns.source, f"is not a valid column; valid are {_known(simulation)}{near}", 1,
+            columns.left[0] or "''")
+    commanded = [series for name, series in columns.taken.items() if name != TIME]
+    changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
+    is_constant = (changes == 0.0).all(axis=1)
+    return CommandTable(kind, times, values, poses, is_constant, touches)
+
+
+def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.ndarray]:
+    """Takes the columns of actuators and motors out.
+
+    Returns:
+        What they give, and the setpoints or efforts, shape (row_count, actuator_count).
+    """
+    actuators, path = simulation.actuators, columns.source
+    driven_by: dict[str, str] = {}
+    meanings: dict[str, Collection[str]] = {}
+    values = np.full((len(columns), actuators.count), np.nan)
+    _read_angles(columns, actuators.pulleys)
+    for name, driven, kind in _drives(simulation):
+        _refuse_what_follows(columns, name, kind)
+        for quantity, meaning in _commandable(kind).items():
+            own = column(name, quantity)
+            if own not in columns:
+                continue
+            given, column_values = columns.given(own), columns.pop(own)
+            if name not in actuators.names and quantity != kind.displacement:
+                raise TableFileError(path, f"{name} is a motor: it shortens all its cables by the "
+                                     f"same length: use {name}_shortening_m", 1, given)
+            meanings[given] = meaning
+            reason = _impossible(kind, meaning[0], column_values)
+            if quantity != kind.displacement and reason:
+                row = int(np.argmin(column_values))
+                raise TableFileError(path, reason, columns.lines[row], given,
+                                     float(column_values[row]), quantity.unit)
+            for one in driven:
+                if one in driven_by:
+                    raise TableFileError(path, f"drives {one}, as {driven_by[one]} does", 1, given)
+                driven_by[one] = given
+                index = actuators.names.index(one)
+                values[:, index] = column_values
+                if quantity == kind.displacement:
+                    values[:, index] = kind.sign * column_values + actuators.rest_setpoints[index]
+    commanded = HOLD if not meanings else _common_meaning(
+        path, meanings, "actuators are driven by setpoint or by effort, all in the same way"
+        f"{_setpoint_columns(actuators.kind_of)}")
+    return commanded, values
+
+
+def _refuse_undriven(
+    columns: Columns, simulation: Simulation, commanded: str, values: np.ndarray
+) -> None:
+    """Refuses a table that leaves an actuator without a command: any value would be a guess."""
+    actuators = simulation.actuators
+    for index, name in enumerate(actuators.names):
+        if np.isnan(values[:, index]).any() and (
+            commanded != EFFORTS or actuators.takes_efforts[index]
+        ):
+            raise TableFileError(
+                columns.source, f"does not drive {name}: a direct run drives every actuator; valid "
+                "columns are " + _known(simulation), 1)
+
+
+def _read_angles(columns: Columns, pulleys: Pulleys) -> None:
+    """Replaces columns of angles by those of the shortenings that they wind up."""
+    for name, wound in zip(pulleys.names, pulleys.wound, strict=True):
+        angle, shortening = column(name, ANGLE), f"{name}_shortening_m"
+        if angle not in columns:
+            continue
+        if shortening in columns:
+            raise TableFileError(
+                columns.source, f"is given twice, also by {shortening}", 1, angle)
+        columns.put(shortening, wound * columns.pop(angle))
+
+
+def _commandable(kind: ActuatorKind) -> dict[Quantity, tuple[str, ...]]:
+    """Quantities by which an actuator can be commanded, and what a table of them gives."""
+    if kind.is_effort_driven:
+        return {kind.setpoint: _DIRECT}
+    return {kind.displacement: ("setpoints",), kind.setpoint: ("setpoints",),
+            kind.effort: ("efforts",)}  # fmt: skip
+
+
+def _refuse_what_follows(columns: Columns, name: str, kind: ActuatorKind) -> None:
+    """Refuses displacements of an effort-driven actuator, which follow from its effort."""
+    if not kind.is_effort_driven:
+        return
+    for quantity in (kind.displacement, kind.extent):
+        own = column(name, quantity)
+        if own in columns:
+            raise TableFileError(
+                columns.source, f"this {kind.noun} is driven by its {kind.setpoint.word}, its "
+                f"{quantity.word} follows: use {column(name, kind.setpoint)}", 1,
+                columns.given(own))
+
+
+def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], ActuatorKind]]:
+    """Names of actuators and motors, the actuators that each of them drives, and their kind."""
+    kind_of = simulation.actuators.kind_of
+    drives = [(name, (name,), kind) for name, kind in kind_of.items()]
+    return drives + [(motor.name, motor.cables, kind_of[motor.cables[0]])
+                     for motor in simulation.scene.motors]
+
+
+def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Pose]:
+    """Takes the columns of guided bodies out; gives their poses."""
+    poses = {}
+    for entry in simulation.scene.rigid_bodies:
+        places, turns = position_columns(entry.name), quaternion_columns(entry.name)
+        given = [one for one in (*places, *turns) if one in columns]
+        if not given:
+            continue
+        if entry.motion != "guided":
+            raise TableFileError(columns.source, f"{entry.name} is a free body; only guided bodies "
+                                 "are driven", 1, given[0])
+        needed = places + (turns if any(one in columns for one in turns) else ())
+        for one in needed:
+            if one not in columns:
+                raise TableFileError(columns.source, "the header lacks this column: a position "
+                                     "needs x, y and z, a rotation qx, qy, qz and qw", 1, one)
+        series = np.column_stack([columns.pop(one) for one in needed])
+        quaternions = series[:, 3:] if len(needed) > 3 else None
+        if quaternions is not None:
+            _refuse_lengths(columns.source, entry.name, quaternions, columns.lines)
+        poses[entry.name] = Pose(times, series[:, :3], quaternions)
+    return poses
+
+
+def _touches(
+    columns: Columns, simulation: Simulation, times: np.ndarray
+) -> dict[str, TouchColumns]:
+    """Takes the columns of touches out."""
+    touches = {}
+    for name in simulation.touch_names:
+        for own, are_forces in ((force_columns(name), True), (displacement_columns(name), False)):
+            given = {axis: one for axis, one in enumerate(own) if one in columns}
+            if not given:
+                continue
+            if name in touches:
+                raise TableFileError(
+                    columns.source, f"{name} is touched by forces or by displacements, not by both",
+                    1, next(iter(given.values())))
+            values = np.zeros((len(times), 3))
+            for axis, one in given.items():
+                values[:, axis] = columns.pop(one)
+            touches[name] = TouchColumns(times, values, are_forces)
+    return touches
+
+
+def _known(simulation: Simulation) -> str:
+    """The columns of a commands file that a scene accepts, as text."""
+    guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+    return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
+            f"_qw (guided bodies: {', '.join(guided) or 'none'}){_known_touches(simulation)}")
+
+
+def _columns_of_actuators(simulation: Simulation) -> list[str]:
+    """All columns that drive actuators, motors or pulleys of a scene."""
+    actuators = simulation.actuators
+    own = [column(name, quantity) for name, kind in actuators.kind_of.items()
+           for quantity in _commandable(kind)]
+    own += [f"{motor.name}_shortening_m" for motor in simulation.scene.motors]
+    return own + [column(name, ANGLE) for name in actuators.pulleys.names]
+
+
+def _known_actuators(simulation: Simulation) -> str:
+    """Columns of actuators, motors and pulleys, as text."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for name, kind in simulation.actuators.kind_of.items():
+        columns = " or ".join(column(f"<{kind.noun}>", quantity)
+                              for quantity in _commandable(kind))
+        names.setdefault((columns, kind.section), []).append(name)
+    known = [f"{columns} ({section}: {', '.join(own)})"
+             for (columns, section), own in names.items()]
+    motors = ", ".join(motor.name for motor in simulation.scene.motors) or "none"
+    pulleys = simulation.actuators.pulleys
+    angles = f", {column('<pulley>', ANGLE)} (pulleys: {', '.join(pulleys.names)})"
+    return (f"{', '.join(known) or 'no actuators'}, <motor>_shortening_m (motors: {motors})"
+            f"{angles if pulleys.count else ''}")
+
+
+def _known_touches(simulation: Simulation) -> str:
+    """Columns of touches, as text; empty without any."""
+    if not simulation.touch_names:
+        return ""
+    return (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
+            f"{', '.join(simulation.touch_names)})")

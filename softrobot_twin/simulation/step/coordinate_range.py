@@ -1,0 +1,64 @@
+"""The range of training in which a body in the coordinates of a basis can be believed.
+
+Each coordinate counts by the largest magnitude that it had in the training. The root mean square of
+these shares is known in every step for next to nothing. The largest share would be above one at a
+tenth to a quarter of fresh states inside of the range: the last coordinates are small and noisy, and
+the more of them there are, the more often one exceeds what it had in a few hundred states. The root
+mean square is above one at 1 % of these states. Outside of the range it is several times one, since
+coordinates that were small grow first.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.model import Model
+
+
+class CoordinateRange(NamedTuple):
+    """The range that the coordinates of a body had in its training.
+
+    Attributes:
+        name: The body.
+        nodes: Its coordinate nodes, which follow each other.
+        scales: One over the largest magnitude of each coordinate in the training, by the root of
+            their number [1/m], shape (mode_count / 3, 3).
+    """
+
+    name: str
+    nodes: slice
+    scales: np.ndarray
+
+    def share(self, positions: np.ndarray) -> float:
+        """Root mean square of the coordinates, each as a share of its range.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        shares = (positions[self.nodes] * self.scales).ravel()
+        return math.sqrt(shares @ shares)
+
+
+def reduced_bodies(model: Model) -> tuple[Body, ...]:
+    """The bodies in the coordinates of a basis, in the order of their nodes."""
+    return tuple(body for body in model.bodies if body.reduction is not None)
+
+
+def coordinate_ranges(model: Model) -> tuple[CoordinateRange, ...]:
+    """Ranges of all bodies in the coordinates of a basis; empty without any."""
+    return tuple(map(_range_of, reduced_bodies(model)))
+
+
+def _range_of(body: Body) -> CoordinateRange:
+    nodes = body.reduction
+    count = nodes.mode_count
+    ranges = nodes.reduction.ranges[:count]
+    # A coordinate that the training never moved has no range to leave but that of rounding.
+    least = np.finfo(np.float32).eps * max(float(ranges.max(initial=0.0)), np.finfo(float).tiny)
+    scales = 1.0 / (np.sqrt(count) * np.maximum(ranges, least))
+    own = slice(nodes.first_node, nodes.first_node + count // 3)
+    return CoordinateRange(body.name, own, scales.reshape(-1, 3))

@@ -1,0 +1,422 @@
+"""Solution for λ with commanded actuators: by displacement, by effort, or held.
+
+Everything works on the condensed system δ = W λ + δ_free. Without contact it is the small convex
+problem of `direct_problem`, solved exactly; with contact actuators and contacts are one
+complementarity problem (`contact_problem`). A scene with contact pairs has the second kind in all
+states, also without contacts: else results would change by the solver's tolerance when contacts are
+made and lost, and a robot beside an obstacle would not come to rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.command import CommandSetpoints
+from softrobot_twin.simulation.step.actuation import Actuation, ContactLoads
+from softrobot_twin.simulation.step.contact_solvers import FORCE_SHARE, ContactSolvers
+from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
+from softrobot_twin.solvers.inverse_problem import Bounds
+
+# A displacement beyond its limit by less, as a share of the actuator's scale, is on it.
+ROUND_OFF = 1.0e-11
+
+
+@njit(**KERNEL)
+def release_at_limits(path, least, most, round_off, by_effort, lower, upper, displacements):
+    """Let efforts deviate that hold actuators beyond limits of displacement; whether any does.
+
+    Where none does, displacements of effort-driven actuators become those of the bodies.
+
+    Args:
+        path: Displacements of the bodies, shape (n,).
+        least: Least displacements, shape (n or more,).
+        most: Greatest ones, shape (n or more,).
+        round_off: Distance from these that counts as zero, shape (n or more,).
+        by_effort: Whether each actuator is effort-driven, shape (n,).
+        lower: Least efforts, equal to the greatest where the effort is held, shape (n,); changed.
+        upper: Greatest efforts, shape (n,); changed.
+        displacements: Displacements that are held, shape (n or more,); changed.
+    """
+    is_any_beyond = False
+    for i in range(len(path)):
+        if by_effort[i] and lower[i] == upper[i]:
+            if path[i] < least[i] - round_off[i]:
+                displacements[i], upper[i], is_any_beyond = least[i], np.inf, True
+            elif path[i] > most[i] + round_off[i]:
+                displacements[i], lower[i], is_any_beyond = most[i], -np.inf, True
+    if not is_any_beyond:
+        for i in range(len(path)):
+            if by_effort[i]:
+                displacements[i] = min(max(path[i], least[i]), most[i])
+    return is_any_beyond
+
+
+class DirectActuation:
+    """Solves for efforts and contact forces with commanded actuators.
+
+    Attributes:
+        solvers: Solvers of contacts; None in scenes without.
+    """
+
+    def __init__(self, model: Model):
+        """Create the solvers that the scene needs.
+
+        Args:
+            model: The built scene.
+        """
+        self._contacts, self._slides = model.contacts, model.slides
+        self._one_sided = model.actuators.one_sided
+        self._limits = model.actuators.limits
+        self._by_effort = model.actuators.is_effort_driven
+        # None where nothing stalls: then nothing is looked for.
+        self._actuators = model.actuators if model.actuators.stalls.any() else None
+        self._round_off = ROUND_OFF * model.actuators.displacement_scale
+        # A scene without contact allocates no contact solver.
+        self.solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
+        groups = model.rows.groups
+        self._efforts = self._before = np.zeros(groups.actuators.stop)
+
+    def warm_up(self) -> None:
+        """Compile every contact solver that may be needed."""
+        if self.solvers is not None and self._contacts.pairs:
+            self.solvers.warm_up(self._contacts.rows_per_contact)
+
+    def remember(self, efforts: np.ndarray) -> None:
+        """Start the next solution from these efforts [N], shape (actuator_count,).
+
+        Where contacts stick and slip, complementarity has several solutions: a state that is
+        restored goes on as before only from its own efforts.
+        """
+        self._efforts = efforts[: len(self._efforts)]
+
+    def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
+        """Multipliers of the last linearization's solution.
+
+        Args:
+            linear: The condensed system.
+
+        Returns:
+            Efforts [N], shape (actuator_row_count,), and the forces in it of the present contacts
+            [N], shape (contact_row_count,).
+        """
+        if not linear.contact_row_count:
+            return self._before, np.empty(0)
+        return self._before, self._contacts.last_multipliers
+
+    def held(
+        self, linear: Linearized, drives: np.ndarray, bounds: Bounds, command
+    ) -> Actuation | None:
+        """The actuation with all actuators held; see `at_drives`.
+
+        Returns:
+            The actuation; None with contact pairs and commanded setpoints, where it is not needed.
+        """
+        self._before = self._efforts
+        if self.solvers is not None and isinstance(command, CommandSetpoints):
+            return None
+        return self.at_drives(linear, drives, bounds)
+
+    def at_drives(self, linear: Linearized, drives: np.ndarray, bounds: Bounds) -> Actuation:
+        """Efforts and contact forces where each actuator holds its displacement, or its effort.
+
+        Args:
+            linear: The condensed system.
+            drives: δ_a, of effort-driven actuators λ_a, each in the unit of its kind,
+                shape (actuator_count,).
+            bounds: Bounds on the efforts, and on the displacements of effort-driven actuators.
+
+        Returns:
+            The actuation. Without a solution `solved` is False and the efforts are zero; if
+            contacts did not converge, it has the smallest residual found.
+        """
+        a = linear.groups.actuators
+        lower, upper = bounds.effort_min[a], bounds.effort_max[a]
+        if self._limits.has_effort_driven:
+            found = self._regulate(linear, drives, lower, upper, bounds)
+        else:
+            found = self._hold(linear, drives, lower, upper)
+        return found if self._actuators is None else self._stall(linear, found)
+
+    def _stall(self, linear: Linearized, found: Actuation) -> Actuation:
+        """Displacements of motors at a limit of their torque: where the bodies are."""
+        a = linear.groups.actuators
+        stalled = self._actuators.stalled(found.efforts[a])
+        if not (found.solved and stalled.any()):
+            return found
+        path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
+        displacements = found.displacements.copy()
+        displacements[a] = np.where(stalled, path, displacements[a])
+        return found._replace(displacements=displacements)
+
+    def _hold(
+        self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> Actuation:
+        """Efforts within bounds, and contact forces, at given displacements."""
+        a = linear.groups.actuators
+        if self.solvers is not None:
+            return self._in_contact(linear, displacements, lower, upper)
+        if (lower == upper).all():
+            # All efforts are held, as where regulators hold all pressures: nothing is to be found.
+            return self._free(linear, lower.copy(), displacements)
+        efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
+        solved = efforts is not None
+        return self._free(
+            linear, efforts if solved else np.zeros(a.stop), displacements, solved
+        )
+
+    def _regulate(
+        self, linear: Linearized, drives: np.ndarray, lower: np.ndarray, upper: np.ndarray,
+        bounds: Bounds,
+    ) -> Actuation:  # fmt: skip
+        """The same where efforts of some actuators are held.
+
+        An effort is held by equal bounds. At a limit of its displacement an actuator is held by the
+        limit, and its effort deviates from the given one: an empty cavity bears on its walls.
+        """
+        a = linear.groups.actuators
+        by_effort, displacements = self._by_effort[a], drives.copy()
+        lower, upper = np.where(by_effort, drives[a], lower), np.where(by_effort, drives[a], upper)
+        while True:
+            found = self._hold(linear, displacements, lower, upper)
+            path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
+            if not release_at_limits(
+                path, bounds.displacement_min, bounds.displacement_max, self._round_off, by_effort,
+                lower, upper, displacements,
+            ):  # fmt: skip
+                return found._replace(displacements=displacements)
+
+    def at_efforts(
+        self, linear: Linearized, efforts: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> Actuation:
+        """Displacements at given efforts of all actuators, within the bounds.
+
+        Args:
+            linear: The condensed system.
+            efforts: Commanded efforts [N], shape (actuator_count,); NaN for slides, which are held.
+            held: Actuation with all actuators held; always admissible.
+            bounds: Bounds of this step.
+
+        Returns:
+            The actuation: with the given efforts, if their displacements are within the bounds;
+            else, without contact, with the nearest efforts in the energy norm of W.
+        """
+        a = linear.groups.actuators
+        wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
+        if self.solvers is not None:
+            return self._at_efforts_in_contact(linear, wanted, held, bounds)
+        path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+        within = widened(path, bounds)
+        # The path of a cable without tension may be shorter than its winch can wind it.
+        hangs = self._one_sided[a] & ~self._by_effort[a] & (wanted <= 0.0)
+        within.displacement_max[hangs] = np.inf
+        found = solve_towards(linear.W_aa, linear.actuators, wanted, within)
+        if found is None:
+            return held._replace(solved=False)
+        return self.settle(linear, found, held.displacements, bounds)
+
+    def settle(
+        self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray, bounds: Bounds
+    ) -> Actuation:
+        """Set actuators to the displacements of given efforts, within the hardware's bounds.
+
+        Args:
+            linear: The condensed system, without contacts.
+            efforts: λ_a [N], shape (actuator_row_count,).
+            displacements: Displacements of actuators without rows [m],
+                shape (actuator_count,).
+            bounds: Bounds of this step. Effort-driven actuators are where their efforts bring them.
+
+        Returns:
+            The actuation, solved again if the bounds change a displacement.
+        """
+        a = linear.groups.actuators
+        path = linear.W_aa @ efforts + linear.actuators
+        within = self._within(path, bounds)
+        settled = np.concatenate([within, displacements[a.stop :]])
+        if np.array_equal(within, path):
+            return self._free(linear, efforts, settled)
+        settled[a] = np.where(self._by_effort[a], efforts, within)
+        return self.at_drives(linear, settled, bounds)
+
+    def _within(self, path: np.ndarray, bounds: Bounds) -> np.ndarray:
+        """Displacements δ_a within bounds where these are set, shape (actuator_row_count,)."""
+        a = slice(0, len(path))
+        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        return np.where(self._by_effort[a], path, within) if self._limits.has_effort_driven else within
+
+    def _free(
+        self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray,
+        solved: bool = True,
+    ) -> Actuation:  # fmt: skip
+        """An actuation without contact."""
+        self._efforts = efforts
+        actuation = Actuation(efforts, displacements, solved)
+        if self._slides is None:
+            return actuation
+        moves = self._moves(linear, displacements)
+        efforts = self.with_loads(linear, efforts, actuation.contact.multipliers)
+        return actuation._replace(efforts=efforts, moves=moves)
+
+    @staticmethod
+    def _moves(linear: Linearized, displacements: np.ndarray) -> np.ndarray:
+        """Moves that bring slides to their displacements, which have the opposite sign [m]."""
+        return -displacements[linear.groups.actuators.stop :] - linear.move_positions
+
+    def with_loads(
+        self, linear: Linearized, efforts: np.ndarray, contact: np.ndarray
+    ) -> np.ndarray:
+        """Efforts of actuators with rows, then forces that hold slides [N], shape
+        (actuator_count,).
+
+        Args:
+            linear: The condensed system.
+            efforts: λ_a [N], shape (actuator_row_count,).
+            contact: λ_c [N], shape (contact_row_count,).
+        """
+        if self._slides is None:
+            return efforts
+        return np.concatenate([efforts, self._slides.loads(linear.G_c, contact)])
+
+    def _at_efforts_in_contact(
+        self, linear: Linearized, wanted: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> Actuation:
+        a = linear.groups.actuators
+        solution = self._in_contact(linear, held.displacements, wanted, wanted)
+        path = linear.actuator_displacements(solution.efforts, solution.contact.multipliers)
+        within = self._within(path, bounds)
+        displacements = held.displacements.copy()
+        displacements[a] = within
+        # A cable without tension may be slack: its path is shorter than its length.
+        slack = self._one_sided[a] & (wanted <= 0.0) & (within < path)
+        if ((within == path) | slack).all():
+            return solution._replace(displacements=displacements)
+        displacements[a] = np.where(self._by_effort[a], wanted, within)
+        return self.at_drives(linear, displacements, bounds)
+
+    def _in_contact(
+        self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> Actuation:
+        """Efforts within bounds, and contact forces, at given displacements."""
+        count, moves = linear.groups.actuators.stop, self._moves(linear, displacements)
+        found = self._solve(linear, displacements[:count], moves, lower, upper)
+        self._efforts = found.multipliers[:count]
+        contact = ContactLoads(
+            found.multipliers[count:], found.sweeps, found.gap_residual, found.force_residual,
+            found.converged,
+        )  # fmt: skip
+        efforts = self.with_loads(linear, self._efforts, contact.multipliers)
+        return Actuation(efforts, np.asarray(displacements), contact=contact, moves=moves)
+
+    def _solve(
+        self, linear: Linearized, displacements: np.ndarray, moves: np.ndarray,
+        lower: np.ndarray, upper: np.ndarray,
+    ) -> ContactSolution:  # fmt: skip
+        """Multipliers of the actuators, then of all contacts.
+
+        If only some contacts are condensed, those that would penetrate in the solution are added,
+        and it is solved again; the second time all are added.
+        """
+        contacts, sweeps, rounds = self._contacts, 0, 0
+        guess, expected = self._guesses()
+        while True:
+            problem = self._problem(linear, displacements, moves, lower, upper)
+            chosen = self._places(linear)
+            found = self.solvers.solve(
+                problem, guess[chosen], expected[chosen], contacts.margin
+            )
+            if linear.chosen is None:
+                return found
+            sweeps, rounds = sweeps + found.sweeps, rounds + 1
+            multipliers = np.zeros(len(guess))
+            multipliers[chosen] = found.multipliers
+            gaps = linear.open_gaps(found.multipliers)
+            crossing = gaps < -self._allowed_crossing(problem, found)
+            if not crossing.any():
+                crossed = max(0.0, -gaps.min(initial=np.inf))
+                return found._replace(
+                    multipliers=multipliers, sweeps=sweeps,
+                    gap_residual=max(found.gap_residual, crossed),
+                )  # fmt: skip
+            guess = expected = multipliers
+            linear.take(crossing if rounds == 1 else gaps < np.inf)
+
+    def _problem(self, linear: Linearized, displacements, moves, lower, upper) -> ContactProblem:
+        """The problem of the actuators and of the contacts that are condensed."""
+        contacts, count = self._contacts, linear.groups.actuators.stop
+        compliance, violation = linear.of_actuators_and_contacts()
+        violation[:count] -= displacements
+        if len(moves):
+            violation[count:] += linear.G_c @ moves
+        friction = contacts.friction
+        return ContactProblem(
+            None if compliance.Yt is not None else compliance.W, violation, lower, upper,
+            friction if linear.chosen is None else friction[linear.chosen],
+            contacts.rows_per_contact, compliance.Yt,
+        )  # fmt: skip
+
+    @staticmethod
+    def _places(linear: Linearized) -> np.ndarray | slice:
+        """Indices of the condensed rows among the multipliers of actuators and contacts."""
+        if linear.chosen is None:
+            return slice(None)
+        count = linear.groups.actuators.stop
+        return np.concatenate([np.arange(count), count + linear.contact_rows])
+
+    def _guesses(self) -> tuple[np.ndarray, np.ndarray]:
+        """All multipliers of the last solution, and the extrapolated ones of this step [N]."""
+        memory, efforts = self._contacts.memory, self._efforts
+        return (np.concatenate([efforts, memory.guess]),
+                np.concatenate([efforts, memory.expected]))
+
+    def _allowed_crossing(self, problem: ContactProblem, found: ContactSolution) -> float:
+        """Penetration of an omitted contact up to which the solution counts as solved [m].
+
+        It is within the tolerance, and so small that the force of the contact would be negligible.
+        """
+        normals = problem.W.diagonal()[len(problem.lower) :: problem.rows_per_contact]
+        stiffest = normals[normals > 0.0].min(initial=np.inf)
+        force = FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
+        return min(self.solvers.tolerance, stiffest * force)
+
+
+def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
+    """Distance of the effectors from equilibrium at held displacements, by the linearization.
+
+    Args:
+        effectors: The effector term, or None.
+        linear: The system condensed around the state.
+        held: Actuation with all actuators held.
+
+    Returns:
+        Largest distance over the effectors [m]; NaN without effectors, and in contact.
+    """
+    if effectors is None or held is None or linear.contact_row_count:
+        return float("nan")
+    places = linear.effector_places(held.efforts, held.contact.multipliers, held.moves)
+    moves = (places - linear.effectors_now)[: effectors.position_row_count]
+    squares = np.bincount(effectors.row_effector[: len(moves)], weights=moves * moves)
+    return float(np.sqrt(squares.max(initial=0.0)))
+
+
+def widened(path: np.ndarray, bounds: Bounds) -> Bounds:
+    """Bounds of the actuators with rows, widened to contain the held state.
+
+    The path of a slack cable is shorter than its length, that of a cable at its greatest tension is
+    longer; neither violates a limit of the hardware. With the held state inside, the problem always
+    has an admissible point.
+
+    Args:
+        path: Displacements of the paths with all actuators held [m], shape (n,).
+        bounds: Bounds of this step.
+    """
+    a = slice(0, len(path))
+    return Bounds(
+        np.minimum(bounds.displacement_min[a], path),
+        np.maximum(bounds.displacement_max[a], path),
+        bounds.effort_min[a],
+        bounds.effort_max[a],
+    )

@@ -1,0 +1,1256 @@
+"""How λ is found when effectors have targets (Coevoet 2017, eq. 17-22).
+
+The inverse problem is a quadratic program with complementarity constraints over the efforts of the
+actuators, the moves of slides and the contact forces; without contacts it is an ordinary quadratic
+program (`inverse_problem`, `inverse_solver`).
+
+Actuators may be commanded while the others are optimised around them. A winch holds a commanded
+cable to a length: its path is as short as that or shorter, and it pulls only where it is taut,
+0 ≤ λ ⊥ δ_a - δ_set ≥ 0. That is the law of contact, so a commanded cable is one contact more.
+
+The law holds for a free cable too, whose winch may choose δ_set within its limits. So the greatest
+shortening of a winch bounds the path of a taut cable only: either λ ≥ 0 and δ_a ≤ δ_max, or λ = 0,
+and the path may be shorter than the shortest length to which the winch can wind the cable. The
+search begins in the branch of the held actuation. Branches meet where λ = 0 and δ_a = δ_max; a cable
+that an optimum leaves there takes the other one. Where the actuators would rest, the optimum of each
+branch is sought in which one cable changes (`_look`), and `TargetTrust` follows the most promising.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.result import RATE
+from softrobot_twin.simulation.step.actuation import NO_EFFORT, NO_MOVES, Actuation, ContactLoads
+from softrobot_twin.simulation.step.direct_actuation import DirectActuation, widened
+from softrobot_twin.simulation.step.interpretation import why_not_followed
+from softrobot_twin.simulation.step.linearized import Linearized, row_motion
+from softrobot_twin.simulation.step.stiffness_targets import StiffnessRows
+from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach, Situation, TargetTrust
+from softrobot_twin.solvers.inverse_problem import (
+    LEAST_ENERGY_WEIGHT,
+    NO_CONTACTS,
+    Bounds,
+    ContactBounds,
+    InverseSystem,
+    build_inverse_problem,
+    with_effort_rows,
+)
+from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver, proved_efforts
+from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START
+from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
+
+# A target further away than this share of the body's size is approached along a straight line:
+# so far from the effector, the linearization says nothing, and chasing it would oscillate.
+LONGEST_REACH = 0.05
+# The same for an orientation [rad].
+LONGEST_TURN = 0.1
+# Programs that one linearization may solve; each takes some tens of microseconds.
+MOST_PROGRAMS = 30
+# Contacts hold effectors in some directions, in which the same energy moves them far less, and would
+# keep them off their targets. There the energy weighs the less the nearer the targets are, as a
+# Levenberg-Marquardt weight does (Yamashita and Fukushima 2001), down to this share.
+LEAST_ENERGY_SHARE_IN_CONTACT = 1.0 / 512.0
+# In contact, what the targets leave open goes at most a tenth of the displacement to the least
+# energy in one linearization: a whole one overshoots, and the next takes it back.
+LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
+# With friction along cables the least energy is another where cables slip one way, the other way, or
+# stick. Towards it go ever smaller shares, so that no cycle between these lasts.
+LEAST_PROXIMAL_WEIGHT_WITH_FRICTION = 99.0
+# With wanted stiffnesses, which change with the square of efforts that leave the targets alone.
+LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS = 9.0
+# A path beyond its bound by less, as a share of its natural scale, is on it.
+ROUND_OFF = 1.0e-11
+# A contact force, this near to its limit as a share of it, is on it.
+LIMIT_MARGIN = 1.0e-4
+# After each second start in vain, twice as many linearizations pass without one, and at most these.
+LONGEST_WAIT = 7
+# A place on the actuators' path this near, as a share of their scales, is reached.
+NEAR_PLACE = 1.0e-6
+# The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
+AT_LIMIT = 1.0e-8
+
+# A cable that is to bear where a finger pushes bears this multiple of what the push takes from it.
+BEARS = 1.5
+
+NO_FORCES = np.empty(0)
+
+
+@njit(**KERNEL)
+def write_steps(
+    targets, now, row_effector, row_weights, longest, squares, steps, weights
+):
+    """Displacements to targets, none longer than `longest`; see `TargetSteps.asked`.
+
+    Args:
+        targets: Wanted effector coordinates [m], NaN where free, shape (n,).
+        now: Where they are [m], shape (n,).
+        row_effector: Effector of each row, shape (n,).
+        row_weights: Weight of each row, shape (n,).
+        longest: Longest displacement [m].
+        squares: Zeros; takes the squared distance of each effector [m²], shape (effector_count,).
+        steps: Takes the displacements [m], shape (n,).
+        weights: Takes the weights by these shares, zero where a row is free, shape (n,).
+    """
+    for r in range(len(now)):
+        is_wanted = np.isfinite(targets[r])
+        steps[r] = targets[r] - now[r] if is_wanted else 0.0
+        weights[r] = row_weights[r] if is_wanted else 0.0
+        squares[row_effector[r]] += steps[r] * steps[r]
+    for r in range(len(now)):
+        share = longest / max(np.sqrt(squares[row_effector[r]]), longest)
+        steps[r] *= share
+        weights[r] /= share
+
+
+@njit(**KERNEL)
+def write_posed_steps(
+    targets, now, row_effector, row_weights, row_lengths, longest, longest_turn, squares, steps,
+    weights,
+):  # fmt: skip
+    """The same with orientations, whose rows come last: both are shortened by the same factor.
+
+    Args:
+        targets: See `write_steps`.
+        now: See there.
+        row_effector: See there.
+        row_weights: See there.
+        row_lengths: Length per radian of the last rows [m/rad], shape (turn_row_count,).
+        longest: Longest displacement [m].
+        longest_turn: Largest angle [rad].
+        squares: Zeros; takes the squared distance [m²] and the squared angle [rad²] of each
+            effector, shape (effector_count, 2).
+        steps: See `write_steps`.
+        weights: See there.
+    """
+    first = len(now) - len(row_lengths)
+    for r in range(len(now)):
+        is_wanted = np.isfinite(targets[r])
+        steps[r] = targets[r] - now[r] if is_wanted else 0.0
+        weights[r] = row_weights[r] if is_wanted else 0.0
+        if r < first:
+            squares[row_effector[r], 0] += steps[r] * steps[r]
+        else:
+            squares[row_effector[r], 1] += (steps[r] / row_lengths[r - first]) ** 2
+    for r in range(len(now)):
+        e = row_effector[r]
+        share = longest / max(np.sqrt(squares[e, 0]), longest)
+        share = min(share, longest_turn / max(np.sqrt(squares[e, 1]), longest_turn))
+        steps[r] *= share
+        weights[r] /= share
+
+
+@njit(**KERNEL)
+def keep_within(path, lower, upper, round_off, within):
+    """Write displacements within their bounds; whether none changed by more than round-off.
+
+    Args:
+        path: Displacements [m], shape (n,).
+        lower: Least ones [m], shape (n or more,).
+        upper: Greatest ones [m], shape (n or more,).
+        round_off: Change that counts as zero [m], shape (n,).
+        within: Takes the displacements within the bounds [m], shape (n,).
+    """
+    are_kept = True
+    for i in range(len(path)):
+        within[i] = min(max(path[i], lower[i]), upper[i])
+        are_kept = are_kept and abs(within[i] - path[i]) <= round_off[i]
+    return are_kept
+
+
+@njit(**KERNEL)
+def hang_beyond(path, loads, upper, margins, may_hang, slack):
+    """Write which cables are slack beyond the greatest shortening of their winches; whether any is.
+
+    Args:
+        path: Shortenings of the paths [m], shape (n,).
+        loads: Tensions in shares of their scales, shape (n,).
+        upper: Greatest shortenings of the winches [m], shape (n or more,).
+        margins: Distance from these that counts as zero [m], shape (n,).
+        may_hang: Whether each may be slack, shape (n,).
+        slack: Written, shape (n,).
+    """
+    largest, some_hang = 0.0, False
+    for i in range(len(slack)):
+        largest = max(largest, loads[i])
+    for i in range(len(slack)):
+        has_none = loads[i] <= NO_EFFORT * largest
+        slack[i] = may_hang[i] and has_none and path[i] > upper[i] + margins[i]
+        some_hang = some_hang or slack[i]
+    return some_hang
+
+
+@njit(**KERNEL)
+def change_slack(displacements, loads, upper, margins, may_hang, slack, was_slack):
+    """Change the branch where two branches meet, at no tension and the greatest shortening.
+
+    A taut cable there becomes slack, so that its path may be shorter than its winch's shortest
+    cable. A slack one whose path is longer than that may be taut.
+
+    Args:
+        displacements: Shortenings that the winches follow [m], shape (n or more,).
+        loads: See `hang_beyond`.
+        upper: See there.
+        margins: See there.
+        may_hang: See there.
+        slack: Cables that are slack in the branch, shape (n,); changed.
+        was_slack: Cables that were taken as slack before and are no more, shape (n,); changed.
+
+    Returns:
+        Whether the branch is another one.
+    """
+    largest, is_changed = 0.0, False
+    for i in range(len(slack)):
+        largest = max(largest, loads[i])
+    for i in range(len(slack)):
+        is_short = displacements[i] >= upper[i] - margins[i]
+        if slack[i] and not is_short:
+            slack[i], was_slack[i], is_changed = False, True, True
+        elif may_hang[i] and is_short and not (slack[i] or was_slack[i]):
+            slack[i] = loads[i] <= NO_EFFORT * largest
+            is_changed = is_changed or slack[i]
+    return is_changed
+
+
+@njit(**KERNEL)
+def narrow(drives, reach, is_left, least, most):
+    """Narrow bounds to what is near; where they lie further away, to their nearer end.
+
+    Args:
+        drives: Displacements now, shape (n,).
+        reach: How far is near, shape (n,).
+        is_left: Which bounds are left as they are, shape (n,).
+        least: Least displacements, shape (n,); changed.
+        most: Greatest displacements, shape (n,); changed.
+    """
+    for i in range(len(drives)):
+        if not is_left[i]:
+            low, high = least[i], most[i]
+            least[i] = max(low, min(drives[i] - reach[i], high))
+            most[i] = min(high, max(drives[i] + reach[i], low))
+
+
+@njit(**KERNEL)
+def guessed_actuation(
+    W, first_effector, violation, errors, weights, energy_weight, proximal_weight, centre, held,
+    displacement_min, displacement_max, effort_min, effort_max, stiffness, reference, active,
+    may_hang, at_limit, round_off, effort_scales,
+):  # fmt: skip
+    """What `_over_branches` finds in one branch of slack cables, from the last active set.
+
+    Args:
+        W: Compliance, the rows of the actuators first [m/N], shape (n, n).
+        first_effector: First row of the effectors.
+        violation: δ_free of all rows [m], shape (n,).
+        errors: δ_e,free less the targets [m], shape (e,).
+        weights: Weight of each effector row, shape (e,).
+        energy_weight: ε.
+        proximal_weight: p.
+        centre: z̄ [N], shape (a,).
+        held: Multipliers when the actuators stay [N], shape (a or more,).
+        displacement_min: Least displacements of this step [m], shape (a or more,).
+        displacement_max: Greatest ones [m], same shape.
+        effort_min: Least efforts [N], same shape.
+        effort_max: Greatest ones [N], same shape.
+        stiffness: ρ of an augmented tangent, zero without [N/m], shape (a,).
+        reference: δ_ref of it [m], shape (a,).
+        active: Active bounds in the guess, see `proved_efforts`.
+        may_hang: Which cables may be slack, shape (a,).
+        at_limit: Distance from a greatest shortening that counts as zero [m], shape (a,).
+        round_off: Change of a displacement that counts as zero [m], shape (a,).
+        effort_scales: Scale of each effort [N], shape (a,).
+
+    Returns:
+        Whether they are proved, and no cable changes its branch; multipliers [N], shape (a,);
+        displacements within their bounds [m], shape (a,); and the active bounds.
+    """
+    a = len(centre)
+    path = row_motion(W, 0, a, held[:a], violation)
+    within, loads, slack = np.empty(a), np.empty(a), np.zeros(a, dtype=np.bool_)
+    for i in range(a):
+        loads[i] = held[i] - stiffness[i] * (path[i] - reference[i])
+        loads[i] /= effort_scales[i]
+    hang_beyond(path, loads, displacement_max, at_limit, may_hang, slack)
+    least, most, greatest = np.empty(a), np.empty(a), effort_max[:a].copy()
+    for i in range(a):
+        least[i] = min(displacement_min[i], path[i])
+        most[i] = max(displacement_max[i], path[i])
+        if slack[i]:
+            most[i], greatest[i] = np.inf, 0.0
+    effectors = (first_effector, first_effector + len(errors))
+    proved, efforts, active = proved_efforts(
+        W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation[:a], least,
+        most, effort_min[:a], greatest, stiffness, reference, active,
+    )  # fmt: skip
+    if not proved:
+        return False, efforts, within, active
+    is_augmented = False
+    for i in range(a):
+        is_augmented = is_augmented or stiffness[i] != 0.0
+    for i in range(a):
+        if not is_augmented:
+            efforts[i] = min(max(efforts[i], effort_min[i]), effort_max[i])
+    path = row_motion(W, 0, a, efforts, violation)
+    if not keep_within(path, displacement_min, displacement_max, round_off, within):
+        return False, efforts, within, active
+    for i in range(a):
+        loads[i] = efforts[i] - stiffness[i] * (path[i] - reference[i])
+        loads[i] /= effort_scales[i]
+    was_slack = np.zeros(a, dtype=np.bool_)
+    is_changed = change_slack(
+        within, loads, displacement_max, at_limit, may_hang, slack, was_slack
+    )
+    return not is_changed, efforts, within, active
+
+
+class TargetSteps:
+    """What one step asks of the effectors: no displacement that is too long for a linearization.
+
+    Attributes:
+        row_effector: Effector of each row, shape (effector_row_count,).
+    """
+
+    def __init__(self, model: Model):
+        """Take the effectors.
+
+        Args:
+            model: A scene with effectors.
+        """
+        self.row_effector = model.effectors.row_effector
+        self._row_weights = model.effectors.row_weights
+        self._effector_count = len(model.effectors.effectors)
+        self._longest = LONGEST_REACH * model.nodes.size
+        self._row_lengths = None
+        if model.effectors.orientations:
+            self._row_lengths = model.effectors.row_lengths
+
+    def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements to the targets, shortened where they are too long, and their weights.
+
+        Each effector's displacement is shortened by a share of its own. Its weight is divided by
+        the share: the slope of the tracking term stays that of the whole distances. So several
+        effectors out of reach rest where the weighted sum of their squared distances is least.
+
+        Args:
+            target_rows: Wanted effector coordinates [m], NaN where free,
+                shape (effector_row_count,).
+            now: Where they are [m], same shape.
+
+        Returns:
+            The displacement of each row [m] and the weight of its error, both zero where it is
+            free, same shape.
+        """
+        steps, weights = np.empty(len(now)), np.empty(len(now))
+        if self._row_lengths is not None:
+            write_posed_steps(
+                target_rows, now, self.row_effector, self._row_weights, self._row_lengths,
+                self._longest, LONGEST_TURN, np.zeros((self._effector_count, 2)), steps, weights,
+            )  # fmt: skip
+            return steps, weights
+        write_steps(
+            target_rows, now, self.row_effector, self._row_weights, self._longest,
+            np.zeros(self._effector_count), steps, weights,
+        )  # fmt: skip
+        return steps, weights
+
+
+class Unknowns(NamedTuple):
+    """Order of the unknowns z: efforts of free actuators, moves, efforts of commanded ones, forces.
+
+    Attributes:
+        commanded: Which actuators with rows are commanded, shape (actuator_row_count,).
+        has_commanded: Whether any is.
+    """
+
+    commanded: np.ndarray
+    has_commanded: bool
+
+    def stack(
+        self, efforts: np.ndarray, moves: np.ndarray, forces: np.ndarray
+    ) -> np.ndarray:
+        """z of efforts [N], moves [m] and contact forces [N]."""
+        if not (self.has_commanded or len(moves) or len(forces)):
+            return efforts
+        return np.concatenate(
+            [efforts[~self.commanded], moves, efforts[self.commanded], forces]
+        )
+
+    def split(self, z: np.ndarray, forces: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Efforts, moves and contact forces of z.
+
+        Args:
+            z: The unknowns.
+            forces: Number of contact forces.
+        """
+        count = len(self.commanded)
+        first = len(z) - forces
+        if not self.has_commanded:
+            return z[:count], z[count:first], z[first:]
+        commanded_count = np.count_nonzero(self.commanded)
+        efforts = np.empty(count)
+        efforts[~self.commanded] = z[: count - commanded_count]
+        efforts[self.commanded] = z[first - commanded_count : first]
+        return efforts, z[count - commanded_count : first - commanded_count], z[first:]
+
+
+class InverseActuation:
+    """Finds actuation and contact forces that bring effectors to their targets.
+
+    When not all can be met, these are violated in this order: the target; the limit of contact
+    force; the tautness of a commanded cable. Limits of the hardware are always kept.
+
+    Attributes:
+        trust: How far the linearizations are trusted, learnt from what they promised.
+    """
+
+    def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
+        """Lay out the problem.
+
+        Args:
+            model: A scene with actuators and effectors, without friction.
+            direct: Solves for λ at prescribed displacements.
+            qp_solvers: Solvers of quadratic programs in the order they are asked, without a warm
+                start, in place of those that the scene names.
+        """
+        self._direct, self._contacts = direct, model.contacts
+        self._steps, self._row_weights = TargetSteps(model), model.effectors.row_weights
+        self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
+        self._energy_now, self._longest = self._energy_weight, LONGEST_REACH * model.nodes.size
+        limit = None if model.scene.contact is None else model.scene.contact.force_limit
+        self.force_limit = np.inf if limit is None else limit
+        actuators = model.actuators
+        count = actuators.row_count
+        self._one_sided = actuators.one_sided
+        self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
+        self._at_limit = AT_LIMIT * actuators.displacement_scale[:count]
+        self._may_hang = (actuators.one_sided & ~actuators.is_effort_driven)[:count]
+        self._may_hang &= actuators.limits.effort_min[:count] <= 0.0
+        self._scales = actuators.limits.drive_scale
+        self._effort_scales = actuators.effort_scale[:count]
+        alone = not model.rows.varies and model.slides is None and model.actuators.conserves
+        self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
+        self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool), False)
+        self._none = np.zeros(count)
+        self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
+        if not model.actuators.conserves:
+            self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
+        if model.weighs_stiffness:
+            self._least_weight = max(self._least_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
+        self.trust = TargetTrust(
+            actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance,
+            model.nodes.size, model.effectors.position_row_count,
+        )  # fmt: skip
+        self._learns = not model.is_dynamic
+        self._tolerance = model.scene.solver.reach_tolerance
+        self._posed = model if model.effectors.orientations else None
+        kinds = QP_SOLVERS[model.scene.solver.qp_solver]
+        self._solver = InverseSolver(
+            qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
+            uses_warm_start=qp_solvers is None, is_exact=not alone,
+        )  # fmt: skip
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last solution, the contacts that bore it, and all moves."""
+        self._touching: dict[tuple[int, int], bool] | None = None
+        self._wait = self._next_wait = 0
+        self._solver.reset()
+        self.trust.forget()
+        if self._posed is not None:
+            self._posed.effectors.forget_targets()
+        self.begin_step(True, True)
+
+    def begin_step(
+        self, is_balanced: bool, is_stable: bool, loads: np.ndarray = NO_LOADS, load: float = 0.0,
+        guided: np.ndarray = NO_LOADS,
+    ) -> None:  # fmt: skip
+        """Let the next solution be the first of a step.
+
+        Args:
+            is_balanced: Whether the last step ended near balance.
+            is_stable: Whether the body was stable at held displacements there.
+            loads: Loads from outside, such as touches [N], shape (n,).
+            load: Sum of all loads' sizes [N]; needed with these.
+            guided: Where points of the guided bodies are [m], shape (m,).
+        """
+        self._begins, self._is_balanced, self._is_stable = True, is_balanced, is_stable
+        self._loads, self._load, self._guided = loads, load, guided
+
+    def solve(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        stiffness: StiffnessRows | None = None,
+    ) -> tuple[Actuation, Actuation]:  # fmt: skip
+        """Solve the inverse problem around one state.
+
+        Args:
+            linear: The condensed system.
+            target_rows: Wanted effector coordinates [m], NaN where free,
+                shape (effector_row_count,).
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+            stiffness: Rows of wanted stiffnesses; None if none is wanted.
+
+        Returns:
+            The actuation, or the held one with `solved` False; and what a shorter step than that
+            begins with: the held actuation, in which commanded actuators do as they are told.
+        """
+        if stiffness is not None and not len(stiffness.directions):
+            stiffness = None
+        asked, weights = self._steps.asked(target_rows, linear.effectors_now)
+        least, most = self._limits.drive_bounds(bounds)
+        commanded, drives = least == most, held.drives(self._limits)
+        begins, self._begins = self._learns and self._begins, False
+        if begins:
+            if self._posed is not None:
+                # Coordinates of orientations are those at the present target.
+                self.trust.rest = _rest_rows(self._posed)
+            is_wanted = weights > 0.0
+            situation = Situation(
+                np.where(is_wanted, target_rows, 0.0), np.where(is_wanted, self._row_weights, 0.0),
+                linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
+                drives, np.where(commanded, most, np.nan),
+                self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
+            )  # fmt: skip
+            self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
+        bounds = self._near(drives, commanded, bounds)
+        if commanded.any():
+            held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
+        # Where nothing is left to choose, how hard contacts press is told all the same.
+        limits = self._limits_met(held.contact.multipliers)
+        if limits:
+            held = held._replace(contact=held.contact._replace(limits=limits))
+        if self.trust.approach is Approach.LOOK and begins:
+            self._look(linear, target_rows, held, bounds, commanded, stiffness)
+        if commanded.all() or self.trust.approach in (Approach.REST, Approach.LOOK):
+            return held, held
+        if self.trust.approach in (Approach.RETURN, Approach.DEPART):
+            goal = self._limits.drives_within(self.trust.goal, bounds)
+            return self._direct.at_drives(linear, goal, bounds), held
+        if self.trust.approach is Approach.RETRACE:
+            return self._retrace(linear, held, bounds), held
+        if self.trust.approach is Approach.LEAD_BACK:
+            # Coordinates of orientations are those at another target.
+            place = np.full(len(target_rows), np.nan)
+            noted = self.trust.path.last_effectors
+            place[: len(noted)] = noted
+            asked, weights = self._steps.asked(place, linear.effectors_now)
+        if not self._alone:
+            self._energy_now = self._weight_of_energy(linear, asked)
+        branch = self.trust.branch
+        stiffness = self._in_branch(stiffness, branch)
+        errors, weights, extra = _rows_to_track(linear, asked, weights, stiffness)
+        within = self._bearing(stiffness, branch, bounds)
+        found = self._over_branches(
+            linear, errors, weights, held, within, commanded, extra, branch
+        )
+        if self.trust.longest < np.inf:
+            still = self._still(linear, held)
+            while found is not None and self.trust.is_too_long(still, found.drives(self._limits)):
+                self.trust.tighten()
+                found = self._over_branches(
+                    linear, errors, weights, held, within, commanded, extra, branch
+                )
+        if found is None and branch is not None:
+            self.trust.branch = None
+            return held, held
+        if found is None:
+            return held._replace(solved=False), held
+        if self._learns and self.trust.approach is Approach.FOLLOW:
+            places = _places(linear, found, stiffness)
+            is_watched = self.trust.is_careful or self.trust.is_late
+            is_hindered = is_watched and any(
+                name.endswith(RATE)
+                for name in self._limits.binding(found.displacements, found.efforts, bounds)
+            )
+            self.trust.expect(places, is_hindered)
+        return found, held
+
+    def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
+        """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
+        least, most = bounds.displacement_min.copy(), bounds.displacement_max.copy()
+        reach = self.trust.move_limit * self._scales
+        narrow(drives, reach, commanded | self._by_effort, least, most)
+        return Bounds(least, most, bounds.effort_min, bounds.effort_max)
+
+    def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:
+        """Drives when the actuators stay; of a slack cable, the path."""
+        drives, count = held.drives(self._limits).copy(), linear.groups.actuators.stop
+        path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+        drives[:count] = np.where(self._by_effort[:count], drives[:count], path)
+        return drives
+
+    def _look(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        commanded: np.ndarray, stiffness: StiffnessRows | None,
+    ) -> None:  # fmt: skip
+        """Offer the optimum of the next branch in which one cable bears, or is slack, that did not.
+
+        Stiffnesses jump there, and the program's set is not convex where a taut cable is at its
+        limit. What is remembered of the held actuation stays as it is.
+        """
+        count, trust = linear.groups.actuators.stop, self.trust
+        branch = np.zeros(count, dtype=bool) if trust.branch is None else trust.branch.copy()
+        upper = bounds.displacement_max[:count]
+        if stiffness is None:
+            loads = linear.efforts(held.efforts[:count], held.contact.multipliers)
+            bears = loads > NO_EFFORT * loads.max(initial=0.0)
+            may_change = branch | (bears & (held.displacements[:count] >= upper - self._at_limit))
+        else:
+            bears = stiffness.gradient.holds.any(axis=0)
+            branch = self._may_hang & ~bears
+            path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+            may_change = bears | (path <= upper + self._at_limit)
+        left = np.flatnonzero((may_change & self._may_hang & ~commanded[:count])[trust.kink :])
+        if not len(left):
+            trust.end_look()
+            return
+        cable = trust.kink + left[0]
+        trust.kink, branch[cable] = cable + 1, not branch[cable]
+        rows = self._in_branch(stiffness, branch)
+        if rows is not None and not (rows.gradient.compliance > 0.0).all():
+            return
+        asked, weights = self._steps.asked(target_rows, linear.effectors_now)
+        errors, weights, extra = _rows_to_track(linear, asked, weights, rows)
+        remembered = self._solver.active, self._touching, self._wait, self._next_wait
+        within = self._bearing(rows, branch, bounds)
+        found = self._over_branches(
+            linear, errors, weights, held, within, commanded, extra, branch
+        )
+        self._solver.active, self._touching, self._wait, self._next_wait = remembered
+        self._direct.remember(held.efforts)
+        if found is not None:
+            trust.offer(branch, _places(linear, found, rows))
+
+    def _in_branch(
+        self, stiffness: StiffnessRows | None, branch: np.ndarray | None
+    ) -> StiffnessRows | None:
+        """The rows of wanted stiffnesses with just these cables slack."""
+        if stiffness is None or branch is None:
+            return stiffness
+        holds = stiffness.gradient.holds
+        bears = np.where(self._may_hang, ~branch, holds.any(axis=0))
+        return stiffness if (holds == bears).all() else stiffness.with_bearing(bears)
+
+    @staticmethod
+    def _bearing(
+        stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds
+    ) -> Bounds:
+        """Bounds within which the cables of a branch bear where a finger pushes."""
+        if stiffness is None or branch is None:
+            return bounds
+        least = np.where(branch, 0.0, BEARS * stiffness.gradient.bearing.max(axis=0))
+        a = slice(0, len(least))
+        effort_min = bounds.effort_min.copy()
+        effort_min[a] = np.minimum(np.maximum(effort_min[a], least), bounds.effort_max[a])
+        return bounds._replace(effort_min=effort_min)
+
+    def _over_branches(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
+        chosen: np.ndarray | None = None,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation, from the branch of slack cables that the held actuation is in.
+
+        Each next branch contains the optimum of the branch before, hence the objective never rises.
+        A cable becomes slack at most once, and taut again at most once. Cables that are `chosen`
+        are slack in any case.
+        """
+        if self._alone and extra is None and chosen is None and self._solver.guess is not None:
+            found = self._guessed(linear, errors, weights, held, bounds, commanded)
+            if found is not None:
+                return found
+        count, contact = linear.groups.actuators.stop, held.contact.multipliers
+        path, may_hang = linear.actuator_displacements(held.efforts, contact), self._may_hang
+        if commanded.any():
+            may_hang = may_hang & ~commanded[:count]
+        if chosen is not None:
+            # With wanted stiffnesses, the others bear.
+            may_hang = may_hang & ~chosen & (extra is None)
+        branches, upper = np.zeros((2, count), dtype=bool), bounds.displacement_max
+        slack, was_slack = branches
+        loads = linear.efforts(held.efforts[:count], contact) / self._effort_scales
+        some_hang = hang_beyond(path, loads, upper, self._at_limit, may_hang, slack)
+        loose = slack if some_hang else None
+        if chosen is not None:
+            loose = slack | chosen
+        found, best = self._solved(
+            linear, errors, weights, held, held, path, loose, bounds, commanded, extra
+        ), None
+        while found is not None:
+            best = found
+            loads = linear.efforts(found.efforts[:count], found.contact.multipliers)
+            if not change_slack(
+                found.displacements, loads / self._effort_scales, upper, self._at_limit, may_hang,
+                slack, was_slack,
+            ):  # fmt: skip
+                break
+            loose = slack if chosen is None else slack | chosen
+            found = self._solved(
+                linear, errors, weights, held, best, path, loose, bounds, commanded, extra
+            )
+        return best
+
+    def _guessed(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds, commanded: np.ndarray,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation from the last active set; None where `guessed_actuation` proves none."""
+        active, count = self._solver.guess, len(self._none)
+        stiffness = reference = self._none
+        if linear.augmentation is not None:
+            stiffness, reference, _ = linear.augmentation
+        if commanded.any() or len(active) < 2 * count:
+            return None
+        proved, efforts, within, active = guessed_actuation(
+            linear.W, linear.groups.effectors.start, linear.violation, errors, weights,
+            self._energy_now, self._proximal_weight(),
+            np.array(self._centre(linear, held, self._all_free)), held.efforts, *bounds, stiffness,
+            reference, active, self._may_hang, self._at_limit, self._round_off, self._effort_scales,
+        )  # fmt: skip
+        if not proved:
+            return None
+        self._solver.active, self._touching = active, {}
+        self._direct.remember(efforts)
+        return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
+
+    def _solved(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        start: Actuation, path: np.ndarray, slack: np.ndarray | None, bounds: Bounds,
+        commanded: np.ndarray, extra: np.ndarray | None,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation in one branch of slack cables.
+
+        Args:
+            linear: The condensed system.
+            errors: δ_e,free less the targets, then those of further rows [m].
+            weights: Their weights.
+            held: What the actuators do when they stay.
+            start: An actuation of this branch.
+            path: Displacements of the paths when the actuators stay [m],
+                shape (actuator_row_count,).
+            slack: Cables that hang slack in this branch, same shape; None without any.
+            bounds: Bounds of this step.
+            commanded: Which actuators are commanded, shape (actuator_count,).
+            extra: Change of the further rows by the multipliers of the actuators, or None.
+
+        Returns:
+            The actuation; None where the branch has no solution.
+        """
+        within = widened(path, bounds)
+        if slack is not None:
+            within = within._replace(
+                displacement_max=np.where(slack, np.inf, within.displacement_max),
+                effort_max=np.where(slack, 0.0, within.effort_max),
+            )
+        if self._alone and not commanded.any():
+            efforts = self._by_guess(linear, errors, weights, held, within, extra)
+            if efforts is not None:
+                nothing_touches = ContactLoads(NO_FORCES, sweeps=1)
+                return self._settled(linear, efforts, NO_MOVES, nothing_touches, bounds, WARM_START)
+        return self._by_search(
+            linear, errors, weights, held, start, within, bounds, commanded, extra
+        )
+
+    def _by_guess(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        within: Bounds, extra: np.ndarray | None,
+    ) -> np.ndarray | None:  # fmt: skip
+        """Efforts from the last active set, without contacts; None where they are not proved."""
+        W, effectors, stiffness, reference = linear.W, linear.groups.effectors, self._none, self._none
+        if linear.augmentation is not None:
+            stiffness, reference, _ = linear.augmentation
+        if extra is not None:
+            W = np.concatenate([W[: effectors.stop, : effectors.start], extra])
+            effectors = slice(effectors.start, len(W))
+        efforts = self._solver.efforts_by_guess(
+            W, effectors, errors, weights, self._energy_now,
+            self._proximal_weight(), self._centre(linear, held, self._all_free),
+            linear.actuators, within, stiffness, reference,
+        )  # fmt: skip
+        if efforts is not None:
+            self._touching = {}
+        return efforts
+
+    def _by_search(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        start: Actuation, within: Bounds, bounds: Bounds, commanded: np.ndarray,
+        extra: np.ndarray | None,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation of any inverse problem; None where it has no solution."""
+        # What is two-sided is held by equal bounds, not by the law of a slack cable.
+        own = (commanded & self._one_sided)[linear.groups.actuators]
+        unknowns = Unknowns(own, bool(own.any()))
+
+        def pose(errors: np.ndarray) -> QPCC:
+            return self._problem(linear, errors, weights, held, within, bounds, unknowns, extra)
+
+        problem = pose(errors)
+        solution = self._solution(linear, problem, start, unknowns, errors, weights, pose)
+        if not solution.solved:
+            return None
+        efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
+        residual = _complementarity_residual(problem, solution.unknowns, forces)
+        limits = self._limits_met(forces)
+        contact = ContactLoads(forces, solution.programs, residual, limits=limits)
+        return self._settled(linear, efforts, moves, contact, bounds, solution.solver)
+
+    def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
+        """What becomes of it when the actuators go back to the last place on their path."""
+        path = self.trust.path
+        place = held.drives(self._limits) if path.last is None else path.last
+        back = self._limits.drives_within(place, bounds)
+        if (np.abs(back - place) <= NEAR_PLACE * self._scales).all():
+            path.go_back()
+        return self._direct.at_drives(linear, back, bounds)
+
+    def _problem(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        within: Bounds, bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
+    ) -> QPCC:  # fmt: skip
+        """The inverse problem around one state.
+
+        Args:
+            linear: The condensed system.
+            errors: δ_e,free less the targets, then those of further rows [m].
+            weights: Their weights.
+            held: What the actuators do when they stay.
+            within: Bounds of the actuators with rows in this branch of slack cables.
+            bounds: Bounds of this step.
+            unknowns: Order of the unknowns.
+            extra: Change of the further rows by the multipliers of the actuators, or None.
+        """
+        count, commanded = linear.groups.actuators.stop, unknowns.commanded
+        prescribed = bounds.displacement_max[:count]
+        contact_bounds = NO_CONTACTS
+        if commanded.any():
+            within = Bounds(*(bound[~commanded] for bound in within))
+        if linear.contact_row_count or len(linear.move_positions) or commanded.any():
+            limits = np.full(linear.contact_row_count, self.force_limit)
+            contact_bounds = ContactBounds(
+                -bounds.displacement_max[count:] - linear.move_positions,
+                -bounds.displacement_min[count:] - linear.move_positions,
+                np.concatenate([bounds.effort_max[:count][commanded], limits]),
+            )
+        system = inverse_system(linear, errors, commanded, prescribed)
+        if extra is not None:
+            system = with_effector_rows(system, extra, commanded)
+        problem = build_inverse_problem(
+            system, weights, self._energy_now, within, contact_bounds,
+            self._centre(linear, held, unknowns),
+            self._proximal_weight(),
+        )  # fmt: skip
+        return self._with_effort_rows(linear, problem, system, ~commanded)
+
+    def _weight_of_energy(self, linear: Linearized, asked: np.ndarray) -> float:
+        """ε of a linearization, by the displacements asked of the effectors [m]."""
+        if not linear.contact_row_count:
+            return self._energy_weight
+        share = max(LEAST_ENERGY_SHARE_IN_CONTACT, float(np.linalg.norm(asked)) / self._longest)
+        return max(min(share, 1.0) * self._energy_weight, LEAST_ENERGY_WEIGHT)
+
+    def _proximal_weight(self) -> float:
+        """p: what holds the targets' open directions, and what the trust restrains."""
+        restraint = self.trust.weight / self._energy_now
+        return self._least_weight + self.trust.open_weight + restraint
+
+    def _centre(self, linear: Linearized, held: Actuation, unknowns: Unknowns) -> np.ndarray:
+        """Where the proximal term is centred.
+
+        What the targets leave open goes slowly from the last solution towards the least energy.
+        What the trust in the linearization restrains are moves from the held displacements: with
+        the last efforts the body may not be stable.
+        """
+        if unknowns is self._all_free and self._alone:
+            last, _ = self._direct.last_solution(linear)
+        else:
+            last = unknowns.stack(*self._last_solution(linear))
+        if self.trust.weight == 0.0:
+            return last
+        still = unknowns.stack(
+            held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
+        )
+        # Both terms as one, with the sum of their weights.
+        restraint = self.trust.weight / self._energy_now
+        share = restraint / self._proximal_weight()
+        return (1.0 - share) * last + share * still
+
+    def _last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Efforts, moves and contact forces of the last linearization's answer."""
+        efforts, forces = self._direct.last_solution(linear)
+        return efforts, np.zeros(len(linear.move_positions)), forces
+
+    @staticmethod
+    def _with_effort_rows(
+        linear: Linearized, problem: QPCC, system: InverseSystem, own: np.ndarray | slice
+    ) -> QPCC:
+        """The problem as it is where the tangent is augmented."""
+        if linear.augmentation is None:
+            return problem
+        found = linear.augmentation
+        return with_effort_rows(
+            problem, found.stiffness[own], found.reference[own], system.actuators
+        )
+
+    def _solution(
+        self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns,
+        errors: np.ndarray, weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
+    ) -> QPCCSolution:  # fmt: skip
+        """Solve the problem, from an admissible actuation and from what touched in the last step.
+
+        Where contacts press and effectors miss what is asked of them, from the branch too in which
+        all contacts with bodies are open; and where that is in vain, against the energy. `pose`
+        gives the problem of other errors.
+        """
+        efforts, forces = held.efforts[linear.groups.actuators], held.contact.multipliers
+        if not problem.contact_count:
+            none = np.zeros(0, dtype=bool)
+            last = None if self._touching is None else none
+            self._touching = {}
+            return self._solver.solve(
+                problem, unknowns.stack(efforts, held.moves, forces), none, last
+            )
+        taut = efforts[unknowns.commanded]
+        touching = np.concatenate([taut, forces]) > 0.0
+        known = self._contact_keys(linear)
+        last = None
+        if self._touching is not None and len(known) == len(forces):
+            before = [self._touching.get(key, False) for key in known]
+            last = np.concatenate([taut > 0.0, np.array(before, dtype=bool)])
+        first_missed: list[np.ndarray] = []
+
+        def second_start(z: np.ndarray) -> np.ndarray | None:
+            if not self._seeks_anew(linear, unknowns, z, errors, weights):
+                return None
+            first_missed.append(z)
+            start = problem.forces(z) > 0.0
+            start[len(taut) :] = False
+            return start
+
+        solution = self._solver.solve(
+            problem, unknowns.stack(efforts, held.moves, forces), touching, last,
+            second_start=second_start if len(forces) else None,
+        )  # fmt: skip
+        if first_missed:
+            # What the trust holds back is not the energy's doing.
+            if solution.unknowns is first_missed[0] and self.trust.weight == 0.0:
+                solution = self._against_energy(
+                    linear, unknowns, solution, errors, weights, pose
+                )
+            is_in_vain = solution.unknowns is first_missed[0]
+            self._next_wait = min(2 * self._next_wait + 1, LONGEST_WAIT) if is_in_vain else 0
+            self._wait = self._next_wait
+        self._touching = dict(
+            zip(known, solution.touching[len(taut) :].tolist(), strict=True)
+        )
+        return solution
+
+    def _seeks_anew(
+        self, linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray,
+        weights: np.ndarray,
+    ) -> bool:  # fmt: skip
+        """Whether a solution presses and misses, and the search is to begin a second time."""
+        if not (unknowns.split(z, linear.contact_row_count)[2] > 0.0).any():
+            return False
+        if np.linalg.norm(_missed(linear, unknowns, z, errors, weights)) <= self._tolerance:
+            self._wait = self._next_wait = 0
+            return False
+        self._wait -= 1
+        return self._wait < 0
+
+    def _against_energy(
+        self, linear: Linearized, unknowns: Unknowns, first: QPCCSolution, errors: np.ndarray,
+        weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
+    ) -> QPCCSolution:  # fmt: skip
+        """The solution where twice the miss is asked for, if it misses much less; else the first.
+
+        What the energy keeps from a target is met so, as a multiplier does (Bregman's method). A
+        target that the bounds keep out of reach stays the same: of the nearest point in a convex
+        set, further away in the same direction, the nearest one is the same point.
+        """
+        missed = _missed(linear, unknowns, first.unknowns, errors, weights)
+        shifted = errors.copy()
+        shifted[: len(missed)] += missed
+        second = self._solver.solve(
+            pose(shifted), first.unknowns, first.touching, first.touching
+        )
+        if second.solved:
+            left = _missed(linear, unknowns, second.unknowns, errors, weights)
+            if np.linalg.norm(left) < MUCH_LOWER * np.linalg.norm(missed):
+                return second
+        self._solver.active = first.active
+        return first
+
+    def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
+        """Pair and key of each contact, by which it is recognised in the next step."""
+        return self._contacts.memory.known if linear.contact_row_count else []
+
+    def _settled(
+        self, linear: Linearized, efforts: np.ndarray, moves: np.ndarray, contact: ContactLoads,
+        bounds: Bounds, solver: str,
+    ) -> Actuation:  # fmt: skip
+        """Set actuators to the paths found, within the hardware's bounds.
+
+        Where the bounds change a displacement, efforts and contact forces are solved anew.
+        """
+        a = linear.groups.actuators
+        if linear.augmentation is None:
+            efforts = np.minimum(np.maximum(efforts, bounds.effort_min[a]), bounds.effort_max[a])
+        path = linear.actuator_displacements(efforts, contact.multipliers)
+        within = np.empty(len(path))
+        are_kept = keep_within(
+            path, bounds.displacement_min, bounds.displacement_max, self._round_off, within
+        )
+        displacements = within
+        if len(moves):
+            displacements = np.concatenate([within, -(linear.move_positions + moves)])
+        if not are_kept:
+            # A cable without tension may hang slack: its path is shorter than its length.
+            loads = linear.efforts(efforts, contact.multipliers) / self._effort_scales
+            is_loose = loads <= NO_EFFORT * loads.max(initial=0.0)
+            is_kept = np.abs(within - path) <= self._round_off
+            is_kept |= self._by_effort[a] | (self._one_sided[a] & is_loose & (within < path))
+            are_kept = is_kept.all()
+        if not are_kept:
+            displacements[a] = np.where(self._by_effort[a], efforts, within)
+            actuation = self._direct.at_drives(linear, displacements, bounds)
+            limited = actuation.contact._replace(limits=contact.limits)
+            return actuation._replace(qp_solver=solver, contact=limited)
+        self._direct.remember(efforts)
+        efforts = self._direct.with_loads(linear, efforts, contact.multipliers)
+        return Actuation(efforts, displacements, True, solver, contact, moves)
+
+    def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
+        """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""
+        if not len(forces) or not (forces >= (1.0 - LIMIT_MARGIN) * self.force_limit).any():
+            return ()
+        found = []
+        pair_of = self._contacts.pair[: len(forces)]
+        for pair in np.unique(pair_of):
+            hardest = forces[pair_of == pair].max() / self.force_limit
+            if hardest >= 1.0 - LIMIT_MARGIN:
+                exceeded = "_exceeded" if hardest > 1.0 + LIMIT_MARGIN else ""
+                names = ".".join(self._contacts.pairs[pair].names)
+                found.append(f"{names}.force_limit{exceeded}")
+        return tuple(found)
+
+    def errors_by_energy(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> tuple[float, float] | None:
+        """What the weight of the energy costs: errors with it and with next to none.
+
+        Both are those of one linearization, within the same bounds, and of targets that are not
+        further away than it holds. Contacts that press when the actuators stay go on pressing.
+
+        Args:
+            linear: The condensed system.
+            target_rows: Wanted effector coordinates [m], NaN where free,
+                shape (effector_row_count,).
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+
+        Returns:
+            Largest error of an effector with the scene's weight and with the least [m]; None where
+            the weight is the least, or there is no answer.
+        """
+        count = linear.groups.actuators.stop
+        if count == 0 or self._energy_weight <= LEAST_ENERGY_WEIGHT:
+            return None
+        W, free = _with_contacts_closed(linear, held.contact.multipliers)
+        now, efforts = linear.effectors_now, held.efforts[:count]
+        asked, weights = self._steps.asked(target_rows, now)
+        energy_weight = self._weight_of_energy(linear, asked)
+        system = InverseSystem.without_contacts(
+            W[count:, :count], W[:count, :count], free[count:] - now - asked, free[:count]
+        )
+        path = system.W_aa @ efforts + system.actuators
+        within = Bounds(
+            np.minimum(bounds.displacement_min[:count], path),
+            np.maximum(bounds.displacement_max[:count], path),
+            bounds.effort_min[:count], bounds.effort_max[:count],
+        )  # fmt: skip
+        errors = [
+            self._largest_error(linear, system, weights, weight, within)
+            for weight in (energy_weight, LEAST_ENERGY_WEIGHT)
+        ]
+        return None if None in errors else (errors[0], errors[1])
+
+    def _largest_error(
+        self, linear: Linearized, system: InverseSystem, weights: np.ndarray,
+        energy_weight: float, bounds: Bounds,
+    ) -> float | None:  # fmt: skip
+        """Largest error of an effector at the optimum [m]; None where there is no answer."""
+        problem = build_inverse_problem(system, weights, energy_weight, bounds)
+        problem = self._with_effort_rows(linear, problem, system, slice(None))
+        try:
+            solution = DAQPSolver().solve(whiten(problem))
+        except np.linalg.LinAlgError:
+            return None
+        if not solution.solved:
+            return None
+        errors = system.W_ea @ solution.unknowns + system.effectors
+        missed = np.where(weights > 0.0, errors, 0.0)
+        squares = np.bincount(self._steps.row_effector, weights=missed * missed)
+        return float(np.sqrt(squares.max(initial=0.0)))
+
+
+def build_inverse(
+    model: Model, direct: DirectActuation, qp_solvers: tuple | None = None
+) -> InverseActuation | None:
+    """The inverse of a scene; None for a scene that cannot follow targets.
+
+    Args:
+        model: The built scene; its notes tell of a weight that is too small to be used.
+        direct: Finds λ of what is commanded or held.
+        qp_solvers: See `InverseActuation`.
+    """
+    if why_not_followed(model):
+        return None
+    weight = model.scene.solver.energy_weight
+    if weight < LEAST_ENERGY_WEIGHT:
+        model.notes.append(
+            f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
+            f"{LEAST_ENERGY_WEIGHT:.2g} is used"
+        )
+    return InverseActuation(model, direct, qp_solvers)
+
+
+def _missed(
+    linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """What a solution leaves of the errors of effectors [m], shape (effector_row_count,)."""
+    efforts, moves, forces = unknowns.split(z, linear.contact_row_count)
+    now = linear.effector_places(efforts, forces, moves)
+    left = errors[: len(now)] + now - linear.effectors
+    return np.where(weights[: len(now)] > 0.0, left, 0.0)
+
+
+def _rest_rows(model: Model) -> np.ndarray:
+    """Effector coordinates in the rest shape [m], shape (effector_row_count,)."""
+    term = model.effectors
+    values, blocks = np.empty(term.row_count), np.empty((len(term.entry_rows), 3))
+    term.evaluate(model.nodes.rest_positions, blocks, values)
+    return values
+
+
+def inverse_system(
+    linear: Linearized, errors: np.ndarray, commanded: np.ndarray, prescribed: np.ndarray
+) -> InverseSystem:
+    """Blocks of the inverse problem; commanded actuators stand before the contacts.
+
+    Args:
+        linear: The condensed system.
+        errors: δ_e,free less the targets [m], shape (effector_row_count,).
+        commanded: Which actuators are commanded, shape (actuator_row_count,).
+        prescribed: Prescribed displacements of these [m], shape (actuator_row_count,).
+    """
+    W, (a, e, c) = linear.W, linear.groups
+    free, G_e, G_c = linear.violation, linear.G_e, linear.G_c
+    if not commanded.any():
+        return InverseSystem(
+            W[e, a], W[e, c], W[a, a], W[a, c], W[c, c],
+            G_e, np.zeros((a.stop, G_e.shape[1])), G_c, errors, free[a], free[c],
+        )  # fmt: skip
+    own, taut = np.flatnonzero(~commanded), np.flatnonzero(commanded)
+    one_sided = np.concatenate([taut, np.arange(c.start, c.stop)])
+    gaps = free[one_sided]
+    gaps[: len(taut)] -= prescribed[taut]
+    return InverseSystem(
+        W[e, own], W[e, one_sided], W[np.ix_(own, own)], W[np.ix_(own, one_sided)],
+        W[np.ix_(one_sided, one_sided)], G_e, np.zeros((len(own), G_e.shape[1])),
+        np.concatenate([np.zeros((len(taut), G_e.shape[1])), G_c]), errors, free[own], gaps,
+    )  # fmt: skip
+
+
+def with_effector_rows(
+    system: InverseSystem, extra: np.ndarray, commanded: np.ndarray
+) -> InverseSystem:
+    """Add rows below those of the effectors, which neither contacts nor moves change.
+
+    Args:
+        system: See `inverse_system`; its effectors contain the errors of these rows already.
+        extra: Change of the rows by the multipliers of the actuators, shape (n, actuator_row_count).
+        commanded: Which actuators are commanded, shape (actuator_row_count,).
+    """
+    taut = np.zeros((len(extra), system.W_ec.shape[1]))
+    taut[:, : np.count_nonzero(commanded)] = extra[:, commanded]
+    moved = np.zeros((len(extra), system.G_e.shape[1]))
+    return system._replace(
+        W_ea=np.concatenate([system.W_ea, extra[:, ~commanded]]),
+        W_ec=np.concatenate([system.W_ec, taut]), G_e=np.concatenate([system.G_e, moved]),
+    )  # fmt: skip
+
+
+def _rows_to_track(
+    linear: Linearized, asked: np.ndarray, weights: np.ndarray, stiffness: StiffnessRows | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Errors of effectors, then of stiffnesses [m], their weights, and motion of the latter.
+
+    Args:
+        linear: The condensed system.
+        asked: Displacements asked of the effectors [m].
+        weights: Their weights.
+        stiffness: Rows of wanted stiffnesses, or None.
+    """
+    errors = linear.effectors - linear.effectors_now - asked
+    if stiffness is None:
+        return errors, weights, None
+    return (
+        np.concatenate([errors, stiffness.free - stiffness.now - stiffness.asked]),
+        np.concatenate([weights, stiffness.weights]), stiffness.motion,
+    )  # fmt: skip
+
+
+def _places(
+    linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
+) -> np.ndarray:
+    """Coordinates of effectors, then of stiffnesses, that an actuation promises [m]."""
+    places = linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
+    if stiffness is not None:
+        places = np.concatenate([places, stiffness.places(found.efforts)])
+    return places
+
+
+def _with_stiffness(
+    situation: Situation, stiffness: StiffnessRows | None, efforts: np.ndarray
+) -> Situation:
+    """A situation with the rows of wanted stiffnesses below those of the effectors."""
+    if stiffness is None:
+        return situation
+    places = np.concatenate([situation.places, stiffness.places(efforts)])
+    return situation._replace(
+        targets=np.concatenate([situation.targets, stiffness.wanted]),
+        weights=np.concatenate([situation.weights, stiffness.weights]), places=places,
+    )  # fmt: skip
+
+
+def _with_contacts_closed(
+    linear: Linearized, forces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """W and δ_free of actuators and effectors, where contacts that press stay closed."""
+    kept = linear.groups.effectors.stop
+    W, free = linear.W[:kept, :kept], linear.violation[:kept]
+    pressing = linear.groups.contacts.start + np.flatnonzero(forces > 0.0)
+    if not len(pressing):
+        return W, free
+    # By least squares: several contacts may be closed by one force.
+    across = linear.W[pressing, :kept]
+    shares = np.linalg.lstsq(
+        linear.W[np.ix_(pressing, pressing)],
+        np.column_stack([across, linear.violation[pressing]]), rcond=None,
+    )[0]  # fmt: skip
+    return W - across.T @ shares[:, :-1], free - across.T @ shares[:, -1]
+
+
+def _complementarity_residual(problem: QPCC, z: np.ndarray, forces: np.ndarray) -> float:
+    """How exactly gaps and contact forces exclude each other [m]; those of bodies come last."""
+    if not len(forces):
+        return 0.0
+    own = problem.C[:, len(z) - problem.contact_count :].diagonal()
+    open_or_pressing = np.minimum(problem.gaps(z), own * problem.forces(z))
+    return float(np.abs(open_or_pressing[-len(forces) :]).max())

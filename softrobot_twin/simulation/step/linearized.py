@@ -1,0 +1,390 @@
+"""The system condensed onto its constraints, around one state (Coevoet 2017, eq. 11-14).
+
+    δ = W λ + δ_free,   W = H A⁻¹ Hᵀ,   δ_free = δ(q) + H A⁻¹ b
+
+over named groups of rows: actuators, effectors, contacts. A group that a scene does not name has no
+rows; so a scene without contact is the same condensed system with an empty group.
+
+Rows that yield to their efforts by themselves (`YieldingTerm`, `EffortTerm`) add their own compliance
+C to W; where their values are those at the told efforts λ₀, -C λ₀ to δ_free.
+
+The time of condensing grows with the square of the rows. Of many contacts within the alarm
+distance, some stay open: they have no force, and only their gaps must stay positive. So the rows
+that are condensed can be chosen: those of contacts that pressed before, or overlap. The gaps of the
+others follow from the corrected motion, H dq (eq. 15), without their compliance; contacts that
+would penetrate are added, and the problem is solved again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.constraints.row_stack import RowGroups, RowStack
+from softrobot_twin.simulation.step.augmented_tangent import Augmentation
+from softrobot_twin.solvers.compliance import Compliance
+from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
+
+# With fewer rows, or a smaller share of omitted contacts, the check costs more than it saves.
+FEWEST_ROWS, LEAST_SHARE = 100, 0.02
+# A contact whose gap is below this share of the alarm distance may press in a step.
+CLOSE = 0.002
+# Where friction makes the compliance of a cable's path far less than that of its forces, W has at
+# least this share of the latter.
+LEAST_SYMMETRIC = 0.02
+
+
+@njit(**KERNEL)
+def row_motion(W, first, stop, efforts, violation):
+    """δ of some rows under the efforts of actuators [m], shape (stop - first,).
+
+    Args:
+        W: Compliance, the rows of the actuators first [m/N], shape (n, n).
+        first: The first row.
+        stop: The first row after them.
+        efforts: λ of the actuators [N], shape (actuator_row_count,).
+        violation: δ_free of all rows [m], shape (n,).
+    """
+    moved = np.empty(stop - first)
+    for r in range(first, stop):
+        total = 0.0
+        for j in range(len(efforts)):
+            total += W[r, j] * efforts[j]
+        moved[r - first] = total + violation[r]
+    return moved
+
+
+class PrescribedMoves(NamedTuple):
+    """Displacements that actuators without a multiplier prescribe, such as slides.
+
+    Attributes:
+        positions: Their positions [m], shape (move_count,).
+        G_e: Effector displacement by move, shape (effector_row_count, move_count).
+        G_c: Contact displacement by move, shape (contact_row_count, move_count).
+    """
+
+    positions: np.ndarray
+    G_e: np.ndarray
+    G_c: np.ndarray
+
+
+class Linearized:
+    """The condensed system around one state.
+
+    Attributes:
+        compliance: W of the condensed rows [m/N].
+        violation: δ_free of the condensed rows [m], shape (n,).
+        groups: The condensed rows of each group.
+        rows: Indices of the condensed rows, shape (n,); None for all.
+        chosen: Condensed contacts, ascending; None for all.
+        augmentation: Relation between multipliers of the actuators and their efforts; None if they
+            are the efforts.
+    """
+
+    def __init__(
+        self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
+        moves: PrescribedMoves | None = None, rows_per_contact: int = 1,
+        pressing: np.ndarray | None = None, augmentation: Augmentation | None = None,
+        multipliers: np.ndarray | None = None,
+    ):  # fmt: skip
+        """Condense the rows evaluated last.
+
+        Args:
+            factorization: A⁻¹, or the augmented tangent in its place.
+            stack: All rows at the state.
+            forces: b [N], shape (free_node_count, 3).
+            moves: Moves that slides prescribe; None without slides.
+            rows_per_contact: 3 (normal and two tangents), or 1 without friction.
+            pressing: Contacts that are expected to press, if the others may be omitted, shape
+                (contact_count,); None to condense all rows.
+            augmentation: Relation between the multipliers of an augmented tangent and efforts;
+                None without augmentation.
+            multipliers: λ of all rows at the state, shape (row_count,); needed where cables have
+                friction.
+        """
+        self.augmentation = augmentation
+        self._factorization, self._forces = factorization, forces
+        self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
+        self._values, self._all, self._moves = stack.values, stack.groups, moves
+        self._own, self._told = stack.own_compliance(), stack.told
+        self._per_contact = rows_per_contact
+        self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start
+        self._paths, self._present = stack.displacement_rows(), multipliers
+        self._is_chosen: np.ndarray | None = None
+        if not self._condense_low_rank():
+            if pressing is None:
+                self._condense_all()
+            else:
+                self._is_chosen = pressing.copy()
+                self._condense_chosen()
+
+    def _condense_low_rank(self) -> bool:
+        """Store the factor of W, if few unknowns carry all rows of contacts."""
+        if not self.contact_row_count or self._own is not None:
+            return False
+        condensed = self._factorization.condense_low_rank(self._H, self._forces)
+        if condensed is None:
+            return False
+        self._take_in(Compliance(Yt=condensed.Yt), condensed.free)
+        return True
+
+    def _condense_all(self) -> None:
+        if self._paths is None:
+            condensed = self._factorization.condense(self._H, self._forces)
+        else:
+            condensed = self._condense_with_friction()
+        free = self._add_own(condensed.W, condensed.free)
+        self._take_in(Compliance(condensed.W), free)
+
+    def _condense_with_friction(self) -> Condensed:
+        """W and the free motion where rows D of displacements are not those of forces, H.
+
+        D A⁻¹ Hᵀ is not symmetric. In its place W is S H A⁻¹ Hᵀ S, with the diagonal S that gives it
+        the same diagonal; what that changes at the present multipliers λ₀ is in the free motion. So
+        the condensed system is exact at λ₀, and W positive semidefinite. Effectors, which have no
+        multipliers, keep their rows.
+        """
+        H, D, count = self._H, self._paths, self._H.row_count
+        found = self._factorization.condense(NodeRows(
+            np.concatenate([H.row_index, count + D.row_index]),
+            np.concatenate([H.node_index, D.node_index]), np.concatenate([H.blocks, D.blocks]),
+            count + len(D.actuators),
+        ), self._forces)  # fmt: skip
+        true, free = found.W[:count, :count].copy(), found.free[:count].copy()
+        own = true.diagonal()[D.actuators]
+        true[D.actuators] = found.W[count:, :count]
+        free[D.actuators] = found.free[count:]
+        scale, wanted = np.ones(count), true.diagonal()[D.actuators]
+        shares = np.divide(wanted, own, out=np.ones(len(own)), where=own > 0.0)
+        scale[D.actuators] = np.sqrt(np.maximum(shares, LEAST_SYMMETRIC))
+        W = found.W[:count, :count] * np.outer(scale, scale)
+        e = self._all.effectors
+        W[e] = found.W[e, :count]
+        W[:, e] = W[e].T
+        change = (true - W) @ np.where(np.isfinite(self._present), self._present, 0.0)
+        change[e] = 0.0
+        return Condensed(W, free + change)
+
+    def _add_own(self, W: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Add the compliance of rows that yield by themselves to W; gives the free motion."""
+        if self._own is None:
+            return free
+        a, own = self._all.actuators, self._own
+        free = free.copy()
+        if self.augmentation is not None and self.augmentation.share is not None:
+            _, reference, share = self.augmentation
+            own = own * share[:, None]
+            free[a] += (share - 1.0) * (self._values[a] - reference)
+        W[a, a] += own
+        if self._told is not None:
+            free[a] -= own @ self._told
+        return free
+
+    def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
+        self.compliance, self.violation = compliance, self._values + free
+        self.groups, self.rows, self.chosen = self._all, None, None
+
+    def _condense_chosen(self) -> None:
+        """Condense the actuators' rows and those of the chosen contacts."""
+        H, first, actuators = self._H, self._all.contacts.start, self._all.actuators
+        self.chosen = np.flatnonzero(self._is_chosen)
+        self.rows = np.concatenate([np.arange(actuators.stop), first + self.contact_rows])
+        place = np.full(H.row_count, -1)
+        place[self.rows] = np.arange(len(self.rows))
+        row_index = place[H.row_index]
+        kept = row_index >= 0
+        part = NodeRows(row_index[kept], H.node_index[kept], H.blocks[kept], len(self.rows))
+        condensed = self._factorization.condense(part, self._forces)
+        free = self._add_own(condensed.W, condensed.free)
+        self.compliance = Compliance(condensed.W)
+        self.violation = self._values[self.rows] + free
+        count = actuators.stop
+        self.groups = RowGroups(actuators, slice(count, count), slice(count, len(self.rows)))
+
+    @property
+    def contact_row_count(self) -> int:
+        """Rows of all contacts, whether they are condensed or not."""
+        return self._all.contacts.stop - self._all.contacts.start
+
+    @property
+    def contact_rows(self) -> np.ndarray | slice:
+        """Rows of the contacts that are condensed, counted from the first contact's."""
+        if self.chosen is None:
+            return slice(None)
+        per_contact = self._per_contact
+        return (per_contact * self.chosen[:, None] + range(per_contact)).ravel()
+
+    @property
+    def W(self) -> np.ndarray:
+        """Compliance of the condensed rows as a matrix [m/N], shape (n, n)."""
+        return self.compliance.W
+
+    @property
+    def W_aa(self) -> np.ndarray:
+        """Actuator displacement by effort [m/N], shape (actuator_row_count, same)."""
+        return self.W[self.groups.actuators, self.groups.actuators]
+
+    @property
+    def W_ea(self) -> np.ndarray:
+        """Effector displacement by effort [m/N], shape (effector_row_count, actuator_row_count)."""
+        return self.W[self.groups.effectors, self.groups.actuators]
+
+    @property
+    def actuators(self) -> np.ndarray:
+        """δ_a,free: actuator displacements without multipliers [m]."""
+        return self.violation[self.groups.actuators]
+
+    @property
+    def effectors(self) -> np.ndarray:
+        """δ_e,free: effector coordinates without multipliers [m]."""
+        return self.violation[self.groups.effectors]
+
+    @property
+    def effectors_now(self) -> np.ndarray:
+        """Effector coordinates at the state itself [m], shape (effector_row_count,)."""
+        return self._values[self._all.effectors]
+
+    @property
+    def move_positions(self) -> np.ndarray:
+        """Positions of the slides [m], shape (move_count,)."""
+        return np.empty(0) if self._moves is None else self._moves.positions
+
+    @property
+    def G_e(self) -> np.ndarray:
+        """Effector displacement by move, shape (effector_row_count, move_count)."""
+        return self._no_moves(self._all.effectors) if self._moves is None else self._moves.G_e
+
+    @property
+    def G_c(self) -> np.ndarray:
+        """Contact displacement by move, shape (contact_row_count, move_count)."""
+        return self._no_moves(self._all.contacts) if self._moves is None else self._moves.G_c
+
+    @staticmethod
+    def _no_moves(rows: slice) -> np.ndarray:
+        return np.empty((rows.stop - rows.start, 0))
+
+    def of_actuators_and_contacts(self) -> tuple[Compliance, np.ndarray]:
+        """Compliance and δ_free of the actuators, then of the condensed contacts; δ is a copy."""
+        first, stop = self.groups.actuators.stop, self.groups.contacts.start
+        violation = np.concatenate([self.violation[:first], self.violation[stop:]])
+        return self.compliance.without(first, stop), violation
+
+    def actuator_displacements(self, efforts: np.ndarray, contact: np.ndarray) -> np.ndarray:
+        """δ_a under multipliers [m], shape (actuator_row_count,).
+
+        Args:
+            efforts: λ of the actuators [N], shape (actuator_count,).
+            contact: λ of all contact rows [N]; zero where they are open.
+        """
+        return self._displacements(self.groups.actuators, efforts, contact)
+
+    def _displacements(
+        self, rows: slice, efforts: np.ndarray, contact: np.ndarray
+    ) -> np.ndarray:
+        """δ of some condensed rows under multipliers; see `actuator_displacements`."""
+        a = self.groups.actuators
+        if not self._has_contacts:
+            return row_motion(
+                self.compliance.W, rows.start, rows.stop, efforts[a], self.violation
+            )
+        multipliers = np.zeros(len(self.violation))
+        multipliers[a] = efforts[a]
+        multipliers[self.groups.contacts] = contact[self.contact_rows]
+        return self.compliance.motion(rows, multipliers) + self.violation[rows]
+
+    def efforts(self, multipliers: np.ndarray, contact: np.ndarray) -> np.ndarray:
+        """λ_a of the multipliers of a solution [N], shape (actuator_row_count,).
+
+        Args:
+            multipliers: Those of the actuators; efforts, but for an augmented tangent [N].
+            contact: λ of all contact rows [N]; zero where they are open.
+        """
+        if self.augmentation is None:
+            return multipliers
+        path = self.actuator_displacements(multipliers, contact)
+        return self.augmentation.efforts(multipliers, path)
+
+    def effector_places(
+        self, efforts: np.ndarray, contact: np.ndarray, moves: np.ndarray
+    ) -> np.ndarray:
+        """δ_e under multipliers and moves [m], shape (effector_row_count,).
+
+        Args:
+            efforts: λ of the actuators [N], shape (actuator_count,).
+            contact: λ of all contact rows [N]; zero where they are open.
+            moves: Moves of actuators without a multiplier [m], shape (move_count,).
+        """
+        places = self._displacements(self.groups.effectors, efforts, contact)
+        return places + self.G_e @ moves if len(moves) else places
+
+    def open_gaps(self, multipliers: np.ndarray) -> np.ndarray:
+        """δ_n of each contact that is not condensed, +∞ for the others [m].
+
+        Args:
+            multipliers: λ of the condensed rows [N], shape (n,).
+        """
+        H, move = self._H, self._factorization.expand(multipliers)
+        first = self._all.contacts.start
+        gaps = np.full(len(self._is_chosen), np.inf)
+        contact, row = np.divmod(H.row_index - first, self._per_contact)
+        entries = np.flatnonzero((contact >= 0) & (row == 0))
+        entries = entries[~self._is_chosen[contact[entries]]]
+        moved = np.einsum("ij,ij->i", H.blocks[entries], move[H.node_index[entries]])
+        opened = np.flatnonzero(~self._is_chosen)
+        gaps[opened] = self._values[first + self._per_contact * opened]
+        np.add.at(gaps, contact[entries], moved)
+        return gaps
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """A⁻¹ (b + Hᵀλ), shape (free_node_count, 3); the next call may overwrite it.
+
+        Args:
+            multipliers: λ of all rows, zero for those that are not condensed [N],
+                shape (row_count,).
+        """
+        condensed = multipliers if self.rows is None else multipliers[self.rows]
+        if self._paths is not None:
+            condensed = np.concatenate([condensed, np.zeros(len(self._paths.actuators))])
+        return self._factorization.expand(condensed)
+
+    def take(self, contacts: np.ndarray) -> None:
+        """Condense these contacts in addition.
+
+        Args:
+            contacts: True for each that is added, shape (contact_count,).
+        """
+        self._is_chosen |= contacts
+        self._condense_chosen()
+
+
+def expected_to_press(contacts, gaps: np.ndarray) -> np.ndarray | None:
+    """Contacts that pressed in the last solution or have a small gap.
+
+    Args:
+        contacts: The contact term.
+        gaps: δ of its rows at the state [m], shape (contact_row_count,).
+
+    Returns:
+        True for each such contact, shape (contact_count,); None if omitting the others would save
+        less than the check of their gaps costs.
+    """
+    per_contact = contacts.rows_per_contact
+    if len(gaps) <= FEWEST_ROWS:
+        return None
+    normals = slice(None, None, per_contact)
+    pressing = (contacts.last_multipliers[normals] > 0.0) | (gaps[normals] < CLOSE * contacts.margin)
+    return pressing if worth_leaving_out(pressing, per_contact) else None
+
+
+def worth_leaving_out(pressing: np.ndarray, per_contact: int) -> bool:
+    """Whether omitting the other contacts saves more than the check of their gaps costs.
+
+    Args:
+        pressing: Contacts that are expected to press, shape (contact_count,).
+        per_contact: Rows of a contact.
+    """
+    count = len(pressing)
+    left_out = count - np.count_nonzero(pressing)
+    return per_contact * count > FEWEST_ROWS and LEAST_SHARE * count < left_out < count

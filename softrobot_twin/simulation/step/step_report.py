@@ -1,0 +1,280 @@
+"""The result of a step: its status, active limits, and figures."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD, SETPOINTS, TARGETS
+from softrobot_twin.simulation.command import (
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+)
+from softrobot_twin.simulation.contact_forces import ContactForces, contact_forces
+from softrobot_twin.simulation.result import (
+    RATE,
+    SAMPLED,
+    STRAINED,
+    UNSTABLE,
+    Status,
+    StepReport,
+    StepResult,
+)
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.actuation import INVERSION, NO_EFFORT, Actuation, ContactLoads
+from softrobot_twin.simulation.step.coordinate_range import coordinate_ranges
+from softrobot_twin.simulation.step.interpretation import Asked
+from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.simulation.step.newton import Newton
+from softrobot_twin.simulation.step.step_part import StepPart
+from softrobot_twin.simulation.step.step_status import (
+    ENERGY,
+    REACH,
+    Balance,
+    effector_errors,
+    is_met,
+    judge,
+    misses,
+    orientation_errors,
+)
+from softrobot_twin.simulation.step.stiffness_targets import ReachedStiffness
+from softrobot_twin.simulation.step.time_budget import StageClock
+
+_DRIVEN_BY = {
+    FollowTargets: TARGETS, CommandSetpoints: SETPOINTS, CommandEfforts: EFFORTS, Hold: HOLD,
+}  # fmt: skip
+
+
+class Outcome(NamedTuple):
+    """Result of the linearizations of one step.
+
+    Attributes:
+        positions: Node positions [m], shape (node_count, 3).
+        actuation: Efforts and displacements of the actuators.
+        held: The same with all actuators held.
+        linear: The last linearization.
+        balance: Residual forces of the state.
+        residual: Largest residual force on a node [N].
+        iterations: Linearizations done.
+        error: Distance of the effectors from equilibrium before the step [m].
+        pressed: Whether the budget left no time for a linearization.
+        stiffness: Stiffnesses of the effectors; None if none is wanted.
+    """
+
+    positions: np.ndarray
+    actuation: Actuation
+    held: Actuation
+    linear: Linearized
+    balance: Balance
+    residual: float
+    iterations: int
+    error: float
+    pressed: bool
+    stiffness: ReachedStiffness | None = None
+
+
+class StepResults:
+    """Makes the results of a simulation's steps."""
+
+    def __init__(self, model: Model, parts: tuple[StepPart, ...], newton: Newton, inverse):
+        """Store the objects from which results are read.
+
+        Args:
+            model: The built scene.
+            parts: Its optional effects.
+            newton: Linearizes it.
+            inverse: Finds λ that leads to targets, or None.
+        """
+        self._model, self._parts, self._newton = model, parts, newton
+        self._strain_watches = model.strain_watches
+        self._coordinate_ranges = coordinate_ranges(model)
+        self._inverse = inverse
+
+    def of_step(
+        self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
+        before: State, state: State, places: np.ndarray,
+    ) -> StepResult:  # fmt: skip
+        """The result of a step with a new state.
+
+        Args:
+            command: What was asked.
+            asked: The same, read.
+            outcome: What the linearizations came to.
+            clock: Booked the stages.
+            before: The state that it began with.
+            state: The new state.
+            places: Where the effectors are [m], shape (effector_count, 3).
+        """
+        model, newton, actuation = self._model, self._newton, outcome.actuation
+        errors = effector_errors(model.effectors, command, places)
+        angles = orientation_errors(model.effectors, command, outcome.positions)
+        missed, reached_stiffness = misses(model.effectors, errors, angles), outcome.stiffness
+        if reached_stiffness is not None:
+            missed = _with_stiffness(missed, reached_stiffness.misses)
+        # A command to hold needs no motion, so no limit restricts it.
+        active: tuple[str, ...] = ()
+        if not isinstance(command, Hold):
+            active = (*self._binding(command, asked, actuation), *actuation.given_up)
+        if newton.is_nearly_flat and INVERSION not in active:
+            active = (*active, INVERSION)
+        met = not newton.is_nearly_flat and is_met(
+            model.scene, model.actuators.limits, command, asked, actuation, missed
+        )
+        following = isinstance(command, FollowTargets)
+        if following and not met and not any(limit.endswith(RATE) for limit in active):
+            missed_before = self._missed(command, before.positions)
+            if reached_stiffness is not None:
+                missed_before = _with_stiffness(missed_before, reached_stiffness.misses_before)
+            active = (*active, *self._what_else_holds(asked, outcome, missed_before, missed))
+        status = judge(
+            actuation, newton.inverted_count, outcome.balance, met, active, following
+        )
+        ranges = {name: s.ranges.max() for name, s in model.superelements.items()}
+        for coordinates in self._coordinate_ranges:
+            ranges[coordinates.name] = coordinates.share(outcome.positions)
+        active = (*active, *(f"{name}.{SAMPLED}" for name, share in ranges.items() if share > 1.0))
+        watched = [watch.outside(outcome.positions) for watch in self._strain_watches]
+        strains = tuple(outside for outside in watched if outside is not None)
+        active = (*active, *dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in strains))
+        if isinstance(command, CommandEfforts) and newton.projected_tangent:
+            active = (*active, UNSTABLE)
+        reports = {part.name: part.report(state) for part in self._parts}
+        active = (*active, *(limit for report in reports.values() for limit in report.limits))
+        touching = None
+        if model.contacts is not None:
+            loads = model.actuators.load(actuation.efforts) + actuation.contact.load
+            touching = contact_forces(
+                model.contacts, actuation.contact.multipliers, outcome.positions,
+                newton.constant_load + loads,
+            )
+        report = StepReport(
+            clock.times, clock.total, outcome.residual, outcome.iterations, active,
+            projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
+            linearization_error=outcome.error, factor_age=newton.factor_age,
+            is_late=outcome.pressed and newton.factor_age == 0,
+            qp_solver=actuation.qp_solver,
+            sampled_range=max(ranges.values(), default=0.0), strains=strains,
+            driven_by=_DRIVEN_BY[type(command)],
+            figures={f"{name}.{figure}": value for name, report in reports.items()
+                     for figure, value in report.figures.items()},
+            **_of_contacts(actuation.contact, touching),
+        )  # fmt: skip
+        # The rows were evaluated last where the step ended.
+        reached = model.rows.values[model.rows.groups.actuators]
+        displacements = model.actuators.displacements_at(state.setpoints, reached)
+        return StepResult(
+            state, status, state.setpoints, state.efforts, displacements, places, errors, report,
+            touching, self._quaternions(outcome.positions), angles,
+            *(reached_stiffness[:2] if reached_stiffness is not None else ()),
+        )  # fmt: skip
+
+    def _binding(self, command: Command, asked: Asked, actuation: Actuation) -> list[str]:
+        """Names of the limits of actuators that bind.
+
+        On the way to targets, a cable that is not commanded and has no tension holds nothing back:
+        its winch may be at a limit, which binds nothing.
+        """
+        actuators, displacements = self._model.actuators, actuation.displacements
+        names = actuators.limits.binding(displacements, actuation.efforts, asked.reach)
+        if not names or not isinstance(command, FollowTargets):
+            return names
+        efforts = actuation.efforts
+        is_slack = actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
+        if asked.commanded is not None:
+            is_slack &= np.isnan(asked.commanded)
+        if not is_slack.any():
+            return names
+        return actuators.limits.binding(
+            np.where(is_slack, np.nan, displacements), efforts, asked.reach
+        )
+
+    def _missed(self, command: Command, positions: np.ndarray) -> np.ndarray:
+        """Distances of the effectors from their targets at some node positions [m]; see `misses`.
+        """
+        effectors = self._model.effectors
+        errors = effector_errors(effectors, command, effectors.positions(positions))
+        return misses(effectors, errors, orientation_errors(effectors, command, positions))
+
+    def _quaternions(self, positions: np.ndarray) -> np.ndarray | None:
+        """Turns of the effectors from rest; None in a scene without orientations."""
+        effectors = self._model.effectors
+        if effectors is None or not effectors.orientations:
+            return None
+        return effectors.quaternions(positions)
+
+    def of_failure(
+        self, command: Command, clock: StageClock, iterations: int, status: Status,
+        limits: tuple[str, ...], state: State, places: np.ndarray,
+    ) -> StepResult:  # fmt: skip
+        """The result of a step that kept the last state.
+
+        Args:
+            command: What was asked.
+            clock: Booked the stages.
+            iterations: Linearizations done.
+            status: Why.
+            limits: Names of active limits.
+            state: The state that was kept.
+            places: Where the effectors are [m], shape (effector_count, 3).
+        """
+        errors = effector_errors(self._model.effectors, command, places)
+        report = StepReport(
+            clock.times, clock.total, math.nan, iterations, limits,
+            projected_tangent=self._newton.projected_tangent, driven_by=_DRIVEN_BY[type(command)],
+        )  # fmt: skip
+        displacements = self._model.actuators.displacements(state.setpoints, state.positions)
+        return StepResult(
+            state, status, state.setpoints, state.efforts, displacements, places, errors, report,
+            None, self._quaternions(state.positions),
+            orientation_errors(self._model.effectors, command, state.positions),
+        )  # fmt: skip
+
+    def _what_else_holds(
+        self, asked: Asked, outcome: Outcome, before: np.ndarray, after: np.ndarray
+    ) -> tuple[str, ...]:
+        """Names of limits other than those of actuators that keep effectors from their targets.
+
+        Args:
+            asked: What was asked.
+            outcome: What the linearizations came to.
+            before: Distances of the effectors from the same targets before the step, see
+                `misses` [m], shape (effector_count,).
+            after: After it [m], same shape.
+        """
+        tolerance = self._model.scene.solver.reach_tolerance
+        if np.fmax.reduce(before, initial=0.0) - np.fmax.reduce(after, initial=0.0) > tolerance:
+            return (REACH,)
+        errors = self._inverse.errors_by_energy(
+            outcome.linear, asked.wanted, outcome.held, asked.bounds
+        )
+        if errors is None:
+            return ()
+        with_weight, with_the_least = errors
+        return (ENERGY,) if with_weight - with_the_least > tolerance else ()
+
+
+def _of_contacts(loads: ContactLoads, touching: ContactForces | None) -> dict:
+    """Contact entries of a report; empty without contact."""
+    if not len(loads.multipliers):
+        return {}
+    return {
+        "contact_count": len(touching.forces), "contact_sweeps": loads.sweeps,
+        "contact_residual": loads.residual, "contact_force_residual": loads.force_residual,
+    }  # fmt: skip
+
+
+def _with_stiffness(missed: np.ndarray, by_stiffness: np.ndarray) -> np.ndarray:
+    """How far each effector is from its target, wrong stiffnesses counted by their length.
+
+    Args:
+        missed: Distances [m], NaN without a target, shape (effector_count,).
+        by_stiffness: Those of stiffnesses [m], zero where none is wanted, same shape.
+    """
+    both = np.hypot(np.nan_to_num(missed), by_stiffness)
+    return np.where(np.isnan(missed) & (by_stiffness == 0.0), np.nan, both)

@@ -1,0 +1,183 @@
+"""Where a robot rests away from its targets, nearer poses are sought by simulation while it stays."""
+
+from dataclasses import replace
+
+import compare_inverse
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import softrobot_twin as st
+from softrobot_twin.simulation.effects.exploration import NEARER, RANDOM_MOVES, Exploration
+
+MOST = 2000
+
+
+@pytest.fixture
+def limited():
+    """A bar whose two limited cables rest far from a place and a stiffness, which they could bring nearer."""
+    robot = compare_inverse.random_robot(np.random.default_rng([33, 33]))
+
+    def make(**solver):
+        solver = dict(exploration=True) | solver
+        scene = robot.scene | dict(solver=robot.scene["solver"] | solver)
+        return st.build(**scene), st.targets(robot.targets)
+
+    make.robot = robot
+    return make
+
+
+def until(twin, asked, found, most=MOST):
+    """Steps until a result is as asked."""
+    for _ in range(most):
+        result = twin.step(asked)
+        if found(result.outcome.report):
+            return result
+    raise AssertionError(f"not within {most} steps")
+
+
+def missed(robot, result):
+    return np.linalg.norm(compare_inverse._missed(robot, result))
+
+
+def test_a_robot_goes_to_a_nearer_pose_and_rests_there(limited):
+    twin, asked = limited()
+    before = until(twin, asked, lambda report: report.is_exploring)
+    after = until(twin, asked, lambda report: report.is_resting)
+    assert missed(limited.robot, after) < 0.5 * missed(limited.robot, before)
+    assert after.status.value in ("unreachable", "saturated")
+    for _ in range(5):
+        assert twin.step(asked).outcome.setpoints is after.outcome.setpoints
+
+
+def test_while_it_explores_a_robot_stays_to_the_bit(limited):
+    twin, asked = limited()
+    first = until(twin, asked, lambda report: report.is_exploring)
+    count, state = 0, twin.state
+    while (result := twin.step(asked)).outcome.report.is_exploring:
+        assert result.outcome.setpoints is first.outcome.setpoints
+        assert twin.state.positions is state.positions and result.status is first.status
+        count += 1
+        assert twin.simulation.state.step_count == state.step_count + count
+    assert count > 5
+
+
+def test_a_robot_that_shall_not_explore_rests_where_it_is(limited):
+    twin, asked = limited(exploration=False)
+    for _ in range(MOST // 2):
+        result = twin.step(asked)
+        assert not result.outcome.report.is_exploring
+    nearer = until(*limited(), lambda report: report.is_resting)
+    assert missed(limited.robot, nearer) < 0.5 * missed(limited.robot, result)
+
+
+def test_another_command_ends_an_exploration_and_begins_from_the_robots_state(limited):
+    twin, asked = limited()
+    until(twin, asked, lambda report: report.is_exploring)
+    for _ in range(7):
+        twin.step(asked)
+    fresh, _ = limited()
+    fresh.state = twin.state
+    home = st.setpoints({f"{name}_shortening_m": 0.0 for name in ("c0", "c1")})
+    for _ in range(3):
+        one, other = twin.step(home), fresh.step(home)
+        np.testing.assert_array_equal(one.outcome.state.positions, other.outcome.state.positions)
+
+
+def test_a_trial_that_raises_leaves_the_robot_where_it_is(limited, monkeypatch):
+    twin, asked = limited()
+    until(twin, asked, lambda report: report.is_exploring)
+    state, step = twin.state, twin.simulation._iterate
+
+    def broken(*arguments):
+        step(*arguments)
+        raise ArithmeticError("in a trial")
+
+    monkeypatch.setattr(twin.simulation, "_iterate", broken)
+    with pytest.raises(ArithmeticError):
+        twin.step(asked)
+    assert twin.state is state
+    monkeypatch.undo()
+    result = twin.step(asked)
+    assert np.abs(result.outcome.state.positions - state.positions).max() < 1e-6
+    assert result.outcome.report.is_exploring is False
+
+
+def goals(twin, commanded=None):
+    simulation = twin.simulation
+    result = twin.step(st.hold()).outcome
+    command = twin._reader.read(st.targets(tip=[0, 0, 0]), 0.02)
+    command = type(command)(command.targets, 0.02, commanded)
+    exploration, found = Exploration(command, result, np.ones(1), simulation.actuators), []
+    while exploration.trial is not None and exploration.trial.follows:
+        found.append(exploration.trial.goal - simulation.actuators.drives(result.setpoints))
+        exploration.next_trial()
+    return np.array(found)
+
+
+def test_trials_stay_within_limits_and_leave_commanded_actuators_alone(limited):
+    twin, _ = limited()
+    limits = twin.simulation.limits
+    moves = goals(twin)
+    assert len(moves) > RANDOM_MOVES
+    assert (moves >= limits.drive_min - 1e-12).all() and (moves <= limits.drive_max + 1e-12).all()
+    commanded = np.array([np.nan, twin.simulation.state.setpoints[1]])
+    moves = goals(twin, commanded)
+    assert len(moves) and (moves[:, 1] == 0.0).all() and (moves[:, 0] != 0.0).all()
+
+
+def test_a_trial_is_found_only_where_it_rests_nearer(limited):
+    twin, asked = limited()
+    result = until(twin, asked, lambda report: report.is_exploring).outcome
+    command = twin._reader.read(asked, 0.02)
+
+    def judged(missed, has_gone, is_stable, is_calm):
+        trial = Exploration(command, result, np.ones(1), twin.simulation.actuators)
+        first = trial.trial
+        for count in range(400):
+            trial.judge(np.array([missed**0.5]), has_gone, is_stable, is_calm)
+            if trial.is_found or trial.trial is not first:
+                return count, trial.is_found
+        return None, False
+
+    near, far = 0.9 * NEARER, 1.1 * NEARER
+    count, is_found = judged(near, True, True, True)
+    assert is_found and count < 100
+    for has_gone, is_stable, is_calm in [(False, True, True), (True, False, True), (True, True, False)]:
+        assert not judged(near, has_gone, is_stable, is_calm)[1]
+    count, is_found = judged(far, True, True, True)
+    assert not is_found and count < 50
+
+
+def descended(limited, misses_at, low=-1.0, high=1.0):
+    """Shares of the scales to which a descent by measured misses leads; None where that is nowhere."""
+    twin, asked = limited(newton_iterations=3)
+    result = twin.step(st.hold()).outcome
+    command = twin._reader.read(asked, 0.02)
+    actuators = twin.simulation.actuators
+    limits = replace(actuators.limits, displacement_min=low * actuators.limits.drive_scale,
+                     displacement_max=high * actuators.limits.drive_scale)  # fmt: skip
+    start = actuators.drives(result.setpoints) / limits.drive_scale
+    exploration = Exploration(command, result, misses_at(start), actuators)
+    exploration._limits = limits
+    while exploration.trial is not None and exploration.trial.follows:
+        exploration.next_trial()
+    while exploration.trial is not None and exploration.trial.measures:
+        exploration.next_trial(misses_at(exploration.trial.goal / limits.drive_scale))
+    return None if exploration.trial is None else exploration.trial.goal / limits.drive_scale
+
+
+def test_the_descent_by_measured_moves_finds_the_minimum_of_a_curved_valley(limited):
+    def misses_at(x):
+        return np.array([1.0 + x[0] - 0.05, 30.0 * (x[1] - x[0] ** 2 * 4.0)])
+
+    def least(low):
+        return minimize(lambda x: misses_at(x) @ misses_at(x), np.zeros(2), bounds=[(low, 1.0)] * 2).fun
+
+    found = descended(limited, misses_at, low=-0.05)
+    assert misses_at(found) @ misses_at(found) <= 1.001 * least(-0.05)
+    assert found.min() >= -0.05 - 1e-9
+
+
+def test_the_descent_tries_nothing_where_no_small_move_leads_down(limited):
+    assert descended(limited, lambda x: np.array([1.0, 0.3 * abs(x[0]), 0.2 * abs(x[1])])) is None
