@@ -15,7 +15,7 @@ pressure that is constant in a patch and eliminated.
 
 Elements keep a small share of the bulk modulus, `element_bulk`, which resists what a patch does not
 see: one part of it that swells while another one shrinks, as the two sides of a wall in bending do.
-The sizes of patches and this share were chosen by measurement (docs/architecture.md, "Rubber").
+The sizes of patches and this share were chosen by measurement (docs/elements.md, "Rubber").
 """
 
 from __future__ import annotations

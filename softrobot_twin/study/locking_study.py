@@ -1,6 +1,6 @@
 """Error against time of elements for nearly incompressible rubber: Cook's membrane and robots.
 
-`python -m softrobot_twin.study.locking_study` prints the tables of docs/architecture.md ("Rubber").
+`python -m softrobot_twin.study.locking_study` prints the tables of docs/elements.md ("Rubber").
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def compressed_block():
 
 
 NOT_CLOSED = pytest.mark.xfail(
-    strict=True, reason="69.3 to 69.5 % on meshes of 4, 6 and 8 cells: see docs/architecture.md"
+    strict=True, reason="69.3 to 69.5 % on meshes of 4, 6 and 8 cells: see docs/elements.md"
 )
 
 
