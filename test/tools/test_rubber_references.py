@@ -5,18 +5,18 @@ Loads that scenes have no entry for are dead loads, and prescribed positions, of
 
 import numpy as np
 import pytest
-
-from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh, block_mesh
-from softrobot_twin.geometry.smoothed_mesh import edge_rings
-from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
-from softrobot_twin.study.locking_study import COOK_SHEAR, cook
-from softrobot_twin.study.specimens import (
+from locking_study import COOK_SHEAR, cook
+from specimens import (
     Specimen,
     mapped_mesh,
     mesh_of,
     quadratic_constant,
     traction_loads,
 )
+
+from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh, block_mesh
+from softrobot_twin.geometry.smoothed_mesh import edge_rings
+from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
 
 RUBBER = NeoHookean(1.0, 1.0e4)
 STRETCHES = (1.1, 1.5, 2.0, 3.0)

@@ -1,6 +1,6 @@
 """Error against time of elements for nearly incompressible rubber: Cook's membrane and robots.
 
-`python -m softrobot_twin.study.locking_study` prints the tables of docs/elements.md ("Rubber").
+`python tools/locking_study.py` prints the tables of docs/elements.md ("Rubber").
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
+from specimens import Specimen, Times, mapped_mesh, traction_loads
 
 from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandEfforts, Simulation
 from softrobot_twin.study.bench_measurement import default_scene_path
-from softrobot_twin.study.specimens import Specimen, Times, mapped_mesh, traction_loads
 
 COOK_SHEAR = 80.194
 """µ of Cook's membrane [MPa]; its lengths are in mm."""

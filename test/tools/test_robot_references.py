@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+import robot_references
+from robot_references import CASES, errors_of, read_references, scene_of
 
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
-from softrobot_twin.study import robot_references
-from softrobot_twin.study.robot_references import CASES, errors_of, read_references, scene_of
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,9 @@
 """The study of locking on a robot, at the size of a test."""
 
+import locking_study
 import numpy as np
 import pytest
-
-from softrobot_twin.study import locking_study
-from softrobot_twin.study.locking_study import robot_lines, robot_row
+from locking_study import robot_lines, robot_row
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """How far shipped robots move on meshes that are fine enough: what errors are measured against.
 
-`python -m softrobot_twin.study.robot_references` solves all robots on their finest meshes and writes
+`python tools/robot_references.py` solves all robots on their finest meshes and writes
 ``docs/references.yaml``, in minutes; with the argument ``errors`` it prints a table of the errors of
 coarser meshes against that file.
 
@@ -41,7 +41,7 @@ from softrobot_twin.simulation.mesh_error import (
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.study.bench_measurement import default_scene_path
 
-FILE = Path(__file__).parents[2] / "docs" / "references.yaml"
+FILE = Path(__file__).parents[1] / "docs" / "references.yaml"
 _DIGITS = 6
 
 
