@@ -202,6 +202,14 @@ def share_load(W, actuator_count, rows_per_contact, violation, force, delta):
 
     A sweep would give the whole load to the first of many contacts that carry it together. Here
     all of them react at once, in a few rounds of a Jacobi iteration that converges for any W.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        actuator_count: Rows of actuators, before those of contacts.
+        rows_per_contact: Rows of a contact, 1 or 3.
+        violation: Motion without multipliers [m], shape (n,).
+        force: λ [N], shape (n,); changed.
+        delta: δ [m], shape (n,); changed.
     """
     for n in range(actuator_count, len(force), rows_per_contact):
         if force[n] != 0.0:
@@ -220,7 +228,18 @@ def share_load(W, actuator_count, rows_per_contact, violation, force, delta):
 
 @njit(**INNER)
 def sweep(W, lower, upper, friction, rows_per_contact, local, force, delta):
-    """Solve block after block, each with all others held; force and delta in place."""
+    """Solve block after block, each with all other forces held.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        lower: Least multiplier of each actuator [N], shape (actuator_count,).
+        upper: Greatest multiplier of each actuator [N], same shape.
+        friction: Coefficient µ of each contact, shape (contact_count,).
+        rows_per_contact: Rows of a contact, 1 or 3.
+        local: `measure_contact` of each contact, shape (contact_count, CONTACT_SIZE).
+        force: λ [N], shape (n,); changed.
+        delta: δ [m], shape (n,); changed.
+    """
     actuators = len(lower)
     for i in range(actuators):
         _solve_single(W, i, lower[i], upper[i], force, delta)

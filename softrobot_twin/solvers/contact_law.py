@@ -43,14 +43,22 @@ _ROUND_OFF = 4.0e-16
 
 @njit(**INNER)
 def copy_into(target, source):
-    """Copy an array; see `compilation`."""
+    """Copy `source` into `target`, shape (n,) each; see `compilation`."""
     for i in range(len(target)):
         target[i] = source[i]
 
 
 @njit(**KERNEL)
 def admissible(lower, upper, friction, rows_per_contact, force):
-    """Bring multipliers into bounds and cones, in place."""
+    """Bring multipliers into bounds and cones, in place.
+
+    Args:
+        lower: Least multiplier of each actuator [N], shape (actuator_count,).
+        upper: Greatest multiplier of each actuator [N], same shape.
+        friction: Coefficient µ of each contact, shape (contact_count,).
+        rows_per_contact: Rows of a contact, 1 or 3.
+        force: λ [N], shape (n,); changed.
+    """
     first = len(lower)
     for i in range(first):
         force[i] = min(max(force[i], lower[i]), upper[i])

@@ -130,7 +130,17 @@ def fill_system(W, force, delta, rows, kinds, frame, count, proximal, matrix, ri
 
 @njit(**KERNEL)
 def fill_right_side(force, delta, rows, kinds, frame, count, right):
-    """Right-hand side of the active rows alone; see `fill_system`."""
+    """Right-hand side of the active rows alone; see `fill_system`.
+
+    Args:
+        force: λ after the change of force made beforehand [N], shape (n,).
+        delta: δ after that change [m], shape (n,).
+        rows: Active rows, shape (count,) or longer.
+        kinds: `PLAIN` or `TURNING` of each active row, same shape.
+        frame: See `active_rows`, shape (n, 4).
+        count: Number of active rows.
+        right: Written, shape (count,) or longer.
+    """
     for a in range(count):
         i = rows[a]
         if kinds[a] == PLAIN:
@@ -143,7 +153,14 @@ def fill_right_side(force, delta, rows, kinds, frame, count, right):
 
 @njit(**INNER)
 def system_entry(row, j, kind, frame):
-    """Motion of a row by an unknown: its force, with the friction it brings when sliding."""
+    """Motion of a row by an unknown: its force, with the friction it brings when sliding.
+
+    Args:
+        row: Row of W [m/N], shape (n,).
+        j: Row of the unknown.
+        kind: `PLAIN` or `TURNING`.
+        frame: See `active_rows`, shape (n, 4).
+    """
     if kind == TURNING:
         return row[j] * frame[j, 0] + row[j + 1] * frame[j, 1]
     if frame[j, 2] != 0.0:
@@ -156,6 +173,12 @@ def solve_system(matrix, right, count):
     """right ← matrix⁻¹ right by elimination with row pivoting; False if it is singular.
 
     Panel by panel: the update of all rows and columns after a panel is one matrix product.
+
+    Args:
+        matrix: The matrix, in the first `count` rows and columns; overwritten, shape (count, count)
+            or larger.
+        right: The right-hand side; takes the solution, shape (count,) or longer.
+        count: Number of unknowns.
     """
     width = _PANEL if count > _LARGE else max(count, 1)
     for first in range(0, count, width):
@@ -214,7 +237,16 @@ def _eliminate_panel(matrix, right, count, first, last):
 
 @njit(**KERNEL)
 def apply_step(rows, kinds, frame, count, x, force):
-    """Add the step x to the multipliers."""
+    """Add the step x to the multipliers.
+
+    Args:
+        rows: Active rows, shape (count,) or longer.
+        kinds: `PLAIN` or `TURNING` of each active row, same shape.
+        frame: See `active_rows`, shape (n, 4).
+        count: Number of active rows.
+        x: Change of each unknown [N], shape (count,) or longer.
+        force: λ [N], shape (n,); changed.
+    """
     for a in range(count):
         i = rows[a]
         if kinds[a] == TURNING:

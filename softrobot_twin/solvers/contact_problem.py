@@ -22,7 +22,7 @@ from softrobot_twin.compilation import KERNEL, njit
 
 @njit(**KERNEL)
 def are_reversed(lower, upper):
-    """Whether any lower bound is above its upper one."""
+    """Whether any lower bound is above its upper bound, both of shape (n,)."""
     for i in range(len(lower)):
         if lower[i] > upper[i]:
             return True

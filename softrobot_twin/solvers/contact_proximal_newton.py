@@ -334,7 +334,7 @@ def _own_by_factor(Yt, actuators, per_contact):
 
 @njit(**INNER)
 def gather(Yt, force, x):
-    """x ← Y λ."""
+    """x ← Y λ, with Yᵀ of shape (n, rank), λ [N] of shape (n,) and x of shape (rank,)."""
     x[:] = 0.0
     for i in range(len(force)):
         if force[i] != 0.0:
@@ -344,7 +344,14 @@ def gather(Yt, force, x):
 
 @njit(**INNER)
 def move(Yt, violation, x, delta):
-    """δ ← Yᵀ x + violation."""
+    """δ ← Yᵀ x + violation.
+
+    Args:
+        Yt: Yᵀ with W = Yᵀ Y, shape (n, rank).
+        violation: Motion without multipliers [m], shape (n,).
+        x: Y λ, shape (rank,).
+        delta: δ [m], written, shape (n,).
+    """
     for i in range(len(delta)):
         total = violation[i]
         for p in range(len(x)):
@@ -441,7 +448,21 @@ def pick_rows(slope, centre_force, delta, centre, stiffness, g, friction, actuat
 
 @njit(**KERNEL)
 def fill_reduced_system(W, g, known, stiffness, rows, kinds, frame, count):
-    """Matrix and right-hand side of the unknowns; `known` is W c."""
+    """Matrix and right-hand side of the unknowns of a step.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        g: λ - λ(δ) [N], shape (n,).
+        known: W c, with the known part c of the step [m], shape (n,).
+        stiffness: ρ of every row [N/m], shape (n,).
+        rows: Row of each unknown, shape (count,) or longer.
+        kinds: `PLAIN` or `TURNING` of each unknown, same shape.
+        frame: See `pick_rows`, shape (n, 4).
+        count: Number of unknowns.
+
+    Returns:
+        The matrix, shape (count, count), and the right-hand side, shape (count,).
+    """
     matrix, right = np.empty((count, count)), np.empty(count)
     for a in range(count):
         i = rows[a]
@@ -464,7 +485,16 @@ def fill_reduced_system(W, g, known, stiffness, rows, kinds, frame, count):
 
 @njit(**KERNEL)
 def expand_step(rows, kinds, frame, count, u, step):
-    """Δ = B u + c."""
+    """Δ = B u + c, the change of all multipliers.
+
+    Args:
+        rows: Row of each unknown, shape (count,) or longer.
+        kinds: `PLAIN` or `TURNING` of each unknown, same shape.
+        frame: See `pick_rows`; c is its last column, shape (n, 4).
+        count: Number of unknowns.
+        u: The unknowns [N], shape (count,).
+        step: Δ [N], written, shape (n,).
+    """
     for i in range(len(step)):
         step[i] = frame[i, 3]
     for a in range(count):

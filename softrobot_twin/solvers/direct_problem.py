@@ -31,7 +31,14 @@ ROUND_OFF = 1.0e-12
 
 @njit(**KERNEL)
 def compliance_scale(W):
-    """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing."""
+    """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing.
+
+    Args:
+        W: Compliance [m/N], shape (actuator_count, actuator_count).
+
+    Returns:
+        Shape (actuator_count,).
+    """
     most, scale = TINY, np.ones(len(W))
     for i in range(len(W)):
         most = max(most, W[i, i])

@@ -46,7 +46,7 @@ def forward(factor, vector):
 
 @njit(**INNER)
 def backward(factor, vector):
-    """vector ← L⁻ᵀ vector; see `forward`."""
+    """vector ← L⁻ᵀ vector, shape (n,); L in the lower triangle of `factor`, shape (n, n)."""
     for i in range(len(vector) - 1, -1, -1):
         value = vector[i]
         for j in range(i + 1, len(vector)):

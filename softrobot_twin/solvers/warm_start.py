@@ -214,7 +214,13 @@ def _wrong_contacts(z, C, d, force_max, touching):
 
 @njit(**KERNEL)
 def objective_at(P, g, z):
-    """½ zᵀPz + gᵀz."""
+    """½ zᵀPz + gᵀz.
+
+    Args:
+        P: Hessian, shape (n, n).
+        g: Gradient at zero, shape (n,).
+        z: The unknowns, shape (n,).
+    """
     total = 0.0
     for i in range(len(z)):
         if z[i] != 0.0:
@@ -301,7 +307,7 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
 
 @njit(**INNER)
 def product(a, b):
-    """Sum of products."""
+    """Scalar product of two vectors, shape (n,) each."""
     total = 0.0
     for j in range(len(a)):
         total += a[j] * b[j]

@@ -476,7 +476,7 @@ def by_rank(rank, values, result):
 
 @njit(**KERNEL)
 def by_node(rank, values, result):
-    """Undo `by_rank`."""
+    """Put values in elimination order, shape (dof_count,), by node, shape (node_count, 3)."""
     for node in range(len(rank)):
         first = 3 * rank[node]
         for i in range(3):
@@ -596,7 +596,16 @@ def _forward_columns(
 
 @njit(**KERNEL)
 def backward(fronts, rows, panels, triangles, x, work):
-    """x ← L⁻ᵀ x, in place; see `forward`."""
+    """x ← L⁻ᵀ x, in place.
+
+    Args:
+        fronts: Layout of the fronts, shape (front_count,) of `FRONT`.
+        rows: Ranks of the nodes below the fronts' own; `Layout.rows`, flat.
+        panels: L, shape (panels_size,).
+        triangles: Diagonal blocks of L, shape (triangles_size,).
+        x: A vector by rank, shape (dof_count,); changed.
+        work: Memory for the rows of one front.
+    """
     x_at, work_at = address(x), address(work)
     for s in range(len(fronts) - 1, -1, -1):
         front = fronts[s]

@@ -113,14 +113,14 @@ def factorize(fronts, children, runs, block_places, storage, panels, updates, tr
     """A = L Lᵀ.
 
     Args:
-        fronts: Layout of the fronts, children before parents.
-        children: Fronts whose updates a front adds.
-        runs: Where updates go.
-        block_places: Where the matrix's blocks go in `panels`.
-        storage: The matrix's lower blocks, nine doubles each.
-        panels: Where L is written.
-        updates: Memory of the updates.
-        triangles: Where the triangles of L are written.
+        fronts: Layout of the fronts, children before parents, shape (front_count,) of `FRONT`.
+        children: Fronts whose updates a front adds, shape (front_count,).
+        runs: Where updates go, shape (run_count,) of `RUN`.
+        block_places: Where the matrix's blocks go in `panels`, shape (block_count,).
+        storage: The matrix's lower blocks [N/m], nine doubles each.
+        panels: Where L is written, shape (panels_size,).
+        updates: Memory of the updates, shape (updates_size,).
+        triangles: Where the triangles of L are written, shape (triangles_size,).
 
     Returns:
         -1, or the first front that is not positive definite.

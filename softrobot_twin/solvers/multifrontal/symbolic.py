@@ -269,7 +269,12 @@ def front_cost(column_nodes, row_nodes):
 
 @njit(**KERNEL)
 def total_cost(column_nodes, row_nodes):
-    """Cycles of a whole factorization, given the nodes of each front."""
+    """Cycles of a whole factorization.
+
+    Args:
+        column_nodes: Nodes eliminated in each front, shape (front_count,).
+        row_nodes: Nodes that each front updates, same shape.
+    """
     cost = 0.0
     for s in range(len(column_nodes)):
         cost += front_cost(column_nodes[s], row_nodes[s])
