@@ -28,7 +28,16 @@ FIRST_ROOM = 64
 
 @njit(**KERNEL)
 def write_axis(x, frames, local_places, local_tangents, places, tangents):
-    """Places and tangents of the ends of every element, from the frames that carry them."""
+    """Places and tangents of the ends of every element, from the frames that carry them.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        frames: Origin node of the frame of both ends of each, shape (element_count, 2).
+        local_places: The ends in their frames [m], shape (element_count, 2, 3).
+        local_tangents: Tangents there times the element's length, in these frames [m], same shape.
+        places: Takes the ends [m], shape (element_count, 2, 3).
+        tangents: Takes the tangents times the element's length [m], same shape.
+    """
     for e in range(len(frames)):
         for end in range(2):
             o = frames[e, end]
@@ -47,6 +56,20 @@ def carry_by_axis(
     coefficients,
 ):  # fmt: skip
     """Places on a round beam: the axis by Hermite's cubic, what is off it by the turn of the ends.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        axis: The axis at these positions.
+        frames: Origin node of the frame of both ends of each, shape (element_count, 2).
+        local_places: The ends in their frames [m], shape (element_count, 2, 3).
+        local_tangents: Tangents there times the element's length, in these frames [m], same shape.
+        elements: Element of each place in the first column, shape (count, 3).
+        shares: Share along this element in the first column, shape (count, 3).
+        places: The places [m], shape (count, 3).
+        sign: Factor of all coefficients, 1 or -1.
+        column: First column of `nodes` and `coefficients` that is written.
+        nodes: Takes the nodes, shape (count, 2 widths).
+        coefficients: Takes their coefficients, same shape.
     """
     for c in range(len(elements)):
         e, s = elements[c, 0], shares[c, 0]

@@ -92,7 +92,20 @@ def folds(path: np.ndarray) -> list[int]:
 def evaluate_kernel(
     x, nodes, coefficients, constants, least, rounding, cable, entry, blocks, lengths
 ):
-    """Lengths of all cables and the entries -c_a d of their rows."""
+    """Lengths of all cables and the entries -c_a d of their rows.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each segment [m], shape (segment_count, 3).
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ of each segment [m], shape (segment_count,).
+        cable: Cable of each segment, shape (segment_count,).
+        entry: Entry of H of each node, -1 where fixed, shape (segment_count, width).
+        blocks: Takes the entries of H, shape (entry_count, 3).
+        lengths: Takes the lengths [m], shape (cable_count,).
+    """
     lengths[:] = 0.0
     for s in range(len(nodes)):
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
@@ -112,7 +125,21 @@ def evaluate_kernel(
 def add_stiffness_kernel(
     x, nodes, coefficients, constants, least, rounding, cable, tensions, offsets, strides, storage
 ):
-    """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every segment of a taut cable; 1/ρ where it is smoothed."""
+    """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every segment of a taut cable; 1/ρ where it is smoothed.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each segment [m], shape (segment_count, 3).
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ of each segment [m], shape (segment_count,).
+        cable: Place of each segment's tension in `tensions`, shape (segment_count,).
+        tensions: λ [N], of shape (cable_count,) where a cable has one tension.
+        offsets: Place of each pair's block, -1 for none, shape (segment_count, pair_count).
+        strides: Distance between two columns of that block, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
     width = nodes.shape[1]
     for s in range(len(nodes)):
         tension = tensions[cable[s]]
@@ -140,7 +167,19 @@ def add_stiffness_kernel(
 def write_matrices(
     x, nodes, coefficients, constants, least, rounding, cable, tensions, matrices
 ):
-    """λ (1 - d dᵀ)/‖r‖ of every segment of a taut cable, 1/ρ where it is smoothed; else zero."""
+    """λ (1 - d dᵀ)/‖r‖ of every segment of a taut cable, 1/ρ where it is smoothed; else zero.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each segment [m], shape (segment_count, 3).
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ of each segment [m], shape (segment_count,).
+        cable: Place of each segment's tension in `tensions`, shape (segment_count,).
+        tensions: λ [N], of shape (cable_count,) where a cable has one tension.
+        matrices: Takes the matrices [N/m], shape (segment_count, 3, 3).
+    """
     for s in range(len(nodes)):
         tension = tensions[cable[s]]
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
@@ -156,7 +195,20 @@ def write_matrices(
 def add_row_stiffness_kernel(
     x, nodes, coefficients, constants, least, rounding, stiffness, offsets, strides, storage
 ):
-    """Add k h hᵀ of the row h_a = -c_a d of every segment."""
+    """Add k h hᵀ of the row h_a = -c_a d of every segment.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each segment [m], shape (segment_count, 3).
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ of each segment [m], shape (segment_count,).
+        stiffness: k of each segment [N/m], shape (segment_count,).
+        offsets: Place of each pair's block, -1 for none, shape (segment_count, pair_count).
+        strides: Distance between two columns of that block, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
     width = nodes.shape[1]
     for s in range(len(nodes)):
         if stiffness[s] <= 0.0:
@@ -178,7 +230,18 @@ def add_row_stiffness_kernel(
 
 @njit(**KERNEL)
 def share_kernel(x, nodes, coefficients, constants, least, rounding, free, move):
-    """Largest share of a move, at most one, that reverses no segment that is not smoothed."""
+    """Largest share of a move, at most one, that reverses no segment that is not smoothed.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each segment [m], shape (segment_count, 3).
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ of each segment [m], shape (segment_count,).
+        free: Row of `move` of each node, -1 where fixed, shape (segment_count, width).
+        move: Displacement of unknowns, then of carried points [m], shape (row_count, 3).
+    """
     share = 1.0
     for s in range(len(nodes)):
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])

@@ -67,7 +67,19 @@ BOUND = 1.0e-12
 def write_turns(x, nodes, coefficients, constants, least, rounding, cable, lengths, angles):
     """Length of each segment, and the angle by which the path turns where it begins.
 
-    A segment without length has no direction: the path turns from the one before to the one after.
+    A segment without length has no direction: the path turns from the segment before to the segment
+    after.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each segment [m], shape (segment_count, 3).
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ of each segment [m], shape (segment_count,).
+        cable: Cable of each segment, ascending, shape (segment_count,).
+        lengths: Takes the lengths [m], shape (segment_count,).
+        angles: Takes the angles β [rad], zero where a cable begins, same shape.
     """
     last = (0.0, 0.0, 0.0)
     has_last = False
@@ -90,7 +102,17 @@ def write_turns(x, nodes, coefficients, constants, least, rounding, cable, lengt
 
 @njit(**KERNEL)
 def write_tensions(winch, friction, flexibility, angles, shares, tensions, strains):
-    """Tensions and strains along one cable, at given shares of friction."""
+    """Tensions and strains along one cable, at given shares of friction.
+
+    Args:
+        winch: Tension λ where the cable begins [N].
+        friction: Coefficient µ.
+        flexibility: 1/EA [1/N].
+        angles: β of each segment [rad], shape (segment_count,).
+        shares: z of each segment, -1 to 1, same shape.
+        tensions: Takes T [N], same shape.
+        strains: Takes the strains ε, same shape.
+    """
     tension = winch
     for s in range(len(angles)):
         tension *= np.exp(-friction * angles[s] * shares[s])
@@ -100,7 +122,13 @@ def write_tensions(winch, friction, flexibility, angles, shares, tensions, strai
 
 @njit(**KERNEL)
 def write_beyond(lengths, strains, beyond):
-    """Unstretched length from the beginning of each segment of one cable on."""
+    """Unstretched length from the beginning of each segment of one cable on.
+
+    Args:
+        lengths: Of the segments [m], shape (segment_count,).
+        strains: ε of the segments, same shape.
+        beyond: Takes the unstretched lengths [m], same shape.
+    """
     total = 0.0
     for s in range(len(lengths) - 1, -1, -1):
         total += lengths[s] * (1.0 - strains[s])
@@ -109,7 +137,18 @@ def write_beyond(lengths, strains, beyond):
 
 @njit(**INNER)
 def write_slopes(lengths, angles, tensions, flexibility, friction, presliding, slopes):
-    """∂F/∂z of one cable, F = s_0 (z - z_begin) - u: s_0 + K D; its first segment has no point."""
+    """∂F/∂z of one cable, F = s_0 (z - z_begin) - u: s_0 + K D; its first segment has no point.
+
+    Args:
+        lengths: Of the segments [m], shape (segment_count,).
+        angles: β of each segment [rad], same shape.
+        tensions: T of each segment [N], same shape.
+        flexibility: 1/EA [1/N].
+        friction: Coefficient µ.
+        presliding: s_0 [m].
+        slopes: Takes ∂F/∂z [m] but for the first row and column, shape (segment_count,
+            segment_count).
+    """
     n = len(lengths)
     yielding = 0.0
     for s in range(n - 1, 0, -1):
@@ -124,7 +163,16 @@ def write_slopes(lengths, angles, tensions, flexibility, friction, presliding, s
 
 @njit(**INNER)
 def write_misses(shares, begin_shares, beyond, begin_beyond, presliding, misses):
-    """F of each point of one cable [m]."""
+    """F of each point of one cable.
+
+    Args:
+        shares: z of each segment, shape (segment_count,).
+        begin_shares: z where the step began, same shape.
+        beyond: Unstretched length from each segment on [m], same shape.
+        begin_beyond: This length where the step began [m], same shape.
+        presliding: s_0 [m].
+        misses: Takes F [m], same shape; its first entry is left as it is.
+    """
     for s in range(1, len(shares)):
         misses[s] = presliding * (shares[s] - begin_shares[s]) - (begin_beyond[s] - beyond[s])
 
@@ -135,9 +183,19 @@ def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begi
 
     Ψ = Σ ℓ ln(exp(a) + λ / EA) with a_s = Σ_(p ≤ s) D_p z_p, whose slope in z_p is D_p U_p.
 
+    Args:
+        winch: Tension λ where the cable begins [N].
+        lengths: ℓ of the segments [m], shape (segment_count,).
+        turns: D = µ β of each segment, same shape.
+        flexibility: 1/EA [1/N].
+        presliding: s_0 [m].
+        begin_shares: z where the step began, same shape as `lengths`.
+        begin_beyond: U there [m], same shape.
+        shares: z, same shape.
+
     Returns:
-        Its value, and the sum of the magnitudes of its parts. The parts may cancel; their round-off
-        remains.
+        The potential [m], and the sum of the magnitudes of its parts [m]. The parts may cancel;
+        their round-off remains.
     """
     total, size, a = 0.0, 0.0, 0.0
     for s in range(len(lengths)):
@@ -222,9 +280,23 @@ def solve_shares(
     winch, lengths, angles, friction, flexibility, presliding, begin_shares, begin_beyond, shares,
     tensions, strains, beyond,
 ):
-    """Shares z of one cable, and its tensions, strains and unstretched lengths; all are written.
+    """Shares z of one cable, and its tensions, strains and unstretched lengths.
 
     By Newton's method within the bounds of z, with a line search on the potential.
+
+    Args:
+        winch: Tension λ where the cable begins [N].
+        lengths: ℓ of the segments [m], shape (segment_count,).
+        angles: β of each segment [rad], same shape.
+        friction: Coefficient µ.
+        flexibility: 1/EA [1/N].
+        presliding: s_0 [m].
+        begin_shares: z where the step began, same shape as `lengths`.
+        begin_beyond: Unstretched length from each segment on where the step began [m], same shape.
+        shares: z to begin with; takes the solution, same shape.
+        tensions: Takes T [N], same shape.
+        strains: Takes ε, same shape.
+        beyond: Takes the unstretched length from each segment on [m], same shape.
     """
     n = len(lengths)
     slopes, misses, change = np.zeros((n, n)), np.zeros(n), np.zeros(n)
@@ -346,7 +418,14 @@ def write_rates(
 
 @njit(**INNER)
 def ratio_at(segment, friction, angles, shares):
-    """T_s / λ of one segment."""
+    """T_s / λ of one segment.
+
+    Args:
+        segment: Index s of the segment in its cable.
+        friction: Coefficient µ.
+        angles: β of each segment [rad], shape (segment_count,).
+        shares: z of each segment, same shape.
+    """
     total = 0.0
     for s in range(segment + 1):
         total += angles[s] * shares[s]
@@ -358,7 +437,27 @@ def solve_cables(
     firsts, winches, friction, flexibility, presliding, lengths, angles, begin_shares, begin_beyond,
     shares, tensions, strains, beyond, force_slopes, length_slopes, stick, compliances,
 ):
-    """`solve_shares` and `write_rates` of every cable; cable k has the segments firsts[k] on."""
+    """`solve_shares` and `write_rates` of every cable; cable k has the segments firsts[k] on.
+
+    Args:
+        firsts: First segment of each cable, and the end of the last, shape (cable_count + 1,).
+        winches: Tension λ where each cable begins [N], shape (cable_count,).
+        friction: Coefficient µ of each cable, same shape.
+        flexibility: 1/EA of each cable [1/N], same shape.
+        presliding: s_0 of each cable [m], same shape.
+        lengths: ℓ of the segments of all cables [m], shape (segment_count,).
+        angles: β of each segment [rad], same shape.
+        begin_shares: z where the step began, same shape.
+        begin_beyond: Unstretched length from each segment on where the step began [m], same shape.
+        shares: Takes z, same shape.
+        tensions: Takes T [N], same shape.
+        strains: Takes ε, same shape.
+        beyond: Takes the unstretched length from each segment on [m], same shape.
+        force_slopes: Takes ∂T/∂λ, same shape.
+        length_slopes: Takes e with ∂δ/∂q = Σ e h, same shape.
+        stick: See `write_rates` [√(N/m)], shape (segment_count, segments of the longest cable).
+        compliances: Takes ∂δ/∂λ of each cable [m/N], shape (cable_count,).
+    """
     for k in range(len(winches)):
         own = slice(firsts[k], firsts[k + 1])
         n = firsts[k + 1] - firsts[k]

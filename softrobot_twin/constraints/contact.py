@@ -28,7 +28,13 @@ STEEP = 0.617
 
 @njit(**KERNEL)
 def put_tangents(normals, count, directions):
-    """Normal and two tangents of each contact, the same for the same normal."""
+    """Normal and two tangents of each contact, the same for the same normal.
+
+    Args:
+        normals: Unit normals, shape (capacity, 3).
+        count: Number of contacts.
+        directions: Takes the normal and the tangents of each, shape (capacity, 3, 3).
+    """
     for c in range(count):
         n0, n1, n2 = normals[c, 0], normals[c, 1], normals[c, 2]
         # Not by the least of three: of a level floor's normal two are zero but for round-off, and
@@ -48,7 +54,17 @@ def put_tangents(normals, count, directions):
 
 @njit(**INNER)
 def apart(x, nodes, coefficients, c):
-    """Σ c_k x_k of one contact, standing points left out."""
+    """Σ c_k x_k of one contact, standing points left out.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        c: Index of the contact.
+
+    Returns:
+        Three numbers [m].
+    """
     r0, r1, r2 = 0.0, 0.0, 0.0
     for k in range(nodes.shape[1]):
         n = nodes[c, k]
@@ -62,7 +78,19 @@ def apart(x, nodes, coefficients, c):
 
 @njit(**KERNEL)
 def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begins):
-    """Reference of each contact's gap (`anchors`) and of its displacement (`begins`)."""
+    """Reference of each contact's gap and of its displacement.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        start: Node positions where the step began [m], same shape.
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
+        gaps: Gap of each contact at `x` [m], shape (capacity,).
+        count: Number of contacts.
+        anchors: Takes the gap less n · Σ c_k x_k [m], same shape as the gaps.
+        begins: Takes Σ c_k x_k at `start` along each direction [m], shape (capacity, 3).
+    """
     for c in range(count):
         r0, r1, r2 = apart(x, nodes, coefficients, c)
         s0, s1, s2 = apart(start, nodes, coefficients, c)
@@ -74,7 +102,16 @@ def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begi
 
 @njit(**KERNEL)
 def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
-    """Gap of every contact along its normal as detected."""
+    """Gap of every contact along its normal as detected.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
+        anchors: See `anchor` [m], shape (capacity,).
+        gaps: Takes the gaps [m], shape (count,).
+    """
     for c in range(len(gaps)):
         r0, r1, r2 = apart(x, nodes, coefficients, c)
         n = directions[c, 0]
@@ -85,7 +122,21 @@ def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
 def write_values(
     x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed, out
 ):  # fmt: skip
-    """δ of every row."""
+    """δ of every row.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
+        anchors: See `anchor` [m], shape (capacity,).
+        begins: See `anchor` [m], shape (capacity, 3).
+        count: Number of contacts.
+        per_contact: Rows of a contact, 1 or 3.
+        distance: Contact distance [m].
+        allowed: Bodies that overlap are parted by no more in this step [m].
+        out: Takes δ [m], shape (row_count,).
+    """
     for c in range(count):
         r0, r1, r2 = apart(x, nodes, coefficients, c)
         d = directions[c]
@@ -99,7 +150,16 @@ def write_values(
 
 @njit(**KERNEL)
 def write_layout(free_index, nodes, count, per_contact, row_index, node_index):
-    """Row and unknown of every entry of H, row by row; returns the number of entries."""
+    """Row and unknown of every entry of H, row by row; returns the number of entries.
+
+    Args:
+        free_index: Unknown of each node, -1 where there is none, shape (node_count,).
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        count: Number of contacts.
+        per_contact: Rows of a contact, 1 or 3.
+        row_index: Takes the row of each entry, shape (entry_capacity,).
+        node_index: Takes the unknown of each entry, same shape.
+    """
     entry = 0
     for c in range(count):
         for i in range(per_contact):
@@ -114,7 +174,17 @@ def write_layout(free_index, nodes, count, per_contact, row_index, node_index):
 
 @njit(**KERNEL)
 def write_blocks(free_index, nodes, coefficients, directions, count, per_contact, blocks):
-    """Entries of H, in the order of `write_layout`."""
+    """Entries of H, in the order of `write_layout`.
+
+    Args:
+        free_index: Unknown of each node, -1 where there is none, shape (node_count,).
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
+        count: Number of contacts.
+        per_contact: Rows of a contact, 1 or 3.
+        blocks: Takes the entries, shape (entry_count, 3).
+    """
     entry = 0
     for c in range(count):
         for i in range(per_contact):

@@ -126,7 +126,24 @@ def add_facet(
     x, nodes, weights, curvature, normal, force, slides, whole, keys, offsets, strides,
     low_is_row, work, storage,
 ):  # fmt: skip
-    """Add one facet's stiffness to the system matrix."""
+    """Add one facet's stiffness to the system matrix; see `write_facet_stiffness`.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of its corners, -1 where there is none, shape (3,).
+        weights: c of the corners at the contact point, shape (3,).
+        curvature: D_xx [1/m], shape (3, 3).
+        normal: The shape's normal n, shape (3,).
+        force: λ of the contact's normal row [N].
+        slides: Whether what moves across the normal moves along the shape.
+        whole: See `write_facet_stiffness`.
+        keys: Pairs of nodes low × node count + high, ascending, shape (block_count,).
+        offsets: Place of each pair's block in the storage, -1 for none, same shape.
+        strides: Distance between two columns of that block, same shape.
+        low_is_row: Whether the lower node of each pair is the block's row, same shape.
+        work: Memory for the stiffness [N/m], shape (9, 9).
+        storage: The factorization's storage [N/m]; added to.
+    """
     write_facet_stiffness(
         x, nodes, weights, curvature, normal, force, slides, whole, work
     )
@@ -259,7 +276,20 @@ def fold_facets(
 def add_rows(
     nodes, coefficients, directions, stiffness, node_count, keys, offsets, strides, storage
 ):
-    """Add k h hᵀ of the normal rows h of contacts to the system matrix."""
+    """Add k h hᵀ of the normal rows h of contacts to the system matrix.
+
+    Args:
+        nodes: Nodes of each contact, of which the first three count, -1 where there is none,
+            shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
+        stiffness: k of each contact [N/m], shape (count,).
+        node_count: Number of nodes.
+        keys: Pairs of nodes low × node count + high, ascending, shape (block_count,).
+        offsets: Place of each pair's block in the storage, -1 for none, same shape.
+        strides: Distance between two columns of that block, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
     for c in range(len(stiffness)):
         if not stiffness[c] > 0.0:
             continue

@@ -23,7 +23,13 @@ NO_NODE = -1
 
 @njit(**KERNEL)
 def gather_points(x, nodes, out):
-    """Copy some rows."""
+    """Copy the positions of some nodes.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: The nodes, shape (point_count,).
+        out: Takes their positions [m], shape (point_count, 3).
+    """
     for p in range(len(nodes)):
         for i in range(3):
             out[p, i] = x[nodes[p], i]
@@ -31,7 +37,17 @@ def gather_points(x, nodes, out):
 
 @njit(**KERNEL)
 def carry_by_vertices(point_nodes, points, weights, sign, column, nodes, coefficients):
-    """Points inside triangles of a deformable body: its three vertices carry them."""
+    """Places inside triangles of a deformable body: three vertices carry each.
+
+    Args:
+        point_nodes: Node of each surface point, shape (point_count,).
+        points: Surface points around each place, shape (count, 3).
+        weights: Their barycentric weights, shape (count, 3).
+        sign: Factor of all coefficients, 1 or -1.
+        column: First column of `nodes` and `coefficients` that is written.
+        nodes: Takes the nodes, shape (count, 2 widths).
+        coefficients: Takes their coefficients, same shape.
+    """
     for c in range(len(points)):
         for k in range(3):
             weight = weights[c, k]
@@ -45,9 +61,19 @@ def carry_by_vertices(point_nodes, points, weights, sign, column, nodes, coeffic
 def carry_by_mapping(
     point_nodes, point_weights, points, weights, sign, column, nodes, coefficients
 ):
-    """Points inside triangles of a carried surface: what carries its three points, each node once.
+    """Places inside triangles of a carried surface: what carries the corners, each node once.
 
     Columns beyond the last are left as they are.
+
+    Args:
+        point_nodes: Nodes that carry each surface point, shape (point_count, width).
+        point_weights: Their weights, same shape.
+        points: Surface points around each place, shape (count, 3).
+        weights: Their barycentric weights, shape (count, 3).
+        sign: Factor of all coefficients, 1 or -1.
+        column: First column of `nodes` and `coefficients` that is written.
+        nodes: Takes the nodes, shape (count, 2 widths).
+        coefficients: Takes their coefficients, same shape.
     """
     for c in range(len(points)):
         count = 0
@@ -71,7 +97,17 @@ def carry_by_mapping(
 
 @njit(**KERNEL)
 def carry_by_frame(x, frame, places, sign, column, nodes, coefficients):
-    """Places on a rigid body: its four frame nodes carry them."""
+    """Places on a rigid body: its four frame nodes carry them.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        frame: First frame node of the body.
+        places: The places [m], shape (count, 3).
+        sign: Factor of all coefficients, 1 or -1.
+        column: First column of `nodes` and `coefficients` that is written.
+        nodes: Takes the nodes, shape (count, 2 widths).
+        coefficients: Takes their coefficients, same shape.
+    """
     for c in range(len(places)):
         rest = 1.0
         for k in range(3):

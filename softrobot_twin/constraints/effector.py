@@ -17,6 +17,14 @@ AXES = {"x": 0, "y": 1, "z": 2}
 @njit(**KERNEL)
 def write_means(x, nodes, weights, point_ends, effector_ends, out):
     """Mean of each effector's points; nodes of a point, and points of an effector, are contiguous.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes that carry the points, point after point, shape (weight_count,).
+        weights: Their barycentric weights, same shape.
+        point_ends: Where the nodes of each point end in `nodes`, shape (point_count,).
+        effector_ends: Where the points of each effector end, shape (effector_count,).
+        out: Takes the means [m], shape (effector_count, 3).
     """
     node, point = 0, 0
     for e in range(len(effector_ends)):
@@ -33,7 +41,19 @@ def write_means(x, nodes, weights, point_ends, effector_ends, out):
 
 @njit(**KERNEL)
 def write_rows(x, nodes, weights, point_ends, effector_ends, places, H, blocks, values):
-    """The constant H, and those coordinates of the means that are controlled."""
+    """The constant H, and those coordinates of the means that are controlled.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes that carry the points, point after point, shape (weight_count,).
+        weights: Their barycentric weights, same shape.
+        point_ends: Where the nodes of each point end in `nodes`, shape (point_count,).
+        effector_ends: Where the points of each effector end, shape (effector_count,).
+        places: 3 × effector + axis of each row, shape (row_count,).
+        H: Entries of H, shape (entry_count, 3).
+        blocks: Takes the entries of H, same shape.
+        values: Takes the coordinates [m], shape (row_count,).
+    """
     means = np.empty((len(effector_ends), 3))
     write_means(x, nodes, weights, point_ends, effector_ends, means)
     for row in range(len(places)):

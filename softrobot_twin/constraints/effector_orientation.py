@@ -171,7 +171,17 @@ def fit_rotation(F, is_rigid, R, turning):
 
 @njit(**KERNEL)
 def write_rotations(x, nodes, arms, ends, are_rigid, rotations, turnings):
-    """Rotation of every patch; nodes of a patch are contiguous. See `fit_rotation`."""
+    """Rotation of every patch; nodes of a patch are contiguous. See `fit_rotation`.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes that carry the patches, patch after patch, shape (arm_count,).
+        arms: s_n of each of these nodes [m], shape (arm_count, 3).
+        ends: Where the nodes of each patch end in `nodes`, shape (patch_count,).
+        are_rigid: Whether a rigid frame carries each patch, shape (patch_count,).
+        rotations: Takes R of each patch, shape (patch_count, 3, 3).
+        turnings: Takes (tr V - V)⁻¹ of each patch [1/m²], same shape.
+    """
     first = 0
     for p in range(len(ends)):
         F, start = np.zeros((3, 3)), row(x, nodes[first])

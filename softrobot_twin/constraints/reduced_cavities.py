@@ -242,7 +242,17 @@ def evaluate_volumes(q, linear, quadratic, contracted, growths, gradients, stiff
 
 @njit(**KERNEL)
 def add_pressures(order, offsets, strides, pressures, stiffness, matrix, storage):
-    """Add -Σ p ∂H/∂q of the cavities of one body; the matrix is overwritten."""
+    """Add -Σ p ∂H/∂q of the cavities of one body.
+
+    Args:
+        order: See `add_stencil_matrix`, as for the next two, shape (mode_count / 3,).
+        offsets: Place of each pair's block in the storage, -1 for none, shape (pair_count,).
+        strides: Distance between two columns of that block, same shape.
+        pressures: p of each cavity [Pa], shape (cavity_count,).
+        stiffness: ∂H/∂q of each cavity [m], shape (cavity_count, mode_count, mode_count).
+        matrix: Memory for the sum [N/m], shape (mode_count, mode_count); overwritten.
+        storage: The factorization's storage [N/m]; added to.
+    """
     matrix[:] = 0.0
     for c in range(len(pressures)):
         p = pressures[c]

@@ -384,7 +384,15 @@ class RowStack:
 
 @njit(**KERNEL)
 def add_row_forces(row_index, node_index, blocks, multipliers, forces):
-    """Add each entry of H times its row's multiplier to its node's force."""
+    """Add each entry of H times its row's multiplier to its node's force.
+
+    Args:
+        row_index: Row of each entry of H, shape (entry_count,).
+        node_index: Unknown of each entry, same shape.
+        blocks: Entries of H, shape (entry_count, 3).
+        multipliers: λ of every row [N], shape (row_count,).
+        forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
+    """
     for entry in range(len(row_index)):
         node, multiplier = node_index[entry], multipliers[row_index[entry]]
         for axis in range(3):
