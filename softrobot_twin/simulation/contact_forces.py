@@ -15,7 +15,17 @@ CARRIES = 1.0e-9
 
 @njit(**KERNEL)
 def find_carrying(multipliers, rows_per_contact, least, carrying):
-    """Write the contacts whose normal force is above the least, in their order; their number."""
+    """Write the contacts whose normal force is above the least, in their order.
+
+    Args:
+        multipliers: λ of the contacts' rows [N], shape (contact_row_count,).
+        rows_per_contact: Rows of a contact, 1 or 3.
+        least: Least normal force [N].
+        carrying: Takes the contacts, shape (contact_count,).
+
+    Returns:
+        Number of these contacts.
+    """
     count = 0
     for c in range(len(multipliers) // rows_per_contact):
         if multipliers[rows_per_contact * c] > least:
@@ -26,7 +36,15 @@ def find_carrying(multipliers, rows_per_contact, least, carrying):
 
 @njit(**KERNEL)
 def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
-    """Σ λ d of some contacts."""
+    """Σ λ d of some contacts.
+
+    Args:
+        chosen: The contacts, shape (count,).
+        multipliers: λ of the rows of all contacts [N], shape (contact_row_count,).
+        directions: Normal and tangents of each contact, shape (contact_count, 3, 3).
+        rows_per_contact: Rows of a contact, 1 or 3.
+        forces: Takes the forces [N], shape (count, 3).
+    """
     for c in range(len(chosen)):
         for i in range(3):
             forces[c, i] = 0.0

@@ -366,7 +366,20 @@ def pivot(matrix, right, least, greatest, state):
 
 @njit(**KERNEL)
 def begin(W, violation, lower, upper, friction, per_contact, guess):
-    """Admissible forces next to a guess, and the motion δ with them."""
+    """Admissible forces next to a guess, and the motion δ with them.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        violation: Motion without multipliers [m], shape (n,).
+        lower: Least multiplier of each actuator [N], shape (actuator_count,).
+        upper: Greatest multiplier of each actuator [N], same shape.
+        friction: Coefficient µ of each contact, shape (contact_count,).
+        per_contact: Rows of a contact, 1 or 3.
+        guess: Multipliers to begin with [N], shape (n,); left as they are.
+
+    Returns:
+        λ [N] and δ [m], shape (n,) each.
+    """
     force, delta = guess.copy(), np.empty(len(violation))
     admissible(lower, upper, friction, per_contact, force)
     gauss_seidel.motion(W, violation, force, delta)
@@ -375,7 +388,21 @@ def begin(W, violation, lower, upper, friction, per_contact, guess):
 
 @njit(**KERNEL)
 def sweep(W, violation, lower, upper, friction, per_contact, guess, count):
-    """Forces and motion δ after some Gauss–Seidel sweeps from admissible forces."""
+    """Forces and motion δ after some Gauss–Seidel sweeps from admissible forces.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        violation: Motion without multipliers [m], shape (n,).
+        lower: Least multiplier of each actuator [N], shape (actuator_count,).
+        upper: Greatest multiplier of each actuator [N], same shape.
+        friction: Coefficient µ of each contact, shape (contact_count,).
+        per_contact: Rows of a contact, 1 or 3.
+        guess: Multipliers to begin with [N], shape (n,); left as they are.
+        count: Number of sweeps.
+
+    Returns:
+        λ [N] and δ [m], shape (n,) each.
+    """
     force, delta = begin(W, violation, lower, upper, friction, per_contact, guess)
     local = np.empty((len(friction), CONTACT_SIZE))
     if per_contact == 3:

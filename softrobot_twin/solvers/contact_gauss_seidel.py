@@ -277,7 +277,17 @@ def _solve_triple(W, n, friction, local, force, delta):
 
 @njit(**KERNEL)
 def residual(W, lower, upper, friction, rows_per_contact, force, delta):
-    """Largest residual of the natural map, in metres and in newtons; see `ContactSolution`."""
+    """Largest residual of the natural map, in metres and in newtons; see `ContactSolution`.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        lower: Least multiplier of each actuator [N], shape (actuator_count,).
+        upper: Greatest multiplier of each actuator [N], same shape.
+        friction: Coefficient µ of each contact, shape (contact_count,).
+        rows_per_contact: Rows of a contact, 1 or 3.
+        force: λ [N], shape (n,).
+        delta: δ [m], shape (n,).
+    """
     own = own_compliance(W, len(lower), rows_per_contact)
     return natural_residual(own, delta, lower, upper, friction, rows_per_contact, force)
 

@@ -25,7 +25,14 @@ NOWHERE = -1
 
 @njit(**KERNEL)
 def shift_riders(positions, slide_of_node, axes, moves):
-    """Translate every attached node along its slide's axis."""
+    """Translate every attached node along its slide's axis.
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3); changed.
+        slide_of_node: Slide that moves each node, `NOWHERE` for none, shape (node_count,).
+        axes: Unit direction of each slide, shape (slide_count, 3).
+        moves: Move of each slide [m], shape (slide_count,).
+    """
     for n in range(len(positions)):
         k = slide_of_node[n]
         if k != NOWHERE:
@@ -35,7 +42,15 @@ def shift_riders(positions, slide_of_node, axes, moves):
 
 @njit(**KERNEL)
 def write_slide_positions(positions, frames, rest_origins, axes, slide_positions):
-    """Position of each slide: displacement of its frame along its axis [m]."""
+    """Position of each slide: displacement of its frame along its axis.
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3).
+        frames: First frame node of the body on each slide, shape (slide_count,).
+        rest_origins: Origin of this frame at rest [m], shape (slide_count, 3).
+        axes: Unit direction of each slide, shape (slide_count, 3).
+        slide_positions: Takes the displacements [m], shape (slide_count,).
+    """
     for k in range(len(frames)):
         n, along = frames[k], 0.0
         for i in range(3):
@@ -45,7 +60,16 @@ def write_slide_positions(positions, frames, rest_origins, axes, slide_positions
 
 @njit(**KERNEL)
 def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
-    """Add the motion of each side along the contacts' directions."""
+    """Add the motion of each side along the contacts' directions.
+
+    Args:
+        slide_of_node: Slide that moves each node, `NOWHERE` for none, shape (node_count,).
+        axes: Unit direction of each slide, shape (slide_count, 3).
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
+        rows_per_contact: Rows of a contact, 1 or 3.
+        columns: G_c, shape (contact_row_count, slide_count); added to.
+    """
     for c in range(len(columns) // rows_per_contact):
         for side in range(2):
             # All four nodes of a rigid side are frame nodes.

@@ -584,7 +584,13 @@ class AugmentedLU(AugmentedRows):
 
 @njit(**KERNEL)
 def add_squared_rows(H, stiffness, matrix):
-    """Add Σ k h hᵀ of dense rows h to the lower triangle of a matrix."""
+    """Add Σ k h hᵀ of dense rows h to the lower triangle of a matrix.
+
+    Args:
+        H: The rows h, shape (row_count, dof_count).
+        stiffness: k of each row [N/m], shape (row_count,); only positive k count.
+        matrix: The matrix, stored column by column [N/m], shape (dof_count, dof_count); added to.
+    """
     for r in range(len(H)):
         if stiffness[r] <= 0.0:
             continue

@@ -154,7 +154,13 @@ def judge(
 
 @njit(**KERNEL)
 def are_near(displacements, made, scales):
-    """Whether no displacement is off by more than `DISPLACEMENT_MET` of its scale; NaN is not."""
+    """Whether no displacement is off by more than `DISPLACEMENT_MET` of its scale; NaN is not.
+
+    Args:
+        displacements: Displacements wanted, in the actuators' units, shape (actuator_count,).
+        made: Displacements made, same shape.
+        scales: Scale of each, same shape.
+    """
     for i in range(len(made)):
         if abs(displacements[i] - made[i]) > DISPLACEMENT_MET * scales[i]:
             return False

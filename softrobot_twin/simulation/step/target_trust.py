@@ -189,7 +189,7 @@ class ActuatorPath:
 
 @njit(**KERNEL)
 def are_equal(first, second):
-    """Whether two arrays of the same length have equal entries; NaN equals NaN."""
+    """Whether two arrays of shape (n,) have equal entries; NaN equals NaN."""
     for i in range(len(first)):
         is_same_nan = np.isnan(first[i]) and np.isnan(second[i])
         if first[i] != second[i] and not is_same_nan:
@@ -199,7 +199,13 @@ def are_equal(first, second):
 
 @njit(**KERNEL)
 def longest_move(before, after, scales):
-    """Greatest move of an actuator as a share of its scale; zero without actuators."""
+    """Greatest move of an actuator as a share of its scale; zero without actuators.
+
+    Args:
+        before: Displacements before the move, in the actuators' units, shape (actuator_count,).
+        after: Displacements after the move, same shape.
+        scales: Scale of each actuator, in the same units, same shape.
+    """
     longest = 0.0
     for i in range(len(scales)):
         longest = max(longest, abs(after[i] - before[i]) / scales[i])
