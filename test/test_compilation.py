@@ -76,3 +76,55 @@ def test_all_kernels_take_their_options_from_one_place():
         and {"njit", "jit"} & {name.name for name in node.names}
     ]  # fmt: skip
     assert outside == []
+
+
+# Rooms with kernels whose docstrings name no shapes yet; all others name them.
+WITHOUT_SHAPES = {"geometry", "mechanics"}
+# Kernels whose first argument is an array, and the builtin that measures one.
+TAKE_AN_ARRAY = {"len", "row", "rows", "set_row", "set_rows"}
+
+
+def public_kernels() -> list[tuple[Path, ast.FunctionDef]]:
+    """Every kernel of the package whose name has no leading underscore, and its file."""
+    return [
+        (path.relative_to(PACKAGE), node)
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
+        and any(ast.unparse(each).startswith("njit(") for each in node.decorator_list)
+    ]  # fmt: skip
+
+
+def array_arguments(kernel: ast.FunctionDef) -> set[str]:
+    """Arguments that the kernel indexes or measures."""
+    used = set()
+    for node in ast.walk(kernel):
+        if isinstance(node, ast.Subscript):
+            used.add(ast.unparse(node.value))
+        elif isinstance(node, ast.Attribute) and node.attr in {"shape", "size"}:
+            used.add(ast.unparse(node.value))
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in TAKE_AN_ARRAY:
+            used.add(ast.unparse(node.args[0]))
+    return used & {each.arg for each in kernel.args.args}
+
+
+def test_arrays_among_the_arguments_of_a_kernel_are_found():
+    source = "def add(x, y, z, count): row(x, 0); y[count] += z.shape[0]"
+    assert array_arguments(ast.parse(source).body[0]) == {"x", "y", "z"}
+
+
+def test_every_public_kernel_has_a_docstring():
+    kernels = public_kernels()
+    assert len(kernels) > 500
+    bare = [f"{path}:{node.name}" for path, node in kernels if not ast.get_docstring(node)]
+    assert bare == []
+
+
+def test_docstrings_of_public_kernels_name_shapes_of_arrays():
+    kernels = [each for each in public_kernels() if each[0].parts[0] not in WITHOUT_SHAPES]
+    assert {path.parts[0] for path, _ in kernels} >= {"constraints", "solvers", "simulation"}
+    silent = [
+        f"{path}:{node.name}" for path, node in kernels
+        if array_arguments(node) and "shape" not in (ast.get_docstring(node) or "")
+    ]  # fmt: skip
+    assert silent == []
