@@ -26,7 +26,14 @@ def writable(array: np.ndarray) -> np.ndarray:
 
 @njit(**KERNEL)
 def write_points(x, nodes, weights, out):
-    """Σ w_a x_a of every point."""
+    """Σ w_a x_a of every point.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes that carry each point, shape (point_count, width).
+        weights: w of these nodes, same shape.
+        out: Takes the points [m], shape (point_count, 3).
+    """
     for p in range(len(nodes)):
         point = (0.0, 0.0, 0.0)
         for a in range(nodes.shape[1]):

@@ -41,7 +41,14 @@ from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
 
 @njit(**KERNEL)
 def advance_nodes(positions, free_nodes, move, share):
-    """Move the free nodes by a share of the first rows of a move."""
+    """Move the free nodes by a share of the first rows of a move.
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3); changed.
+        free_nodes: Node of each of the first unknowns, shape (count,).
+        move: Move of each unknown [m], shape (free_node_count, 3).
+        share: Factor of the move.
+    """
     for k in range(len(free_nodes)):
         for i in range(3):
             positions[free_nodes[k], i] += share * move[k, i]
@@ -49,7 +56,14 @@ def advance_nodes(positions, free_nodes, move, share):
 
 @njit(**KERNEL)
 def write_displacement(before, after, free_nodes, displacement):
-    """Displacement of each free node, in the first rows."""
+    """Displacement of each free node, in the first rows.
+
+    Args:
+        before: Node positions [m], shape (node_count, 3).
+        after: Node positions of the later state [m], same shape.
+        free_nodes: Node of each of the first unknowns, shape (count,).
+        displacement: Takes the displacements [m], shape (free_node_count, 3).
+    """
     for k in range(len(free_nodes)):
         for i in range(3):
             displacement[k, i] = after[free_nodes[k], i] - before[free_nodes[k], i]
@@ -376,7 +390,16 @@ class CarriedPoints:
 
 @njit(**KERNEL)
 def write_point_moves(own, unknowns, derivatives, moves, out):
-    """Σ D dq of some carried points."""
+    """Σ D dq of some carried points.
+
+    Args:
+        own: The points, shape (own_count,).
+        unknowns: Unknowns that each carried point depends on, -1 where none,
+            shape (carried_count, width).
+        derivatives: D, shape (carried_count, width, 3, 3).
+        moves: dq, the move of each unknown, in the first rows, shape (free_count or more, 3).
+        out: Takes the moves of the points [m], shape (carried_count, 3).
+    """
     for p in own:
         for i in range(3):
             out[p, i] = 0.0
@@ -390,7 +413,16 @@ def write_point_moves(own, unknowns, derivatives, moves, out):
 
 @njit(**KERNEL)
 def fold_own_forces(own, unknowns, derivatives, point_forces, forces):
-    """Add Dᵀ f of some carried points to the forces on their unknowns."""
+    """Add Dᵀ f of some carried points to the forces on their unknowns.
+
+    Args:
+        own: The points, shape (own_count,).
+        unknowns: Unknowns that each carried point depends on, -1 where none,
+            shape (carried_count, width).
+        derivatives: D, shape (carried_count, width, 3, 3).
+        point_forces: f of each carried point [N], shape (carried_count, 3).
+        forces: Forces on the unknowns, shape (free_count, 3); added to.
+    """
     for p in own:
         for j in range(unknowns.shape[1]):
             u = unknowns[p, j]
@@ -404,9 +436,24 @@ def fold_own_forces(own, unknowns, derivatives, point_forces, forces):
 def carry_rows(
     free_count, unknowns, derivatives, rows, nodes, blocks, out_rows, out_nodes, out_blocks
 ):
-    """Transform entries of H to the unknowns; returns the number of entries written.
+    """Transform entries of H to the unknowns.
 
     Successive entries of one row at points with the same unknowns are summed into one set.
+
+    Args:
+        free_count: Number of unknowns; a carried point's number follows on.
+        unknowns: Unknowns that each carried point depends on, -1 where none,
+            shape (carried_count, width).
+        derivatives: D, shape (carried_count, width, 3, 3).
+        rows: Row of each entry, shape (entry_count,).
+        nodes: Unknown or carried point of each entry, same shape.
+        blocks: Derivative by that point's position, shape (entry_count, 3).
+        out_rows: Takes the row of each entry written, shape (capacity,).
+        out_nodes: Takes the unknown of each entry written, same shape.
+        out_blocks: Takes the derivative by that unknown, shape (capacity, 3).
+
+    Returns:
+        Number of entries written.
     """
     count, last_row, last_point, width = 0, -1, -1, 0
     for e in range(len(rows)):
@@ -500,7 +547,15 @@ AS_IS, TRANSPOSED, BOTH = 0, 1, 2
 
 @njit(**KERNEL)
 def add_plain_blocks(sources, offsets, strides, scratch, storage):
-    """Add 3×3 blocks without a transformation."""
+    """Add 3×3 blocks without a transformation.
+
+    Args:
+        sources: Where each block begins in `scratch`, shape (count,).
+        offsets: Where each block begins in the storage, same shape.
+        strides: Distance between two columns of the block there, same shape.
+        scratch: Blocks, column after column [N/m], shape (9 block_count,).
+        storage: The factorization's storage [N/m]; added to.
+    """
     for k in range(len(sources)):
         for j in range(3):
             for i in range(3):
@@ -509,7 +564,14 @@ def add_plain_blocks(sources, offsets, strides, scratch, storage):
 
 @njit(**INNER)
 def write_derivative(derivatives, p, j, out):
-    """D of a carried point by one of its unknowns; the unit matrix for a free node, p < 0."""
+    """D of a carried point by one of its unknowns; the unit matrix for a free node, p < 0.
+
+    Args:
+        derivatives: D of all carried points, shape (carried_count, width, 3, 3).
+        p: The carried point, negative for a free node.
+        j: Number of the unknown among those of the point.
+        out: Takes the matrix, shape (3, 3).
+    """
     for a in range(3):
         for b in range(3):
             if p < 0:
@@ -520,7 +582,17 @@ def write_derivative(derivatives, p, j, out):
 
 @njit(**KERNEL)
 def fold_blocks(plan, offsets, strides, derivatives, scratch, work, storage):
-    """Add D_pjᵀ K_pq D_qk of every line (source, p, j, q, k, form) of a plan."""
+    """Add D_pjᵀ K_pq D_qk of every line of a plan.
+
+    Args:
+        plan: Lines (source, p, j, q, k, form), shape (line_count, 6).
+        offsets: Where the block of each line begins in the storage, shape (line_count,).
+        strides: Distance between two columns of the block there, same shape.
+        derivatives: D of all carried points, shape (carried_count, width, 3, 3).
+        scratch: K, blocks column after column [N/m], shape (9 block_count,).
+        work: Memory for three matrices, shape (3, 3, 3).
+        storage: The factorization's storage [N/m]; added to.
+    """
     left, right, half = work[0], work[1], work[2]
     for line in range(len(plan)):
         source, form = plan[line, 0], plan[line, 5]
@@ -594,7 +666,14 @@ def multiply_segments(matrices, ends, loaded, half):
 
 @njit(**KERNEL)
 def add_clique(offsets, strides, matrix, storage):
-    """Add the blocks of a symmetric matrix whose offset is not negative, (width, width) blocks."""
+    """Add the blocks of a symmetric matrix whose offset is not negative.
+
+    Args:
+        offsets: Where each block begins in the storage, -1 for none, shape (width, width).
+        strides: Distance between two columns of the block there, same shape.
+        matrix: The matrix, shape (3 width, 3 width).
+        storage: The factorization's storage [N/m]; added to.
+    """
     for j in range(len(offsets)):
         for m in range(len(offsets)):
             offset = offsets[j, m]
@@ -794,7 +873,17 @@ class FoldedStiffness:
 
 @njit(**INNER)
 def write_ends(nodes, coefficients, places, free_count, derivatives, ends):
-    """E_j = Σ c_a D_aj of one segment, by each of its unknowns."""
+    """E_j = Σ c_a D_aj of one segment, by each of its unknowns.
+
+    Args:
+        nodes: Unknown or carried point of each c_a, -1 where none, shape (width,).
+        coefficients: c_a, same shape.
+        places: Row of `ends` for each unknown of each point, -1 where none,
+            shape (width, point_width).
+        free_count: Number of unknowns; a carried point's number follows on.
+        derivatives: D of all carried points, shape (carried_count, point_width, 3, 3).
+        ends: Takes E, shape (unknown_count, 3, 3).
+    """
     ends[:] = 0.0
     for a in range(len(nodes)):
         n = nodes[a]
@@ -815,7 +904,21 @@ def fold_segments(
     matrices, nodes, coefficients, places, free_count, derivatives, offsets, strides, ends,
     storage,
 ):  # fmt: skip
-    """Add E_jᵀ K E_k of every segment whose K is not zero."""
+    """Add E_jᵀ K E_k of every segment whose K is not zero.
+
+    Args:
+        matrices: K of each segment [N/m], shape (segment_count, 3, 3).
+        nodes: Unknown or carried point of each c_a, -1 where none, shape (segment_count, width).
+        coefficients: c_a, same shape.
+        places: Row of `ends` for each unknown of each point, -1 where none,
+            shape (segment_count, width, point_width).
+        free_count: Number of unknowns; a carried point's number follows on.
+        derivatives: D of all carried points, shape (carried_count, point_width, 3, 3).
+        offsets: Place of each pair's block, -1 for none, shape (segment_count, pair_count).
+        strides: Distance between two columns of that block, same shape.
+        ends: Memory for E of one segment, shape (unknown_count, 3, 3).
+        storage: The factorization's storage [N/m]; added to.
+    """
     count = len(ends)
     for s in range(len(nodes)):
         K = matrices[s]

@@ -39,7 +39,14 @@ NO_LENGTH = 1.0e-8
 
 @njit(**INNER)
 def segment_vector(x, nodes, coefficients, constant):
-    """r = Σ c_a x_a + r_0 of one segment."""
+    """r = Σ c_a x_a + r_0 of one segment.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of the segment, -1 where there is none, shape (width,).
+        coefficients: c of these nodes, same shape.
+        constant: r_0 [m], shape (3,).
+    """
     r = (constant[0], constant[1], constant[2])
     for a in range(len(nodes)):
         if nodes[a] >= 0:
@@ -74,14 +81,32 @@ def spring_law(length, least, stiffness, rest_length, drag, length_before, take_
 
 @njit(**KERNEL)
 def write_lengths(x, nodes, coefficients, constants, lengths):
-    """Length of every spring."""
+    """Length of every spring.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each spring, -1 where there is none, shape (spring_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each spring [m], shape (spring_count, 3).
+        lengths: Takes the lengths [m], shape (spring_count,).
+    """
     for s in range(len(nodes)):
         lengths[s] = norm(segment_vector(x, nodes[s], coefficients[s], constants[s]))
 
 
 @njit(**KERNEL)
 def write_projected_lengths(x, reference, nodes, coefficients, constants, least, lengths):
-    """Each spring's vector at a reference, projected on its direction at a state."""
+    """Each spring's vector at a reference, projected on its direction at a state.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        reference: Node positions at the reference [m], same shape.
+        nodes: Nodes of each spring, -1 where there is none, shape (spring_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each spring [m], shape (spring_count, 3).
+        least: A spring that is not longer has no direction [m]; its whole length is taken.
+        lengths: Takes the projected lengths [m], shape (spring_count,).
+    """
     for s in range(len(nodes)):
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
         other = segment_vector(reference, nodes[s], coefficients[s], constants[s])
@@ -93,7 +118,20 @@ def write_projected_lengths(x, reference, nodes, coefficients, constants, least,
 def add_spring_forces(
     x, nodes, coefficients, constants, least, laws, lengths_before, free, forces
 ):  # fmt: skip
-    """Add -c_a T d of every spring; `laws` holds stiffness, rest length, damping per step, w."""
+    """Add -c_a T d of every spring.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each spring, -1 where there is none, shape (spring_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each spring [m], shape (spring_count, 3).
+        least: A spring that is not longer has no direction [m].
+        laws: Stiffness [N/m], rest length [m], damping per step [N/m] and w [m] of each spring,
+            shape (spring_count, 4).
+        lengths_before: Length of each spring where the step began [m], shape (spring_count,).
+        free: Row of `forces` of each node, negative where fixed, shape (spring_count, width).
+        forces: Forces on unknowns, then on carried points [N], shape (row_count, 3); added to.
+    """
     for s in range(len(nodes)):
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
         pull, _, _ = spring_law(
@@ -108,7 +146,17 @@ def add_spring_forces(
 
 @njit(**INNER)
 def add_spring_block(share, along, across, d, o, stride, storage):
-    """Add share (across 1 + (along - across) d dᵀ) at one block."""
+    """Add share (across 1 + (along - across) d dᵀ) at one block.
+
+    Args:
+        share: Factor of the block.
+        along: Stiffness along the spring [N/m].
+        across: Stiffness across the spring [N/m].
+        d: Direction of the spring, a vector of `vector3`, shape (3,).
+        o: Place of the block in the storage.
+        stride: Distance between two columns of the block.
+        storage: The factorization's storage [N/m]; added to.
+    """
     for j in range(3):
         bend = share * (along - across) * d[j]
         for i in range(3):
@@ -122,7 +170,22 @@ def add_spring_stiffness(
     x, nodes, coefficients, constants, least, laws, lengths_before, projected, offsets, strides,
     storage,
 ):  # fmt: skip
-    """Add the stiffness of every spring; where projected, a positive one."""
+    """Add the stiffness of every spring; where projected, a positive one.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each spring, -1 where there is none, shape (spring_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each spring [m], shape (spring_count, 3).
+        least: A spring that is not longer has no direction [m].
+        laws: Stiffness [N/m], rest length [m], damping per step [N/m] and w [m] of each spring,
+            shape (spring_count, 4).
+        lengths_before: Length of each spring where the step began [m], shape (spring_count,).
+        projected: Whether the stiffness across is at least `LEAST_ACROSS` of that along.
+        offsets: Place of each pair's block, -1 for none, shape (spring_count, pair_count).
+        strides: Distance between two columns of that block, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
     width = nodes.shape[1]
     for s in range(len(nodes)):
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])

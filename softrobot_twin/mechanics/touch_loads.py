@@ -60,7 +60,15 @@ class TouchState(NamedTuple):
 
 @njit(**KERNEL)
 def add_touch_stiffness(weights, stiffness, offsets, strides, storage):
-    """Add w_a w_b diag(s) of every touch to the blocks of its nodes."""
+    """Add w_a w_b diag(s) of every touch to the blocks of its nodes.
+
+    Args:
+        weights: w of the nodes of each touch, shape (touch_count, width).
+        stiffness: s of each touch along the axes [N/m], shape (touch_count, 3).
+        offsets: Place of each pair's block, -1 for none, shape (touch_count, pair_count).
+        strides: Distance between two columns of that block, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
     width = weights.shape[1]
     for touch in range(len(weights)):
         s, pair = row(stiffness, touch), 0
