@@ -41,6 +41,7 @@ COLUMNS = (
     "interrupted_share",
     "factor_flop", "solves_flop", "dgemm_flop_per_s", "share_of_dgemm_speed", "factor_bytes",
     "resident_bytes", "full_ms", "ratio_to_full", "python_calls",
+    "kernel_share",
 )
 
 
@@ -80,6 +81,7 @@ def _row(
         flops and flops.factor,
         flops and flops.solves, size.dense_speed, size.share_of_dense_speed, size.factor_bytes,
         size.resident, whole and 1e3 * whole, whole and times.median / whole, size.calls,
+        size.kernel_share,
     )
 
 
@@ -128,6 +130,7 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
          lambda size: f"{size.mode_count}, {size.point_count}" if size.is_reduced else "-"),
         ("factorization", lambda size: size.factorization),
         ("calls of Python in a step", lambda size: f"{size.calls:.0f}"),
+        ("share of kernels in a step", lambda size: f"{100.0 * size.kernel_share:.0f} %"),
         ("rows of H, contacts with force",
          lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
         ("paper's step / ours", lambda size: _paper_ratio(size)),

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numba.core.registry import CPUDispatcher
 from scipy.sparse.linalg import splu
 
 import softrobot_twin
@@ -804,6 +805,7 @@ class SizeMeasurement:
         statuses: Number of timed steps by status.
         qp_solvers: Number of timed steps by solver of the inverse problem.
         calls: Calls of Python functions in a step, those that are written in C too, in the mean.
+        kernel_share: Share of a step's time that kernels take, in the median.
     """
 
     case: BenchCase
@@ -828,6 +830,7 @@ class SizeMeasurement:
     statuses: Counter[str]
     qp_solvers: Counter[str]
     calls: float
+    kernel_share: float
 
     @property
     def is_reduced(self) -> bool:
@@ -898,6 +901,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     with without_garbage_collection():
         record = _follow(simulation, commands, steps, not is_reduced(case.scene))
         calls = _calls_in_a_step(simulation, commands)
+        kernel_share = _share_of_kernels(simulation, commands)
     factorization = model.factorization
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     return SizeMeasurement(
@@ -911,7 +915,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         record.interrupted / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
         float(np.median(record.dense)), _factor_bytes(factorization), resident,
-        record.statuses, record.qp_solvers, calls)
+        record.statuses, record.qp_solvers, calls, kernel_share)
 
 
 def _commands_of(simulation: Simulation, case: BenchCase):
@@ -992,6 +996,31 @@ def _calls_in_a_step(simulation: Simulation, commands) -> float:
         with profile:
             simulation.step(command)
     return sum(entry.callcount for entry in profile.getstats()) / COUNTED_STEPS
+
+
+def _share_of_kernels(simulation: Simulation, commands) -> float:
+    """Share of a step's time in the kernels that Python calls; the rest is Python's own."""
+    within, inner, shares = 0.0, CPUDispatcher.__call__, []
+
+    def timed(kernel, *values):
+        nonlocal within
+        start = perf_counter()
+        try:
+            return inner(kernel, *values)
+        finally:
+            within += perf_counter() - start
+
+    CPUDispatcher.__call__ = timed
+    try:
+        for _ in range(COUNTED_STEPS):
+            command, within = commands.next(), 0.0
+            start = perf_counter()
+            simulation.step(command)
+            shares.append(within / (perf_counter() - start))
+    finally:
+        # What is inherited from numba's compiled base class is used again.
+        del CPUDispatcher.__call__
+    return float(np.median(shares))
 
 
 def _factor_bytes(factorization) -> int | None:
