@@ -158,42 +158,6 @@ class InverseSolver:
         self.active = solution.active
         return solution
 
-    def efforts_by_guess(
-        self, W: np.ndarray, effectors: slice, errors: np.ndarray, weights: np.ndarray,
-        energy_weight: float, proximal_weight: float, centre: np.ndarray, violation: np.ndarray,
-        bounds: Bounds, stiffness: np.ndarray, reference: np.ndarray,
-    ) -> np.ndarray | None:  # fmt: skip
-        """Efforts without contacts and moves from the last active set, where they are proved.
-
-        Args:
-            W: Compliance of all rows [m/N], those of the actuators first, shape (k, k).
-            effectors: Rows of the effectors.
-            errors: δ_e,free less the targets [m], shape (e,).
-            weights: Q, weight of each effector row, shape (e,).
-            energy_weight: ε.
-            proximal_weight: p.
-            centre: z̄ [N], shape (a,).
-            violation: δ_a,free [m], shape (a,).
-            bounds: Bounds of this step, with the held displacements inside.
-            stiffness: ρ of an augmented tangent, zero without, shape (a,).
-            reference: δ_ref of it [m], shape (a,).
-
-        Returns:
-            λ̂, the efforts where the tangent is not augmented [N], shape (a,); None where there is no last solution, or they are not proved.
-        """
-        # The centre is copied: for a read-only one the kernel would be compiled again.
-        active = self.guess
-        if active is None or len(active) < 2 * len(violation):
-            return None
-        proved, efforts, active = proved_efforts(
-            W, (effectors.start, effectors.stop), errors, weights, energy_weight,
-            proximal_weight, np.array(centre), violation, *bounds, stiffness, reference, active,
-        )  # fmt: skip
-        if not proved:
-            return None
-        self.active = active
-        return efforts
-
     def _solve_program(self, problem: QPCC, held: np.ndarray) -> QPCCSolution:
         """Solve a problem without contacts."""
         count = len(problem.g) + len(problem.row_lower)

@@ -26,7 +26,7 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import RATE
-from softrobot_twin.simulation.step.actuation import NO_EFFORT, NO_MOVES, Actuation, ContactLoads
+from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation, widened
 from softrobot_twin.simulation.step.interpretation import why_not_followed
 from softrobot_twin.simulation.step.linearized import Linearized, row_motion
@@ -748,34 +748,9 @@ class InverseActuation:
                 displacement_max=np.where(slack, np.inf, within.displacement_max),
                 effort_max=np.where(slack, 0.0, within.effort_max),
             )
-        if self._alone and not commanded.any():
-            efforts = self._by_guess(linear, errors, weights, held, within, extra)
-            if efforts is not None:
-                nothing_touches = ContactLoads(NO_FORCES, sweeps=1)
-                return self._settled(linear, efforts, NO_MOVES, nothing_touches, bounds, WARM_START)
         return self._by_search(
             linear, errors, weights, held, start, within, bounds, commanded, extra
         )
-
-    def _by_guess(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        within: Bounds, extra: np.ndarray | None,
-    ) -> np.ndarray | None:  # fmt: skip
-        """Efforts from the last active set, without contacts; None where they are not proved."""
-        W, effectors, stiffness, reference = linear.W, linear.groups.effectors, self._none, self._none
-        if linear.augmentation is not None:
-            stiffness, reference, _ = linear.augmentation
-        if extra is not None:
-            W = np.concatenate([W[: effectors.stop, : effectors.start], extra])
-            effectors = slice(effectors.start, len(W))
-        efforts = self._solver.efforts_by_guess(
-            W, effectors, errors, weights, self._energy_now,
-            self._proximal_weight(), self._centre(linear, held, self._all_free),
-            linear.actuators, within, stiffness, reference,
-        )  # fmt: skip
-        if efforts is not None:
-            self._touching = {}
-        return efforts
 
     def _by_search(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
