@@ -120,7 +120,7 @@ def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
 
 @njit(**KERNEL)
 def write_values(
-    x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed, out
+    x, nodes, coefficients, directions, anchors, begins, row_starts, distance, allowed, out
 ):  # fmt: skip
     """δ of every row.
 
@@ -131,49 +131,47 @@ def write_values(
         directions: Normal and tangents of each contact, shape (capacity, 3, 3).
         anchors: See `anchor` [m], shape (capacity,).
         begins: See `anchor` [m], shape (capacity, 3).
-        count: Number of contacts.
-        per_contact: Rows of a contact, 1 or 3.
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
         distance: Contact distance [m].
         allowed: Bodies that overlap are parted by no more in this step [m].
         out: Takes δ [m], shape (row_count,).
     """
-    for c in range(count):
+    for c in range(len(row_starts) - 1):
         r0, r1, r2 = apart(x, nodes, coefficients, c)
         d = directions[c]
         along = d[0, 0] * r0 + d[0, 1] * r1 + d[0, 2] * r2
         parted = along - begins[c, 0]
-        row = per_contact * c
+        row = row_starts[c]
         out[row] = max(anchors[c] + along - distance, min(parted - allowed, 0.0))
-        for i in range(1, per_contact):
+        for i in range(1, row_starts[c + 1] - row):
             out[row + i] = d[i, 0] * r0 + d[i, 1] * r1 + d[i, 2] * r2 - begins[c, i]
 
 
 @njit(**KERNEL)
-def write_layout(free_index, nodes, count, per_contact, row_index, node_index):
+def write_layout(free_index, nodes, row_starts, row_index, node_index):
     """Row and unknown of every entry of H, row by row; returns the number of entries.
 
     Args:
         free_index: Unknown of each node, -1 where there is none, shape (node_count,).
         nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
-        count: Number of contacts.
-        per_contact: Rows of a contact, 1 or 3.
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
         row_index: Takes the row of each entry, shape (entry_capacity,).
         node_index: Takes the unknown of each entry, same shape.
     """
     entry = 0
-    for c in range(count):
-        for i in range(per_contact):
+    for c in range(len(row_starts) - 1):
+        for row in range(row_starts[c], row_starts[c + 1]):
             for k in range(nodes.shape[1]):
                 n = nodes[c, k]
                 if n >= 0 and free_index[n] >= 0:
-                    row_index[entry] = per_contact * c + i
+                    row_index[entry] = row
                     node_index[entry] = free_index[n]
                     entry += 1
     return entry
 
 
 @njit(**KERNEL)
-def write_blocks(free_index, nodes, coefficients, directions, count, per_contact, blocks):
+def write_blocks(free_index, nodes, coefficients, directions, row_starts, blocks):
     """Entries of H, in the order of `write_layout`.
 
     Args:
@@ -181,13 +179,12 @@ def write_blocks(free_index, nodes, coefficients, directions, count, per_contact
         nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
         coefficients: c of these nodes, same shape.
         directions: Normal and tangents of each contact, shape (capacity, 3, 3).
-        count: Number of contacts.
-        per_contact: Rows of a contact, 1 or 3.
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
         blocks: Takes the entries, shape (entry_count, 3).
     """
     entry = 0
-    for c in range(count):
-        for i in range(per_contact):
+    for c in range(len(row_starts) - 1):
+        for i in range(row_starts[c + 1] - row_starts[c]):
             for k in range(nodes.shape[1]):
                 n = nodes[c, k]
                 if n >= 0 and free_index[n] >= 0:
@@ -207,13 +204,13 @@ class ContactMemory:
             after the first linearization, the same as the guess [N], shape (row_count,).
     """
 
-    def __init__(self, rows_per_contact: int):
+    def __init__(self, most_rows: int):
         """Know nothing.
 
         Args:
-            rows_per_contact: Rows of one contact.
+            most_rows: Rows of one contact at most.
         """
-        self._rows = rows_per_contact
+        self._most_rows = most_rows
         self.forget()
 
     def forget(self) -> None:
@@ -221,8 +218,9 @@ class ContactMemory:
         self._before: list[tuple[int, int]] = []
         self.known: list[tuple[int, int]] = []
         # λ, λ where the step began, and its change in the step before: a row for each contact of
-        # `_before`, and a last one, of zeros, for what is new.
-        self._multipliers, self._at_start, self._change = np.zeros((3, 1, self._rows))
+        # `_before`, and a last one, of zeros, for what is new. Of a contact with fewer rows than
+        # others the last columns are zero.
+        self._multipliers, self._at_start, self._change = np.zeros((3, 1, self._most_rows))
         self.guess = self.expected = self._start = np.zeros(0)
 
     def begin_step(self) -> None:
@@ -230,40 +228,49 @@ class ContactMemory:
         self._change = self._multipliers - self._at_start
         self._at_start = self._multipliers
 
-    def recognise(self, pairs: np.ndarray, keys: np.ndarray) -> None:
+    def recognise(self, pairs: np.ndarray, keys: np.ndarray, row_counts: np.ndarray) -> None:
         """Look up contacts.
 
         Args:
             pairs: Pair that each belongs to, shape (count,).
             keys: Its key in the pair, shape (count,).
+            row_counts: Its rows, shape (count,).
         """
+        self._has_row = np.arange(self._most_rows) < row_counts[:, None]
         self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
         places = slice(-1)
         if self.known != self._before:
             before = dict(zip(self._before, range(len(self._before)), strict=True))
             # What is new is given the last row, which is zero.
             places = np.array([before.get(key, -1) for key in self.known], np.int64)
-        self.guess = self._multipliers[places].flatten()
-        self.expected = self.guess + self._change[places].ravel()
-        self._start = self._at_start[places].ravel()
+        self.guess = self._multipliers[places][self._has_row]
+        self.expected = self.guess + self._change[places][self._has_row]
+        self._start = self._at_start[places][self._has_row]
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        zeros = np.zeros((len(self.known) + 1, self._rows))
-        new = zeros[-1]
-        self._multipliers = np.concatenate((multipliers, new)).reshape(zeros.shape)
-        self._at_start = np.concatenate((self._start, new)).reshape(zeros.shape)
-        self._change, self._before = zeros, self.known
+        tables = np.zeros((3, len(self.known) + 1, self._most_rows))
+        self._multipliers, self._at_start, self._change = tables
+        self._multipliers[:-1][self._has_row] = multipliers
+        self._at_start[:-1][self._has_row] = self._start
+        self._before = self.known
 
 
 class Contacts:
     """Constraint term of all that may touch. Its rows differ from step to step.
 
+    A contact of a pair with friction has three rows, the normal and two tangents; others have one.
+    Contacts without friction come first, then those with friction, both in the order of the pairs.
+
     Attributes:
         pairs: Pairs that may touch.
         pair_names: Names of both bodies of each.
-        rows_per_contact: 3 with friction (normal and two tangents), 1 without.
+        friction_of_pair: Coefficient µ of each, shape (pair_count,).
+        rows_of_pair: Rows of each of its contacts, 3 with friction, else 1, shape (pair_count,).
+        rubs: Whether any pair has friction.
         count: Contacts at the state detected last.
+        row_starts: First row of each, that of its normal, and the number of rows, shape
+            (count + 1,).
         nodes: Nodes that carry both points of each, -1 where none, shape (capacity, width).
         coefficients: Their coefficients c, same shape.
         directions: Normal and two tangents of each, shape (capacity, 3, 3).
@@ -294,14 +301,18 @@ class Contacts:
         self.pairs = pairs
         self.pair_names = tuple(pair.names for pair in pairs)
         self.friction_of_pair = np.array([pair.friction for pair in pairs])
-        self.rows_per_contact = 3 if self.friction_of_pair.any() else 1
+        self.rows_of_pair = np.where(self.friction_of_pair > 0.0, 3, 1)
+        self._order = np.argsort(self.rows_of_pair, kind="stable").tolist()
+        self._most_rows = int(self.rows_of_pair.max(initial=1))
+        self.rubs = self._most_rows > 1
+        self.row_starts = np.zeros(1, np.int64)
         self.count, self.margin = 0, alarm_distance
         self._taken: set[int] = set()
         self._free_index, self._longest = free_index, longest
         self._alarm, self._distance = alarm_distance, contact_distance
         self._push_out_speed, self._allowed = push_out_speed, np.inf
         self._start = None
-        self.memory = ContactMemory(self.rows_per_contact)
+        self.memory = ContactMemory(self._most_rows)
         sides = [side for pair in pairs for side in (pair.first, pair.second)]
         # Nodes of one side of a contact, at most.
         self._width = max([4, *(side.width for side in sides)])
@@ -333,12 +344,12 @@ class Contacts:
     @property
     def row_capacity(self) -> int:
         """Greatest number of rows that the memory can hold."""
-        return self.rows_per_contact * self._capacity
+        return self._most_rows * self._capacity
 
     @property
     def row_count(self) -> int:
         """Rows at the state detected last."""
-        return self.rows_per_contact * self.count
+        return int(self.row_starts[-1])
 
     @property
     def entry_rows(self) -> np.ndarray:
@@ -385,7 +396,8 @@ class Contacts:
         if self.count > self._capacity:
             self._allocate(2 * self.count)
         first = 0
-        for index, near in enumerate(found):
+        for index in self._order:
+            near = found[index]
             last = first + len(near.gaps)
             # What is empty is taken once: so nothing is left to be compiled at the first touch.
             if last > first or index not in self._taken:
@@ -397,11 +409,13 @@ class Contacts:
             positions, self._start, self.nodes, self.coefficients, self.directions, self._gaps,
             self.count, self._anchors, self._begins,
         )  # fmt: skip
+        pair = self.pair[: self.count]
+        row_counts = self.rows_of_pair[pair]
+        self.row_starts = np.concatenate(([0], row_counts.cumsum()))
         self._entry_count = write_layout(
-            self._free_index, self.nodes, self.count, self.rows_per_contact,
-            self._entry_rows, self._entry_nodes,
-        )  # fmt: skip
-        self.memory.recognise(self.pair[: self.count], self._keys[: self.count])
+            self._free_index, self.nodes, self.row_starts, self._entry_rows, self._entry_nodes
+        )
+        self.memory.recognise(pair, self._keys[: self.count], row_counts)
 
     @property
     def overlaps(self) -> np.ndarray:
@@ -440,11 +454,11 @@ class Contacts:
         """Write H and δ [m] of the contacts detected last; see `ConstraintTerm.evaluate`."""
         write_values(
             positions, self.nodes, self.coefficients, self.directions, self._anchors,
-            self._begins, self.count, self.rows_per_contact, self._distance, self._allowed, values,
+            self._begins, self.row_starts, self._distance, self._allowed, values,
         )  # fmt: skip
         write_blocks(
-            self._free_index, self.nodes, self.coefficients, self.directions, self.count,
-            self.rows_per_contact, blocks,
+            self._free_index, self.nodes, self.coefficients, self.directions, self.row_starts,
+            blocks,
         )  # fmt: skip
 
     def stencils(self) -> np.ndarray:
@@ -459,7 +473,7 @@ class Contacts:
     def choose_stiffness(self, is_prescribed: bool) -> None:
         """See `VaryingTerm.choose_stiffness`: then facets that move across a shape roll too."""
         if self.curvature is not None:
-            self.curvature.with_sliding = is_prescribed and self.rows_per_contact == 1
+            self.curvature.with_sliding = is_prescribed and not self.rubs
 
     def limit_stiffness(self, is_limited: bool) -> None:
         """See `VaryingTerm.limit_stiffness`."""

@@ -192,13 +192,13 @@ def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
 
 @njit(**KERNEL)
 def add_facets(
-    x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
-    is_straight, has_round_ends, slides, whole, keys, offsets, strides, low_is_row, work, storage,
+    x, pair, which, nodes, coefficients, directions, forces, radius, axis, is_straight,
+    has_round_ends, slides, whole, keys, offsets, strides, low_is_row, work, storage,
 ):  # fmt: skip
     """Add the stiffness of all facets that press on the shape of one pair."""
     curvature = np.zeros((3, 3))
-    for c in range(count):
-        force, normal = forces[rows_per_contact * c], directions[c, 0]
+    for c in range(len(forces)):
+        force, normal = forces[c], directions[c, 0]
         if which[c] != pair or not force > 0.0:
             continue
         if write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
@@ -250,14 +250,14 @@ def fold_facet(stiffness, points, derivatives, half, offsets, strides, storage):
 
 @njit(**KERNEL)
 def fold_facets(
-    x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
-    is_straight, has_round_ends, slides, whole, first_point, free_index, derivatives, half,
-    offsets, strides, work, storage,
+    x, pair, which, nodes, coefficients, directions, forces, radius, axis, is_straight,
+    has_round_ends, slides, whole, first_point, free_index, derivatives, half, offsets, strides,
+    work, storage,
 ):  # fmt: skip
     """Add the stiffness of all facets of a reduced body that press on the shape of one pair."""
     curvature, points = np.zeros((3, 3)), np.zeros(3, np.int64)
-    for c in range(count):
-        force, normal = forces[rows_per_contact * c], directions[c, 0]
+    for c in range(len(forces)):
+        force, normal = forces[c], directions[c, 0]
         if which[c] != pair or not force > 0.0:
             continue
         if not write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
@@ -417,8 +417,8 @@ class ContactCurvature:
         for pair in self._pairs:
             self._add_pair(
                 pair, np.zeros((1, 3)), np.zeros(3), np.zeros(0, np.int64),
-                np.zeros((0, 8), np.int64), np.zeros((0, 8)), np.zeros((0, 3, 3)), np.zeros(0), 1,
-                0, np.zeros(1),
+                np.zeros((0, 8), np.int64), np.zeros((0, 8)), np.zeros((0, 3, 3)), np.zeros(0),
+                np.zeros(1),
             )  # fmt: skip
 
     def _coordinates_of(self, pair: RoundPair) -> np.ndarray | None:
@@ -441,11 +441,11 @@ class ContactCurvature:
         """
         if not forces.any():
             return
+        normal_forces = forces[contacts.row_starts[:-1]]
         for pair in self._pairs:
             self._add_pair(
                 pair, positions, pair.axis_at(positions), contacts.pair, contacts.nodes,
-                contacts.coefficients, contacts.directions, forces, contacts.rows_per_contact,
-                contacts.count, storage,
+                contacts.coefficients, contacts.directions, normal_forces, storage,
             )  # fmt: skip
 
     def couples_one_facet(self, contacts) -> np.ndarray:
@@ -473,22 +473,21 @@ class ContactCurvature:
         )  # fmt: skip
 
     def _add_pair(
-        self, pair, positions, axis, which, nodes, coefficients, directions, forces,
-        rows_per_contact, count, storage,
-    ) -> None:  # fmt: skip
+        self, pair, positions, axis, which, nodes, coefficients, directions, forces, storage
+    ) -> None:
         blocks = self._blocks.get(pair.index)
         if blocks is not None:
             fold_facets(
                 positions, pair.index, which, nodes, coefficients, directions, forces,
-                rows_per_contact, count, pair.radius, axis, pair.axis is not None,
-                pair.has_round_ends, self.with_sliding and pair.stands, self.is_whole,
+                pair.radius, axis, pair.axis is not None, pair.has_round_ends,
+                self.with_sliding and pair.stands, self.is_whole,
                 self._unknown_count, self._free_index, self._carried.derivatives, self._half,
                 *blocks, self._work, storage,
             )  # fmt: skip
             return
         add_facets(
             positions, pair.index, which, nodes, coefficients, directions, forces,
-            rows_per_contact, count, pair.radius, axis, pair.axis is not None,
-            pair.has_round_ends, self.with_sliding and pair.stands, self.is_whole, self._keys,
+            pair.radius, axis, pair.axis is not None, pair.has_round_ends,
+            self.with_sliding and pair.stands, self.is_whole, self._keys,
             self._offsets, self._strides, self._low_is_row, self._work, storage,
         )  # fmt: skip

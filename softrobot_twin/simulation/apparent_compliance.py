@@ -229,17 +229,16 @@ class EffectorCompliance:
         model = self._model
         if not model.rows.varies:
             return np.empty(0, np.int64), 0
-        contacts, count = model.contacts, model.contacts.rows_per_contact
-        forces = contacts.last_multipliers.reshape(-1, count)
-        normal = forces[:, 0]
+        contacts, forces = model.contacts, model.contacts.last_multipliers
+        starts, row_counts = contacts.row_starts[:-1], np.diff(contacts.row_starts)
+        normal = forces[starts]
         pressing = normal > PRESSES * np.abs(normal).max(initial=0.0)
-        holds = np.zeros(forces.shape, bool)
-        holds[:, 0] = pressing
-        if count > 1:
-            friction = np.linalg.norm(forces[:, 1:], axis=1)
-            holds[:, 1:] = (pressing & (friction < SLIDES * contacts.friction * normal))[:, None]
+        holds = np.repeat(pressing, row_counts)
+        tangents = starts[row_counts == 3, None] + [1, 2]
+        limits = (SLIDES * contacts.friction * normal)[row_counts == 3]
+        holds[tangents] &= (np.linalg.norm(forces[tangents], axis=1) < limits)[:, None]
         first = model.rows.groups.contacts.start
-        return first + np.flatnonzero(holds.ravel()), int(np.count_nonzero(pressing))
+        return first + np.flatnonzero(holds), int(np.count_nonzero(pressing))
 
     def _rows(self, positions: np.ndarray, holding: _Holding) -> _Rows:
         """Rows of the actuators, of the contacts that hold, then of the effectors."""

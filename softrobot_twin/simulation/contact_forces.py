@@ -14,12 +14,12 @@ CARRIES = 1.0e-9
 
 
 @njit(**KERNEL)
-def find_carrying(multipliers, rows_per_contact, least, carrying):
+def find_carrying(multipliers, row_starts, least, carrying):
     """Write the contacts whose normal force is above the least, in their order.
 
     Args:
         multipliers: λ of the contacts' rows [N], shape (contact_row_count,).
-        rows_per_contact: Rows of a contact, 1 or 3.
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
         least: Least normal force [N].
         carrying: Takes the contacts, shape (contact_count,).
 
@@ -27,30 +27,29 @@ def find_carrying(multipliers, rows_per_contact, least, carrying):
         Number of these contacts.
     """
     count = 0
-    for c in range(len(multipliers) // rows_per_contact):
-        if multipliers[rows_per_contact * c] > least:
+    for c in range(len(row_starts) - 1):
+        if multipliers[row_starts[c]] > least:
             carrying[count] = c
             count += 1
     return count
 
 
 @njit(**KERNEL)
-def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
+def write_contact_forces(chosen, multipliers, directions, row_starts, forces):
     """Σ λ d of some contacts.
 
     Args:
         chosen: The contacts, shape (count,).
         multipliers: λ of the rows of all contacts [N], shape (contact_row_count,).
         directions: Normal and tangents of each contact, shape (contact_count, 3, 3).
-        rows_per_contact: Rows of a contact, 1 or 3.
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
         forces: Takes the forces [N], shape (count, 3).
     """
     for c in range(len(chosen)):
         for i in range(3):
-            forces[c, i] = 0.0
-            for k in range(rows_per_contact):
-                multiplier = multipliers[rows_per_contact * chosen[c] + k]
-                forces[c, i] += multiplier * directions[chosen[c], k, i]
+            forces[c, i], first = 0.0, row_starts[chosen[c]]
+            for k in range(row_starts[chosen[c] + 1] - first):
+                forces[c, i] += multipliers[first + k] * directions[chosen[c], k, i]
 
 
 class PairForces(NamedTuple):
@@ -107,11 +106,10 @@ def contact_forces(
         positions: Node positions after the step [m], shape (node_count, 3).
         load: Sum of the magnitudes of all loads [N], the scale of round-off.
     """
-    per_contact = contacts.rows_per_contact
-    carrying = np.empty(len(multipliers), np.int64)
-    count = find_carrying(multipliers, per_contact, CARRIES * load, carrying)
+    row_starts, carrying = contacts.row_starts, np.empty(contacts.count, np.int64)
+    count = find_carrying(multipliers, row_starts, CARRIES * load, carrying)
     carrying, forces = carrying[:count], np.empty((count, 3))
-    write_contact_forces(carrying, multipliers, contacts.directions, per_contact, forces)
+    write_contact_forces(carrying, multipliers, contacts.directions, row_starts, forces)
     return ContactForces(
         contacts.positions[carrying], forces, contacts.gaps(positions)[carrying],
         contacts.pair[carrying], contacts.pair_names,

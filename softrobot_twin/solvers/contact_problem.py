@@ -8,6 +8,9 @@ section 5.2.1), a solution is
                ‖λ_t‖ ≤ µ λ_n            Coulomb: at rest (δ_t = 0) inside the cone,
                δ_t = -s λ_t, s ≥ 0      sliding against the force on its surface
 
+Signorini's law is that of an actuator with the bounds 0 and ∞: where other contacts have friction,
+one without is such a row.
+
 Such a problem has solutions, though not always one: redundant contacts share a load in many ways.
 """
 
@@ -40,6 +43,10 @@ def any_negative(values):
 
 class ContactProblem(NamedTuple):
     """Rows of actuators first, then those of contacts.
+
+    Contacts have either one row each, all without friction, or three. In a problem of both kinds
+    those without friction are rows with the bounds 0 and ∞ after the actuators; see
+    `with_frictionless_contacts`.
 
     Attributes:
         W: Compliance [m/N], symmetric positive semi-definite, shape (n, n); None where it is
@@ -85,6 +92,21 @@ class ContactProblem(NamedTuple):
             raise ValueError("an actuator's least multiplier is above its greatest")
         if any_negative(self.friction):
             raise ValueError("a coefficient of friction is negative")
+
+
+def with_frictionless_contacts(problem: ContactProblem) -> ContactProblem:
+    """The problem whose contacts without friction are rows with the bounds 0 and ∞.
+
+    Args:
+        problem: Its contacts without friction have one row each, and come before those with
+            friction, which have three.
+    """
+    count = np.count_nonzero(problem.friction == 0.0)
+    return problem._replace(
+        lower=np.concatenate([problem.lower, np.zeros(count)]),
+        upper=np.concatenate([problem.upper, np.full(count, np.inf)]),
+        friction=problem.friction[count:],
+    )
 
 
 class ContactSolution(NamedTuple):

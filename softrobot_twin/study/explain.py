@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part_of
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
@@ -698,9 +699,8 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
     # Slides use the contact solver, also in a scene without contact.
     if term is None or entry is None:
         return []
-    rows = count(range(term.rows_per_contact), "row")
     listed = [Effect("contact", describe_contact(entry),
-                     f"{_term(names, 'contacts')}, {rows} a contact, stage detect")]
+                     f"{_term(names, 'contacts')}, {_describe_rows(term)}, stage detect")]
     for pair in term.pairs:
         first, second = pair.names
         places = f", {count(entry.points, 'point')} given in advance"
@@ -884,9 +884,9 @@ def _term_size(term) -> str:
 
 
 def _describe_rows(term) -> str:
-    per_contact = getattr(term, "rows_per_contact", None)
-    if per_contact is not None:
-        return f"{count(range(per_contact), 'row')} a contact"
+    if isinstance(term, Contacts):
+        found = sorted(set(term.rows_of_pair.tolist())) or [1]
+        return f"{' or '.join(map(str, found))} {'row' if found == [1] else 'rows'} a contact"
     return count(range(term.row_count), "row")
 
 

@@ -6,52 +6,58 @@ import pytest
 from softrobot_twin.constraints.contact import ContactMemory
 
 
+def recognise(memory, pairs, keys, row_counts=None):
+    """Look up contacts, of three rows each where nothing else is said."""
+    row_counts = np.full(len(pairs), 3) if row_counts is None else np.array(row_counts)
+    memory.recognise(np.array(pairs, np.int64), np.array(keys, np.int64), row_counts)
+
+
 @pytest.fixture
 def memory():
     """Three contacts of two pairs, with friction, and what they bore."""
     memory = ContactMemory(3)
-    memory.recognise(np.array([0, 0, 1]), np.array([7, 9, 7]))
+    recognise(memory, [0, 0, 1], [7, 9, 7])
     memory.remember(np.arange(9.0))
     return memory
 
 
 def test_known_contacts_start_from_their_last_forces(memory):
-    memory.recognise(np.array([0, 0, 1]), np.array([7, 9, 7]))
+    recognise(memory, [0, 0, 1], [7, 9, 7])
     np.testing.assert_array_equal(memory.guess, np.arange(9.0))
 
 
 def test_forces_follow_the_key_of_a_contact_and_are_zero_for_a_new_one(memory):
-    memory.recognise(np.array([0, 1, 1, 0]), np.array([9, 9, 7, 7]))
+    recognise(memory, [0, 1, 1, 0], [9, 9, 7, 7])
     np.testing.assert_array_equal(memory.guess, [3, 4, 5, 0, 0, 0, 6, 7, 8, 0, 1, 2])
 
 
 def test_changing_a_guess_does_not_change_the_memory(memory):
-    memory.recognise(np.array([0, 0, 1]), np.array([7, 9, 7]))
+    recognise(memory, [0, 0, 1], [7, 9, 7])
     memory.guess[:] = -1.0
-    memory.recognise(np.array([1]), np.array([7]))
+    recognise(memory, [1], [7])
     np.testing.assert_array_equal(memory.guess, [6, 7, 8])
 
 
 def test_a_contact_that_opened_is_new_when_it_closes_again(memory):
-    memory.recognise(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    recognise(memory, [], [])
     memory.remember(np.zeros(0))
-    memory.recognise(np.array([0]), np.array([7]))
+    recognise(memory, [0], [7])
     np.testing.assert_array_equal(memory.guess, np.zeros(3))
 
 
 def test_after_forgetting_no_force_is_remembered(memory):
     memory.forget()
     assert memory.known == [] and len(memory.guess) == 0
-    memory.recognise(np.array([0]), np.array([7]))
+    recognise(memory, [0], [7])
     np.testing.assert_array_equal(memory.guess, np.zeros(3))
 
 
 def test_the_change_of_force_of_the_last_step_is_extrapolated(memory):
     memory.begin_step()
-    memory.recognise(np.array([0, 0, 1]), np.array([7, 9, 7]))
+    recognise(memory, [0, 0, 1], [7, 9, 7])
     memory.remember(np.arange(9.0) + 2.0)
     memory.begin_step()
-    memory.recognise(np.array([0, 1, 1]), np.array([9, 8, 7]))
+    recognise(memory, [0, 1, 1], [9, 8, 7])
     np.testing.assert_array_equal(memory.guess, [5, 6, 7, 0, 0, 0, 8, 9, 10])
     np.testing.assert_array_equal(memory.expected, [7, 8, 9, 0, 0, 0, 10, 11, 12])
 
@@ -59,17 +65,27 @@ def test_the_change_of_force_of_the_last_step_is_extrapolated(memory):
 def test_the_change_of_force_counts_from_the_start_of_the_step(memory):
     memory.begin_step()
     for change in (5.0, 1.0):
-        memory.recognise(np.array([0, 0, 1]), np.array([7, 9, 7]))
+        recognise(memory, [0, 0, 1], [7, 9, 7])
         memory.remember(np.arange(9.0) + change)
-    memory.recognise(np.array([0, 0, 1]), np.array([7, 9, 7]))
+    recognise(memory, [0, 0, 1], [7, 9, 7])
     np.testing.assert_array_equal(memory.expected, memory.guess)
     memory.begin_step()
-    memory.recognise(np.array([0, 0, 1]), np.array([7, 9, 7]))
+    recognise(memory, [0, 0, 1], [7, 9, 7])
     np.testing.assert_array_equal(memory.expected, memory.guess + 1.0)
 
 
 def test_after_forgetting_no_change_is_extrapolated(memory):
     memory.begin_step()
     memory.forget()
-    memory.recognise(np.array([0]), np.array([7]))
+    recognise(memory, [0], [7])
     np.testing.assert_array_equal(memory.expected, np.zeros(3))
+
+
+def test_contacts_of_one_row_and_of_three_keep_their_own_forces():
+    memory = ContactMemory(3)
+    recognise(memory, [0, 0, 1], [7, 9, 7], [1, 1, 3])
+    memory.remember(np.arange(1.0, 6.0))
+    memory.begin_step()
+    recognise(memory, [0, 0, 1, 1], [9, 8, 6, 7], [1, 1, 3, 3])
+    np.testing.assert_array_equal(memory.guess, [2, 0, 0, 0, 0, 3, 4, 5])
+    np.testing.assert_array_equal(memory.expected, 2.0 * memory.guess)

@@ -59,7 +59,7 @@ def write_slide_positions(positions, frames, rest_origins, axes, slide_positions
 
 
 @njit(**KERNEL)
-def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
+def write_contact_columns(slide_of_node, axes, nodes, directions, row_starts, columns):
     """Add the motion of each side along the contacts' directions.
 
     Args:
@@ -67,10 +67,10 @@ def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_conta
         axes: Unit direction of each slide, shape (slide_count, 3).
         nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
         directions: Normal and tangents of each contact, shape (capacity, 3, 3).
-        rows_per_contact: Rows of a contact, 1 or 3.
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
         columns: G_c, shape (contact_row_count, slide_count); added to.
     """
-    for c in range(len(columns) // rows_per_contact):
+    for c in range(len(row_starts) - 1):
         for side in range(2):
             # All four nodes of a rigid side are frame nodes.
             first = 4 * side
@@ -78,10 +78,10 @@ def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_conta
             k = slide_of_node[node] if node >= 0 else NOWHERE
             if k == NOWHERE:
                 continue
-            for i in range(rows_per_contact):
+            for i in range(row_starts[c + 1] - row_starts[c]):
                 d = directions[c, i]
                 along = d[0] * axes[k, 0] + d[1] * axes[k, 1] + d[2] * axes[k, 2]
-                columns[rows_per_contact * c + i, k] += along if side == 0 else -along
+                columns[row_starts[c] + i, k] += along if side == 0 else -along
 
 
 class Slides:
@@ -157,7 +157,7 @@ class Slides:
         columns = np.zeros((contacts.row_count, self.count))
         write_contact_columns(
             self._slide_of_node, self.axes, contacts.nodes, contacts.directions,
-            contacts.rows_per_contact, columns,
+            contacts.row_starts, columns,
         )  # fmt: skip
         return columns
 

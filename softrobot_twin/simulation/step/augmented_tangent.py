@@ -715,7 +715,7 @@ def augmented_tangent_of(model: Model) -> AugmentedRows | None:
         if isinstance(term, HingeAngles):
             return AugmentedHinges(term, own, count, factorization)
     contacts = model.contacts if rows.varies else None
-    if contacts is not None and contacts.rows_per_contact > 1:
+    if contacts is not None and contacts.rubs:
         contacts = None
     is_held = ~actuators.is_effort_driven[:count]
     stretch = rows.stretch_compliance()

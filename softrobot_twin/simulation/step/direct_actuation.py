@@ -17,7 +17,11 @@ from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.step.actuation import Actuation, ContactLoads
 from softrobot_twin.simulation.step.contact_solvers import FORCE_SHARE, ContactSolvers
 from softrobot_twin.simulation.step.linearized import Linearized
-from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.contact_problem import (
+    ContactProblem,
+    ContactSolution,
+    with_frictionless_contacts,
+)
 from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
 from softrobot_twin.solvers.inverse_problem import Bounds
 
@@ -83,7 +87,7 @@ class DirectActuation:
     def warm_up(self) -> None:
         """Compile every contact solver that may be needed."""
         if self.solvers is not None and self._contacts.pairs:
-            self.solvers.warm_up(self._contacts.rows_per_contact)
+            self.solvers.warm_up(3 if self._contacts.rubs else 1)
 
     def remember(self, efforts: np.ndarray) -> None:
         """Start the next solution from these efforts [N], shape (actuator_count,).
@@ -352,11 +356,12 @@ class DirectActuation:
         if len(moves):
             violation[count:] += linear.G_c @ moves
         friction = contacts.friction
-        return ContactProblem(
+        problem = ContactProblem(
             None if compliance.Yt is not None else compliance.W, violation, lower, upper,
             friction if linear.chosen is None else friction[linear.chosen],
-            contacts.rows_per_contact, compliance.Yt,
+            3 if contacts.rubs else 1, compliance.Yt,
         )  # fmt: skip
+        return with_frictionless_contacts(problem) if contacts.rubs else problem
 
     @staticmethod
     def _places(linear: Linearized) -> np.ndarray | slice:
@@ -377,7 +382,11 @@ class DirectActuation:
 
         It is within the tolerance, and so small that the force of the contact would be negligible.
         """
-        normals = problem.W.diagonal()[len(problem.lower) :: problem.rows_per_contact]
+        actuators = len(self._efforts)
+        own, frictionless = problem.W.diagonal()[actuators:], len(problem.lower) - actuators
+        normals = np.concatenate(
+            [own[:frictionless], own[frictionless :: problem.rows_per_contact]]
+        )
         stiffest = normals[normals > 0.0].min(initial=np.inf)
         force = FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
         return min(self.solvers.tolerance, stiffest * force)

@@ -234,27 +234,25 @@ class GeneralizedAlpha(Dynamics):
         contacts = np.array(actuation.contact.multipliers)
         regular = np.zeros_like(excess)
         if contacts.any():
-            own = np.repeat(self._contact_shares(before, contacts), self._per_contact)
+            row_counts = np.diff(self._model.contacts.row_starts)
+            own = np.repeat(self._contact_shares(before, contacts), row_counts)
             excess[groups.contacts] = (1.0 - own) * contacts
             regular[groups.contacts] = own * contacts
             contacts *= own + zeta * (1.0 - own)
         return Divided(excess, regular, contacts)
-
-    @property
-    def _per_contact(self) -> int:
-        return self._model.contacts.rows_per_contact
 
     def _contact_shares(self, before: State, multipliers: np.ndarray) -> np.ndarray:
         """Share of each contact's force that is regular, shape (contact_count,)."""
         rows = self._model.rows
         first = rows.groups.contacts.start
         at = np.flatnonzero(rows.row_index >= first)
-        contact = (rows.row_index[at] - first) // self._per_contact
+        row, starts = rows.row_index[at] - first, self._model.contacts.row_starts
+        contact = np.searchsorted(starts, row, "right") - 1
         unknowns = rows.node_index[at]
-        shares = np.ones(len(multipliers) // self._per_contact)
+        shares = np.ones(len(starts) - 1)
         if before.past is None:
             # At the start all is regular, but where things meet.
-            normal = (rows.row_index[at] - first) % self._per_contact == 0
+            normal = starts[contact] == row
             speeds = np.einsum("ij,ij->i", rows.blocks[at], before.velocities[unknowns])
             approach = np.bincount(contact[normal], speeds[normal], len(shares))
             shares[approach < 0.0] = 0.0

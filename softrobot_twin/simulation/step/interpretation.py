@@ -160,7 +160,7 @@ def why_not_followed(model: Model) -> str:
     """Reason why a scene's effectors cannot follow targets; empty if they can."""
     if model.effectors is None or not model.actuators.count:
         return "this scene has no effectors or no actuators"
-    if model.contacts is not None and model.contacts.rows_per_contact == 3:
+    if model.contacts is not None and model.contacts.rubs:
         return (
             "inverse control in contact with friction is not built into this version: set "
             "friction to 0, or command lengths or tensions"

@@ -85,7 +85,7 @@ class Linearized:
 
     def __init__(
         self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
-        moves: PrescribedMoves | None = None, rows_per_contact: int = 1,
+        moves: PrescribedMoves | None = None, row_starts: np.ndarray | None = None,
         pressing: np.ndarray | None = None, augmentation: Augmentation | None = None,
         multipliers: np.ndarray | None = None,
     ):  # fmt: skip
@@ -96,7 +96,8 @@ class Linearized:
             stack: All rows at the state.
             forces: b [N], shape (free_node_count, 3).
             moves: Moves that slides prescribe; None without slides.
-            rows_per_contact: 3 (normal and two tangents), or 1 without friction.
+            row_starts: First row of each contact and the number of all rows, shape
+                (contact_count + 1,); None if no contact may be omitted.
             pressing: Contacts that are expected to press, if the others may be omitted, shape
                 (contact_count,); None to condense all rows.
             augmentation: Relation between the multipliers of an augmented tangent and efforts;
@@ -109,7 +110,7 @@ class Linearized:
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
         self._values, self._all, self._moves = stack.values, stack.groups, moves
         self._own, self._told = stack.own_compliance(), stack.told
-        self._per_contact = rows_per_contact
+        self._row_starts = row_starts
         self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start
         self._paths, self._present = stack.displacement_rows(), multipliers
         self._is_chosen: np.ndarray | None = None
@@ -213,8 +214,7 @@ class Linearized:
         """Rows of the contacts that are condensed, counted from the first contact's."""
         if self.chosen is None:
             return slice(None)
-        per_contact = self._per_contact
-        return (per_contact * self.chosen[:, None] + range(per_contact)).ravel()
+        return np.flatnonzero(np.repeat(self._is_chosen, np.diff(self._row_starts)))
 
     @property
     def W(self) -> np.ndarray:
@@ -326,15 +326,15 @@ class Linearized:
             multipliers: λ of the condensed rows [N], shape (n,).
         """
         H, move = self._H, self._factorization.expand(multipliers)
-        first = self._all.contacts.start
-        gaps = np.full(len(self._is_chosen), np.inf)
-        contact, row = np.divmod(H.row_index - first, self._per_contact)
-        entries = np.flatnonzero((contact >= 0) & (row == 0))
-        entries = entries[~self._is_chosen[contact[entries]]]
-        moved = np.einsum("ij,ij->i", H.blocks[entries], move[H.node_index[entries]])
+        normals = self._all.contacts.start + self._row_starts[:-1]
         opened = np.flatnonzero(~self._is_chosen)
-        gaps[opened] = self._values[first + self._per_contact * opened]
-        np.add.at(gaps, contact[entries], moved)
+        gaps = np.full(len(self._is_chosen), np.inf)
+        gaps[opened] = self._values[normals[opened]]
+        contact = np.full(H.row_count, -1)
+        contact[normals[opened]] = opened
+        entries = np.flatnonzero(contact[H.row_index] >= 0)
+        moved = np.einsum("ij,ij->i", H.blocks[entries], move[H.node_index[entries]])
+        np.add.at(gaps, contact[H.row_index[entries]], moved)
         return gaps
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
@@ -370,21 +370,19 @@ def expected_to_press(contacts, gaps: np.ndarray) -> np.ndarray | None:
         True for each such contact, shape (contact_count,); None if omitting the others would save
         less than the check of their gaps costs.
     """
-    per_contact = contacts.rows_per_contact
     if len(gaps) <= FEWEST_ROWS:
         return None
-    normals = slice(None, None, per_contact)
+    normals = contacts.row_starts[:-1]
     pressing = (contacts.last_multipliers[normals] > 0.0) | (gaps[normals] < CLOSE * contacts.margin)
-    return pressing if worth_leaving_out(pressing, per_contact) else None
+    return pressing if worth_leaving_out(pressing) else None
 
 
-def worth_leaving_out(pressing: np.ndarray, per_contact: int) -> bool:
+def worth_leaving_out(pressing: np.ndarray) -> bool:
     """Whether omitting the other contacts saves more than the check of their gaps costs.
 
     Args:
         pressing: Contacts that are expected to press, shape (contact_count,).
-        per_contact: Rows of a contact.
     """
     count = len(pressing)
     left_out = count - np.count_nonzero(pressing)
-    return per_contact * count > FEWEST_ROWS and LEAST_SHARE * count < left_out < count
+    return LEAST_SHARE * count < left_out < count

@@ -116,7 +116,7 @@ class Merit:
         self.is_judging, self._actuation, self._slope = True, actuation, slope
         contacts = self._model.contacts
         if contacts is not None:
-            normal_forces = actuation.contact.multipliers[:: contacts.rows_per_contact]
+            normal_forces = actuation.contact.multipliers[contacts.row_starts[:-1]]
             self._bears = np.bincount(
                 contacts.pair[: contacts.count], normal_forces, len(contacts.pairs)
             )
@@ -266,7 +266,7 @@ class Merit:
             overlaps = np.zeros(len(contacts.pairs))
             np.maximum.at(
                 overlaps, contacts.pair[: contacts.count],
-                -values[c][:: contacts.rows_per_contact],
+                -values[c][contacts.row_starts[:-1]],
             )
             total += PENALTY * float(self._bears @ overlaps)
         return total

@@ -96,7 +96,7 @@ class Newton:
         self._effector_columns = self._columns_of_effectors()
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
-            self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
+            self._rows.varies and model.contacts.rubs and model.slides is None
             and model.actuators.conserves
         )
         self.move = Move(model)
@@ -136,7 +136,7 @@ class Newton:
         their energy may rise in between, 4 to 19 for the elastica from rest instead of 14 to 42.
         """
         model = self._model
-        rubs = self._rows.varies and model.contacts.rows_per_contact > 1
+        rubs = self._rows.varies and model.contacts.rubs
         is_slender = any(term.is_slender for term in model.forces)
         return model.actuators.conserves and not (model.is_dynamic or rubs or is_slender)
 
@@ -376,9 +376,9 @@ class Newton:
             positions: Node positions [m], shape (node_count, 3).
             multipliers: λ of all rows there [N], shape (row_count,).
         """
-        model, rows, pressing, per_contact = self._model, self._rows, None, 1
+        model, rows, pressing, row_starts = self._model, self._rows, None, None
         if self._leaves_out:
-            per_contact = model.contacts.rows_per_contact
+            row_starts = model.contacts.row_starts
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
         moves = self._prescribed_moves(positions)
         if not self.is_augmented:
@@ -388,7 +388,7 @@ class Newton:
                 rows.add_forces(np.zeros(rows.row_count), forces)
             self._condensed_forces = forces
             return Linearized(
-                model.factorization, rows, forces, moves, per_contact, pressing,
+                model.factorization, rows, forces, moves, row_starts, pressing,
                 multipliers=multipliers,
             )  # fmt: skip
         augmentation = self._augmented.augmentation(self._held, rows.groups.actuators.stop)
@@ -402,7 +402,7 @@ class Newton:
         rows.add_forces(shift, forces)
         self._condensed_forces = forces
         return Linearized(
-            self._augmented, rows, forces, moves, per_contact, pressing, augmentation
+            self._augmented, rows, forces, moves, row_starts, pressing, augmentation
         )
 
     def true_efforts(self, actuation: Actuation) -> Actuation:
