@@ -211,6 +211,17 @@ def test_friction_is_refused_by_name_in_the_inverse_and_allowed_with_given_lengt
         assert 0.0 < np.linalg.norm(force) ** 2 - normal**2 <= (0.3 * normal) ** 2 * (1 + 1e-3)
 
 
+def test_one_pair_with_friction_is_named_where_targets_are_refused(beam, rod):
+    def rods(mapping):
+        rod(mapping)
+        rod(mapping, x=-0.03, name="rough")
+        mapping["contact"]["between"][1]["friction"] = 0.2
+
+    simulation = beam(rods)
+    with pytest.raises(CommandError, match="between beam and rough"):
+        simulation.step(FollowTargets(simulation.effector_positions(), 0.05))
+
+
 def test_the_same_run_twice_is_the_same_to_the_bit(beam, rod):
     simulation = beam(lambda m: rod(m))
     targets = list(circling(simulation, 1, 30))
