@@ -222,6 +222,7 @@ class ContactMemory:
         # others the last columns are zero.
         self._multipliers, self._at_start, self._change = np.zeros((3, 1, self._most_rows))
         self.guess = self.expected = self._start = np.zeros(0)
+        self._has_row = np.zeros((0, self._most_rows), bool)
 
     def begin_step(self) -> None:
         """Note how λ changed in the step that is over."""

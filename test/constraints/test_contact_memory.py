@@ -81,6 +81,13 @@ def test_after_forgetting_no_change_is_extrapolated(memory):
     np.testing.assert_array_equal(memory.expected, np.zeros(3))
 
 
+def test_after_forgetting_no_contact_is_awaited(memory):
+    memory.forget()
+    memory.remember(np.zeros(0))
+    recognise(memory, [0], [7])
+    np.testing.assert_array_equal(memory.guess, np.zeros(3))
+
+
 def test_contacts_of_one_row_and_of_three_keep_their_own_forces():
     memory = ContactMemory(3)
     recognise(memory, [0, 0, 1], [7, 9, 7], [1, 1, 3])
