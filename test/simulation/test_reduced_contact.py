@@ -15,7 +15,7 @@ from softrobot_twin.simulation.building.body_reduction import (
 from softrobot_twin.simulation.full_model_error import FullModelError
 from softrobot_twin.study.body_training import reduced_scene
 
-from .test_reduced_body import every_point, spanning_basis
+from .building.test_reduced_body import every_point, spanning_basis
 from .test_slides import CART, FOOT, SLIDE
 
 

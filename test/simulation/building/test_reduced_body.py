@@ -27,7 +27,7 @@ from softrobot_twin.simulation.step.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.dense_cholesky import DenseCholesky
 
-from .conftest import MAPPING, SCENE_FILE
+from ..conftest import MAPPING, SCENE_FILE
 
 
 def spanning_basis(body):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation, linearized
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
+from softrobot_twin.simulation.step import linearized
 from softrobot_twin.simulation.step.contact_solvers import ContactSolvers
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.time_budget import StageClock

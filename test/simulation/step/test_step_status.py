@@ -13,9 +13,9 @@ from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
     Status,
-    inverse_actuation,
 )
 from softrobot_twin.simulation.result import RATE
+from softrobot_twin.simulation.step import inverse_actuation
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.step.step_status import ENERGY, NEAR_BALANCE, REACH, Balance, judge
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
