@@ -275,6 +275,31 @@ def _sum_stretches(values, of, share, more, sums):
         sums[i - more] = values[i]
 
 
+@njit(**INNER)
+def _squares_of_sums(of, stiffness, m):
+    """U = √(ρ n) Q, with orthonormal columns Q that are orthogonal to (1, …, 1), shape (m, k).
+
+    Args:
+        of: Cable of each stretch, ascending, shape (stretch_count,).
+        stiffness: ρ s of each cable [N/m], shape (cable_count,).
+        m: Number of rows, those of the stretches first.
+    """
+    U, columns, first = np.zeros((m, len(of))), 0, 0
+    while first < len(of):
+        stop = first
+        while stop < len(of) and of[stop] == of[first]:
+            stop += 1
+        n, rho = stop - first, stiffness[of[first]]
+        for k in range(1, n if rho != 0.0 else 1):
+            scale = np.sqrt(rho * n / (k * (k + 1.0)))
+            for i in range(k):
+                U[first + i, columns] = scale
+            U[first + k, columns] = -k * scale
+            columns += 1
+        first = stop
+    return U[:, :columns].copy()
+
+
 @njit(**KERNEL)
 def without_squared_stretches(G, free, of, stiffness, share, row_count):
     """Subtract Sᵀ U Uᵀ S from a tangent by the Woodbury identity; see the top of this file.
@@ -294,24 +319,8 @@ def without_squared_stretches(G, free, of, stiffness, share, row_count):
         (k, k), Z = L⁻¹ Uᵀ G, shape (k, m), and z = L⁻¹ Uᵀ δ_free, shape (k,).
     """
     m, stretches = len(free), len(of)
-    more, columns = m - row_count, 0
-    U = np.zeros((m, stretches))
-    first = 0
-    while first < stretches:
-        stop = first
-        while stop < stretches and of[stop] == of[first]:
-            stop += 1
-        n, rho = stop - first, stiffness[of[first]]
-        if rho != 0.0:
-            # Orthonormal columns that are orthogonal to (1, …, 1).
-            for k in range(1, n):
-                scale = np.sqrt(rho * n / (k * (k + 1.0)))
-                for i in range(k):
-                    U[first + i, columns] = scale
-                U[first + k, columns] = -k * scale
-                columns += 1
-        first = stop
-    U = U[:, :columns].copy()
+    U = _squares_of_sums(of, stiffness, m)
+    more, columns = m - row_count, U.shape[1]
     Z, z, L = np.zeros((columns, m)), np.zeros(columns), np.zeros((columns, columns))
     W, sums, loose = np.empty((row_count, row_count)), np.empty(row_count), free.copy()
     for c in range(columns):

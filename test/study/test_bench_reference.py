@@ -1,0 +1,29 @@
+"""Steps of shipped robots against docs/bench.csv: a step does not grow unnoticed."""
+
+from pathlib import Path
+
+import pytest
+
+from softrobot_twin.study.bench import MORE_CALLS, read_earlier
+from softrobot_twin.study.bench_measurement import given_cases, measure
+
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE = read_earlier(ROOT / "docs" / "bench.csv")
+# On another processor a robot may take another branch now and then.
+MARGIN = 1.03
+
+
+def test_the_reference_holds_every_robot_that_can_be_benched():
+    assert {
+        "diamond", "diamond_reduced", "finger", "flexo", "trunk", "octoleg", "grasper", "fetch_reduced"
+    } <= set(REFERENCE)  # fmt: skip
+
+
+@pytest.mark.parametrize("robot", ["diamond", "diamond_reduced", "fetch_reduced", "grasper"])
+def test_a_step_makes_no_more_calls_than_in_the_reference(robot):
+    case = next(
+        case for case in given_cases([ROOT / "config" / "scenes" / f"{robot}.yaml"])
+        if case.name == robot
+    )
+    _, calls = REFERENCE[robot]
+    assert measure(case, 4).calls <= MARGIN * MORE_CALLS * calls
