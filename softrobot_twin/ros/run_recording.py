@@ -14,7 +14,7 @@ from softrobot_twin.record.run_clock import RecordedClock
 from softrobot_twin.record.run_description import describe
 from softrobot_twin.record.run_file import INSTALL, SUFFIX, RunFileError, Topic
 from softrobot_twin.record.run_recorder import RunRecorder
-from softrobot_twin.ros.marker_bytes import to_bytes
+from softrobot_twin.ros.message_bytes import to_bytes
 from softrobot_twin.ros.message_definitions import definition, type_name
 from softrobot_twin.ros.ticking_node import TickingNode
 

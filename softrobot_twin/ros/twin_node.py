@@ -36,7 +36,7 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.claim import TopicClaim
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.ros.marker_bytes import JointStateBytes, to_bytes
+from softrobot_twin.ros.message_bytes import JointStateBytes, to_bytes
 from softrobot_twin.ros.messages import (
     contacts_message,
     markers_message,

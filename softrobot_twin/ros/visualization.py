@@ -17,7 +17,7 @@ from visualization_msgs.msg import Marker
 
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TickOutcome
-from softrobot_twin.ros.marker_bytes import Content, MarkerBytes
+from softrobot_twin.ros.message_bytes import Content, MarkerBytes
 from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.view import colours as palette

@@ -8,7 +8,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from softrobot_twin.ros.marker_bytes import Content, MarkerBytes
+from softrobot_twin.ros.message_bytes import Content, MarkerBytes
 from softrobot_twin.ros.topics import NEWEST
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.ros.visualization import OBSTACLES_EVERY, RobotMarkers

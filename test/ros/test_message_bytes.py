@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
-from softrobot_twin.ros.marker_bytes import JointStateBytes, exact_bytes
+from softrobot_twin.ros.message_bytes import JointStateBytes, exact_bytes
 from softrobot_twin.ros.messages import cables_message, stamp_of
 
 

@@ -1,8 +1,9 @@
-"""Arrays of markers as serialized messages, without a Python object for each point.
+"""Messages as bytes: arrays of markers without a Python object for each point, and joints.
 
 A `geometry_msgs/Point` takes 2 µs to make and to convert, and a surface of 2000 triangles has 6000
 of them: as long as a step of the simulation. rclpy also publishes bytes that are serialized
-already, and the points of a message are then the bytes of an array.
+already, and the points of a message are then the bytes of an array. Of a command only the stamp and
+the numbers change from tick to tick.
 """
 
 from __future__ import annotations
