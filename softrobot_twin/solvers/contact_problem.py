@@ -102,6 +102,8 @@ def with_frictionless_contacts(problem: ContactProblem) -> ContactProblem:
             friction, which have three.
     """
     count = np.count_nonzero(problem.friction == 0.0)
+    if count == 0:
+        return problem
     return problem._replace(
         lower=np.concatenate([problem.lower, np.zeros(count)]),
         upper=np.concatenate([problem.upper, np.full(count, np.inf)]),
