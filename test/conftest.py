@@ -303,10 +303,11 @@ def tests_of(table: str) -> dict[Path, set[str]]:
     for room, entries in globals()[table].items():
         for entry in entries:
             file, _, test = entry.partition("::")
-            path = folder / room / f"test_{file}.py"
+            path = folder / room / file
+            path = path.with_name(f"test_{path.name}.py")
             if not path.exists():
                 # The simulation's tests have rooms below it, too.
-                path = next((folder / room).glob(f"*/test_{file}.py"), path)
+                path = next((folder / room).glob(f"*/{path.name}"), path)
             found.setdefault(path, set()).update({test} - {""})
     return found
 

@@ -19,7 +19,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header, String
@@ -296,6 +296,7 @@ class Witness:
         return bool((is_near & (shortest <= lengths) & (lengths <= longest)).all())
 
     def judge(self, message):
+        message = deserialize_message(message, JointState)
         lengths, tensions = np.array(message.position), np.array(message.effort)
         assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
         limits, within = self._limits, self._within

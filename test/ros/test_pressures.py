@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from rcl_interfaces.msg import Log
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
@@ -223,6 +223,7 @@ class Witness:
             publisher.publish = lambda message, name=name: self.judge_pressure(name, message)
 
     def judge(self, message):
+        message = deserialize_message(message, JointState)
         setpoints = np.array(message.position)
         assert np.isfinite(setpoints).all() and np.isfinite(message.effort).all()
         assert (np.abs(setpoints - self._last) <= self._reach + self._slack).all()
