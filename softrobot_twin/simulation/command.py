@@ -9,6 +9,8 @@ import numpy as np
 DEFAULT_TIME_STEP = 0.02
 """Duration of a step where nothing else is asked [s]: of Python, of the command line and of a
 node."""
+LONG = 1.0e3
+"""Duration of a step that no rate limits [s]."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from softrobot_twin.simulation.building.body_materials import cell_values
 from softrobot_twin.simulation.building.constraint_building import effector_term
 from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.simulation.building.scene_layout import lay_out
-from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
+from softrobot_twin.simulation.command import LONG, CommandEfforts, CommandSetpoints, Hold
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.time_budget import StageClock
@@ -45,8 +45,6 @@ CORRECTED_LAWS = ("corotational", "linear")
 """Laws for which `cubic_correction.py` has a correction."""
 MOST_TETS = 20_000
 """Meshes with more tetrahedra are not estimated: factorization would take minutes."""
-LONG = 1.0e3
-"""Duration long enough for any change of length [s]."""
 # Time step with a small change of state [s].
 _SHORT = 1.0e-3
 _TIMED_STEPS = 6

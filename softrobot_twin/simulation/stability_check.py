@@ -11,14 +11,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from softrobot_twin.simulation.command import CommandSetpoints
+from softrobot_twin.simulation.command import LONG, CommandSetpoints
 from softrobot_twin.simulation.step.steppable import Steppable
 
 # All cables are wound in by these shares of what they may be, one after the other, and the body comes
 # near rest at each: before that its stiffness is another.
 SHARES, STEPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), 3
-# Duration of a step that no rate limits [s].
-LONG = 1.0e3
 # The check takes the time of some steps: of larger scenes nobody waits for it.
 MOST_FREE_NODES = 2000
 

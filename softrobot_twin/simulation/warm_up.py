@@ -13,6 +13,8 @@ from softrobot_twin.simulation.step.interpretation import why_not_followed
 
 # Positive, and short enough to change the state little [s].
 TIME_STEP = 1.0e-3
+# Share of a large displacement by which actuators are moved so that they bear.
+TAUT = 1.0e-6
 
 # A simulation needs more compiled kernels than these.
 _FEW_KERNELS = 50
@@ -38,6 +40,11 @@ def run_every_path(simulation) -> None:
         simulation.step(CommandSetpoints(setpoints, TIME_STEP))
         none = np.where(actuators.takes_efforts, 0.0, np.nan)
         simulation.step(CommandEfforts(none, TIME_STEP))
+        if simulation.newton.take_augmented_tangent():
+            taut = actuators.setpoints(TAUT * actuators.limits.drive_scale)
+            simulation.step(CommandSetpoints(taut, TIME_STEP))
+            simulation.newton.take_augmented_tangent()
+            simulation.step(CommandSetpoints(taut, TIME_STEP))
     for part in simulation.parts:
         for measured in part.measurements_to_warm_up(simulation.state):
             simulation.step(Hold(TIME_STEP), None, measured)

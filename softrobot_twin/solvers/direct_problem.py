@@ -120,7 +120,7 @@ def solve_by_daqp(
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(W)
+    scale = compliance_scale(np.ascontiguousarray(W))
     no_rows = np.zeros((0, len(scale)))
     return _solve(W, scale, scale * violation, no_rows, effort_min, effort_max, (), ())
 
@@ -139,7 +139,7 @@ def solve_towards(
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(W)
+    scale = compliance_scale(np.ascontiguousarray(W))
     rows = W * np.outer(scale, scale)
     return _solve(
         W,

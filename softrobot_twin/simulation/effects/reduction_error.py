@@ -21,16 +21,13 @@ from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import with_reduced_entries, without_fallback
-from softrobot_twin.simulation.command import CommandSetpoints
+from softrobot_twin.simulation.command import LONG, CommandSetpoints
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.effects.vertebrae_watch import LARGE_BY_SIZE, ReductionState
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.coordinate_range import coordinate_ranges, reduced_bodies
 from softrobot_twin.simulation.step.steppable import Steppable
-
-# Duration of a step that no rate limits [s].
-LONG = 1.0e3
 
 
 def with_spare_modes(scene: Scene) -> Scene:

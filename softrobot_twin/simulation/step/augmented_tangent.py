@@ -129,9 +129,10 @@ class AugmentedRows:
         stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
         contact_stiffness: ρ of each contact, shape (contact_count,); empty where none is augmented.
         comes_first: Whether a scene begins with the augmented tangent.
+        has_kernels: Whether kernels are compiled for it alone.
     """
 
-    comes_first = False
+    comes_first, has_kernels = False, True
 
     def __init__(
         self, factorization: Factorization, may_be_held: np.ndarray, own: np.ndarray | None = None
@@ -533,6 +534,8 @@ class AugmentedLU(AugmentedRows):
     It has the same number of negative eigenvalues as A less those of 1/ρ + H A⁻¹ Hᵀ (the inertia of
     [[A, Hᵀ], [H, -1/ρ]] from both sides; Nocedal and Wright, section 16.3).
     """
+
+    has_kernels = False
 
     def __init__(self, factorization: Factorization, may_be_held: np.ndarray):
         """See `AugmentedRows`."""

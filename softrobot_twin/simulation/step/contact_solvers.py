@@ -10,6 +10,7 @@ from softrobot_twin.solvers.contact_continuation import ContactContinuation
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
+from softrobot_twin.solvers.direct_problem import solve_by_daqp
 
 # Sweeps after which an active set is used, without friction and with few rows: its time grows with
 # the cube of the rows.
@@ -71,6 +72,7 @@ class ContactSolvers:
         self._solver.solve(problem, nothing)
         if rows_per_contact == 1:
             self._finished(problem, self._short.solve(problem, nothing))
+            solve_by_daqp(problem.W, problem.violation, nothing, nothing)
             return
         found = self.rubbing.solve(problem, nothing)
         # Any gap is accepted and no force, so that the steps after the last sweep are compiled too.

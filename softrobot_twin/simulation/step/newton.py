@@ -190,6 +190,15 @@ class Newton:
             self.merit.forget()
         self._rows.forget()
 
+    def take_augmented_tangent(self) -> bool:
+        """Let the next linearization augment its tangent, where held actuators bear.
+
+        Returns:
+            Whether kernels are compiled by that: else a body that becomes unstable would wait for them.
+        """
+        self._is_indefinite = self._augmented is not None
+        return self._is_indefinite and self._augmented.has_kernels
+
     def forget_folds(self) -> None:
         """Take the state where the next linearization begins for one without folds."""
         self.inverted_count, self.is_folded = 0, False
