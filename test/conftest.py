@@ -229,7 +229,6 @@ LONG = {
         "accuracy::test_errors_fall_with_refinement_and_quadratic_meshes_are_better",
         "bench::test_a_reduced_model_alone_is_timed",
         "bench::test_a_reduced_model_is_compared_with_its_full_one",
-        "bench_contact::test_more_contacts_make_more_rows_on_the_same_matrix",
         "body_training::test_a_stopped_run_goes_on_where_it_was",
         "body_training::test_two_processes_train_the_same",
         "cavity_files::test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies",
@@ -258,6 +257,7 @@ LONG = {
     ),
     "tools": (
         "compare_inverse::test_random_robots_rest_near_the_best_place_or_tell_it[40-7-2]",
+        "contact_growth::test_more_contacts_make_more_rows_on_the_same_matrix",
     ),
 }  # fmt: skip
 # Of tests with many cases, `make test` takes one in three.

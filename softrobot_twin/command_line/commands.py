@@ -288,8 +288,8 @@ def add_bench(commands) -> None:
         "effectors, while the actuators move over their limits, together with one SuperLU "
         "factorization of the same matrices and with dense products. Without "
         "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
-        "Grasper and the Octoleg while they hold. With --contacts: one block on 10 to 200 "
-        "contacts. tools/compare_solvers.py compares factorizations and QP solvers.",
+        "Grasper and the Octoleg while they hold. tools/contact_growth.py times 10 to 200 contacts, "
+        "tools/compare_solvers.py compares factorizations and QP solvers.",
         examples=(
             "",
             "config/scenes/diamond.yaml config/scenes/fetch_reduced.yaml --steps 300",
@@ -305,22 +305,13 @@ def add_bench(commands) -> None:
     parser.add_argument("--compare", metavar="FILE.csv", type=Path,
                         help="bench.csv of an earlier run: steps that are slower by a tenth, in "
                         "units of SuperLU, or make more calls of Python are marked")
-    parser.add_argument("--contacts", action="store_true",
-                        help="time steps over numbers of contacts; with --output contacts.csv "
-                        "and contacts.png")
 
 
 def _bench(chosen: argparse.Namespace) -> int:
     from softrobot_twin.study.bench import bench
-    from softrobot_twin.study.contact_growth import bench_contacts
 
-    if not chosen.scenes or chosen.contacts:
+    if not chosen.scenes:
         refuse(chosen, "a scene to time", "commands")
-    if chosen.contacts:
-        refuse(chosen, "without --contacts", "compare")
-        if chosen.scenes:
-            raise OptionError("--contacts", "times a block of its own and takes no scene")
-        return bench_contacts(chosen.steps, chosen.output)
     return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands, chosen.compare)
 
 

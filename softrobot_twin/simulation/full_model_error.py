@@ -30,7 +30,7 @@ from softrobot_twin.simulation.effects.reduction_error import (
     step_held,
 )
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.coordinate_range import reduced_bodies
+from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.step.steppable import Steppable
 
 # A linearization that moves the effectors by at most this share of their distance from the reduced

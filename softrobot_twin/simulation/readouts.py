@@ -27,7 +27,7 @@ from softrobot_twin.simulation.effects.reduction_error import (
 )
 from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState, reduction_state
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.coordinate_range import reduced_bodies
+from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.step.stiffness_targets import stiffness_of_scene
 
 

@@ -26,7 +26,6 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.effects.effects import step_parts
-from softrobot_twin.simulation.effects.exploration import NEARER, Exploration
 from softrobot_twin.simulation.effects.fallback import Fallback, build_fallback
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
@@ -41,7 +40,7 @@ from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.step.inverse_actuation import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
-from softrobot_twin.simulation.step.step_part import StepPart
+from softrobot_twin.simulation.step.step_part import StepPart, those_with
 from softrobot_twin.simulation.step.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step.step_status import Balance, balance
 from softrobot_twin.simulation.step.stiffness_targets import (
@@ -49,7 +48,7 @@ from softrobot_twin.simulation.step.stiffness_targets import (
     StiffnessRows,
     StiffnessTargets,
 )
-from softrobot_twin.simulation.step.target_trust import CALM, NO_LOADS, Approach
+from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.warm_up import run_every_path, tell_of_compilation
@@ -60,9 +59,9 @@ from softrobot_twin.solvers.factorization import Factorization
 SHARES = (1.0, 0.5, 0.25, 0.125)
 # Linearizations of a step in time of which a move was too long for one of them, at most.
 MOST_SHARES = 10
-# A move of guided bodies that alone would fold elements is made in at most as many parts; halvings
-# of one of them, moves of the bodies after each, and their length, by the body's size, that is near.
-MOST_PARTS, MOST_HALVINGS, MOST_MOVES_OF_PART, NEAR_AFTER_PART = 100, 20, 12, 0.01
+# Moves of bodies that are brought near balance, at most, and the length of one, by the body's size,
+# that is near.
+MOST_MOVES_TO_NEAR, NEAR = 12, 0.01
 # A step in balance that moves no node by more than this share of the body's size, and changes no
 # effort by more than this share of its scale, keeps the state: at rest round-off leaves 1e-14.
 KEPT_SHARE = 1.0e-12
@@ -74,8 +73,6 @@ KEPT_SHARE_WHILE_STAYING = 1.0e-6
 # Steps towards the same targets that keep the state before further ones need not be made. Within
 # fewer the inverse tries all that it will try from there, but one step for each actuator.
 STEPS_UNTIL_REST = 120
-# The same where they are missed, before nearer poses are sought.
-STEPS_UNTIL_EXPLORATION = 300
 
 
 class Correction(NamedTuple):
@@ -100,6 +97,20 @@ class Correction(NamedTuple):
     stiffness: ReachedStiffness | None = None
 
 
+class Kept(NamedTuple):
+    """What keeps a state in balance.
+
+    Attributes:
+        command: The command whose step kept it last.
+        count: Steps in a row that kept it by the same command, less one.
+        result: What further steps by that command give; None where they must be made.
+    """
+
+    command: Command
+    count: int
+    result: StepResult | None
+
+
 class Simulation(Readouts):
     """One scene, its state, and the step between states.
 
@@ -110,6 +121,9 @@ class Simulation(Readouts):
         newton: Linearizes the model and corrects positions.
         inverse: Finds actuation towards targets; None in scenes without effectors.
         fallback: The other model of a reduced body; None without.
+        parts: The optional effects around its steps.
+        kept: What keeps the state; None where the last step changed it.
+        is_balanced: Whether the last step ended in balance, or near it.
         may_rest: Whether a state in balance is kept while the command stays.
     """
 
@@ -148,20 +162,24 @@ class Simulation(Readouts):
         self.inverse = build_inverse(self.model, self.direct, qp_solvers)
         self._results = StepResults(self.model, self.parts, self.newton, self.inverse)
         self._optimises = "optimise" in self.model.stages
+        self._replacing = those_with(self.parts, "step_in_place")
+        self._leading = those_with(self.parts, "lead")
+        self._recalling = those_with(self.parts, "recall")
+        self._beginning = those_with(self.parts, "begin")
+        self._commanding = those_with(self.parts, "command")
+        self._ending = those_with(self.parts, "end")
+        self._keeping = those_with(self.parts, "memory_at_rest", "may_keep")
         self._stiffness = None
         if self.model.weighs_stiffness:
             self._stiffness = StiffnessTargets(self.model)
         self._reading = Interpretation(self.model)
         self._find_surface()
         self.fallback: Fallback | None = None
-        # Dynamic scenes, contacts, guided bodies and some parts remember more than a state that is
-        # kept tells of.
-        guides = self.model.guides
+        # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
         self.may_rest = not (
-            self.model.is_dynamic or self.model.rows.varies or (guides is not None and guides.limits)
+            self.model.is_dynamic or self.model.rows.varies
             or not all(part.may_rest for part in self.parts)
         )
-        self._explores = self.model.scene.solver.exploration
         self.reset()
         if with_warnings:
             self.model.notes.extend(stability_notes(self))
@@ -188,8 +206,8 @@ class Simulation(Readouts):
                 part.remembered(part.memory_at_rest()) for part in self.parts
             ),
         )  # fmt: skip
-        if self.model.guides is not None:
-            self.model.guides.reset()
+        for part in self.parts:
+            part.reset()
         self._begin_anew()
 
     @staticmethod
@@ -217,20 +235,20 @@ class Simulation(Readouts):
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
         self.state = state
-        if self.model.guides is not None:
-            self.model.guides.stay(state.positions)
+        for part in self.parts:
+            part.restore(state)
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Lets the solvers begin from the state alone."""
-        self._kept_by: Command | None = None
-        self._rest: StepResult | None = None
-        self._kept_count = 0
-        self._exploration: Exploration | None = None
-        self._forget_solvers()
+        """Forget the steps before."""
+        self.kept: Kept | None = None
+        for part in self.parts:
+            part.forget()
+        self.forget_solvers()
 
-    def _forget_solvers(self) -> None:
-        self._is_balanced, self._goes_on = True, False
+    def forget_solvers(self) -> None:
+        """Let the solvers begin from the state alone."""
+        self.is_balanced, self._goes_on = True, False
         self.newton.forget()
         self.direct.remember(self.state.efforts)
         if self.inverse is not None:
@@ -284,13 +302,10 @@ class Simulation(Readouts):
             CommandError: The command or what is measured does not fit this scene, or is not finite.
         """
         clock = StageClock(self.now)
-        if self._exploration is not None:
-            if not self._goes_on_exploring(command, measured):
-                self._end_exploration()
-            elif self._exploration.trial is None:
-                return self._stay(command, self._exploration.result)
-            elif not self._exploration.is_found:
-                return self._explore(command, budget, measured)
+        for part in self._replacing:
+            done = part.step_in_place(self, command, budget, measured)
+            if done is not None:
+                return done
         if self.fallback is not None:
             self.fallback.choose(self)
             clock.mark("fallback")
@@ -309,7 +324,9 @@ class Simulation(Readouts):
         if self._goes_on and not newton.projected_tangent:
             newton.go_on()
         pressed = time_budget.must_hurry(budget)
-        led = self._lead(positions, efforts, command.time_step, clock)
+        led = all(
+            part.lead(self, positions, efforts, command.time_step, clock) for part in self._leading
+        )
         hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
         inverted = newton.inverted_count
@@ -331,8 +348,8 @@ class Simulation(Readouts):
                 time_budget.learn(clock.total - begin)
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
         reached = self._balance(done, budget) if led else Balance.MISSED
-        self._is_balanced = reached is not Balance.MISSED
-        self._goes_on = not (self._is_balanced or self.model.is_dynamic)
+        self.is_balanced = reached is not Balance.MISSED
+        self._goes_on = not (self.is_balanced or self.model.is_dynamic)
         outcome = Outcome(
             positions, done.actuation, done.held, done.linear, reached,
             done.residual, iterations, error, pressed, done.stiffness,
@@ -354,110 +371,53 @@ class Simulation(Readouts):
         Returns:
             The result, at which `report.is_resting`; None where the step must be made.
         """
-        if self._rest is None or not self._asks_as(self._kept_by, command):
+        kept = self.kept
+        if kept is None or kept.result is None or not self.asks_as(kept.command, command):
             return None
         if measured is not None and measured.is_any:
             return None
-        if self._exploration is not None and self._exploration.trial is not None:
+        if any(part.is_stepping for part in self._replacing):
             return None
-        return self._stay(command, self._rest)
+        return self.stay_by(command, kept.result)
 
-    def _stay(self, command: Command, rest: StepResult) -> StepResult:
-        """A result at rest, after the time of one more step."""
+    def stay_by(self, command: Command, rest: StepResult) -> StepResult:
+        """A result at rest, after the time of one more step.
+
+        Args:
+            command: What is asked.
+            rest: The result of a step that kept the state.
+        """
         self.state = self.state.kept_through(command.time_step)
         result = object.__new__(StepResult)
         result.__dict__.update(rest.__dict__, state=self.state)
         return result
 
-    def _asks_as(self, before: Command, command: Command) -> bool:
-        """Whether a command asks for the same as one before, of a state that is kept."""
+    def asks_as(self, before: Command, command: Command) -> bool:
+        """Whether a command asks for the same as one before, of a state that is kept.
+
+        Args:
+            before: The command before.
+            command: The command.
+        """
         # Where nothing depends on time, it is the same how long actuators are held, and how long a
         # step is that would have had time to move them.
         is_held = isinstance(command, Hold) or (may_move(command) and may_move(before))
         is_any_time = is_held and not any(part.depends_on_time for part in self.parts)
         return are_same(command, before, TIMES if is_any_time else ())
 
-    def _goes_on_exploring(self, command: Command, measured) -> bool:
-        """Whether a command asks for the targets from which nearer poses are sought."""
-        is_other = measured is not None and measured.is_any
-        return not is_other and self._asks_as(self._exploration.command, command)
-
-    def _end_exploration(self) -> None:
-        if not self._exploration.is_found:
-            self._forget_solvers()
-        self._exploration = None
-
-    def _may_explore(self, command: Command, rest: StepResult) -> None:
-        """Begin to look for nearer poses where a robot rests away from its targets.
-
-        From where an exploration led, the next one begins, if that is nearer indeed.
-        """
-        before, misses = self._exploration, self.inverse.trust.misses
-        is_nearer = before is None or misses @ misses < NEARER * before.missed
-        if rest.status is not Status.OK and is_nearer:
-            self._exploration = Exploration(command, rest, misses, self.actuators)
-            self._begin_trial()
-        elif before is not None:
-            before.end(rest)
-
-    def _begin_trial(self) -> None:
-        self._forget_solvers()
-        if self._exploration.trial is not None:
-            near, trial = 0.5 * NEARER * self._exploration.missed, self._exploration.trial
-            self.inverse.trust.depart(trial.goal, trial.follows, near)
-
-    def _explore(
-        self, command: Command, budget: float | None, measured: object | None
-    ) -> StepResult:
-        """Make a step of a trial in place of one of the robot, which would keep its state."""
-        exploration, newton, trust = self._exploration, self.newton, self.inverse.trust
-        stays = self.state, self._kept_by, self._kept_count, self._rest
-        self.state, newton.factor_age = exploration.state, exploration.factor_age
-        self._exploration = self._kept_by = None
-        try:
-            tried = self.step(command, budget, measured)
-            moved = np.abs(self.state.setpoints - exploration.state.setpoints)
-            exploration.state = self.state
-        except Exception:
-            self._forget_solvers()
-            raise
-        finally:
-            self.state, self._kept_by, self._kept_count, self._rest = stays
-            # The factor is that of another state.
-            exploration.factor_age, newton.factor_age = newton.factor_age, None
-        self._exploration = exploration
-        has_gone = trust.approach is not Approach.DEPART
-        is_stable = self._is_balanced and not newton.projected_tangent
-        is_calm = bool((moved <= CALM * self.limits.drive_scale).all())
-        trial = exploration.trial
-        if tried.status.is_failure:
-            exploration.next_trial()
-        else:
-            exploration.judge(trust.misses, has_gone, is_stable, is_calm)
-        if exploration.is_found or exploration.trial is not trial:
-            self._begin_trial()
-        self.state = self.state.kept_through(command.time_step)
-        report = replace(
-            exploration.result.report, stage_times=tried.report.stage_times,
-            compute_time=tried.report.compute_time, iterations=tried.report.iterations,
-            factor_age=tried.report.factor_age, is_late=tried.report.is_late, is_exploring=True,
-            is_resting=False,
-        )  # fmt: skip
-        return replace(exploration.result, state=self.state, report=report)
-
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
-        guides, guided = self.model.guides, NO_LOADS
-        if guides is not None and guides.limits:
-            guided = guides.points(positions)
+        guided = NO_LOADS
+        if self._leading:
+            guided = np.concatenate([part.prescribed(positions) for part in self._leading])
         is_stable = not self.newton.projected_tangent
         loads = [part.loads for part in self.parts if part.loads is not None]
         if not loads:
-            self.inverse.begin_step(self._is_balanced, is_stable, guided=guided)
+            self.inverse.begin_step(self.is_balanced, is_stable, guided=guided)
             return
         own = self._load_of_parts() + self.actuators.load(self.state.efforts)
         self.inverse.begin_step(
-            self._is_balanced, is_stable, np.concatenate(loads), self.newton.constant_load + own, guided
+            self.is_balanced, is_stable, np.concatenate(loads), self.newton.constant_load + own, guided
         )
 
     def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
@@ -471,11 +431,14 @@ class Simulation(Readouts):
             What is to be done, and whether the stiffness is another than before.
         """
         taken, changes = measured is None, False
-        for part in self.parts:
-            takes = part.takes is not None and isinstance(measured, part.takes)
+        for part in self._recalling:
             part.recall(self.state)
+        for part in self._beginning:
+            takes = part.takes is not None and isinstance(measured, part.takes)
             changes |= part.begin(self.state, measured if takes else None)
-            command, taken = part.command(command, self.state), taken or takes
+            taken = taken or takes
+        for part in self._commanding:
+            command = part.command(command, self.state)
         if not taken:
             what = type(measured).__name__.lower()
             raise CommandError(what, f"nothing in this scene can be {what}")
@@ -529,55 +492,30 @@ class Simulation(Readouts):
             reached = self._stiffness.reached(rows, state, positions, actuation.efforts)
         return Correction(linear, actuation, held, share, residual, error, reached)
 
-    def _lead(
+    def come_near(
         self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
-    ) -> bool:
-        """Bring the bodies after what is guided where its move alone would fold their elements.
-
-        What is guided goes by parts of its move, none of which takes most of an element's volume,
-        and the bodies come near balance after each but the last.
+    ) -> np.ndarray | None:
+        """Bring the bodies near balance, while the actuators stay.
 
         Args:
-            positions: Node positions with all that is guided at its end [m], shape (node_count, 3);
-                moved.
-            efforts: Efforts of the actuators [N], shape (actuator_count,); meanwhile they stay.
+            positions: Node positions [m], shape (node_count, 3); moved.
+            efforts: Efforts of the actuators there, in their units, shape (actuator_count,).
             time_step: h [s].
             clock: Books the stages.
 
         Returns:
-            Whether it arrived; it goes on in the next step.
+            Efforts of the actuators after it; None where there is no way.
         """
-        guides, newton = self.model.guides, self.newton
-        if guides is None or not guides.moved or newton.is_folded:
-            return True
-        if not newton.folds(self.state.positions, positions):
-            return True
-        hold = Hold(time_step)
+        hold, newton = Hold(time_step), self.newton
         still = self._reading.read(hold, self.state)
-        positions[:], gone, tried = self.state.positions, 0.0, positions.copy()
-        for _ in range(MOST_PARTS):
-            part = 1.0 - gone
-            for _ in range(MOST_HALVINGS):
-                tried[:] = positions
-                guides.place(tried, gone + part)
-                if not newton.folds(positions, tried):
-                    break
-                part *= 0.5
-            else:
-                newton.forget_folds()
-                return False
-            positions[:], gone = tried, gone + part
-            if gone >= 1.0:
-                return True
-            for _ in range(MOST_MOVES_OF_PART):
-                done = self._iterate(positions, efforts, hold, still, clock, False)
-                if done is None or done.share == 0.0:
-                    positions[:] = tried
-                    return False
-                efforts = done.actuation.efforts
-                if done.share == 1.0 and newton.last_move <= NEAR_AFTER_PART * self.model.nodes.size:
-                    break
-        return False
+        for _ in range(MOST_MOVES_TO_NEAR):
+            done = self._iterate(positions, efforts, hold, still, clock, False)
+            if done is None or done.share == 0.0:
+                return None
+            efforts = done.actuation.efforts
+            if done.share == 1.0 and newton.last_move <= NEAR * self.model.nodes.size:
+                break
+        return efforts
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
         """Displacements that the actuators are held at, or that a step towards targets starts from.
@@ -743,7 +681,7 @@ class Simulation(Readouts):
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             motion.velocities, motion.past, self._memory(
                 part.remembered(part.end(outcome.positions, outcome.actuation.efforts))
-                for part in self.parts
+                for part in self._ending
             ),
         )  # fmt: skip
         is_kept = self._is_kept(command, asked, outcome, state)
@@ -775,7 +713,7 @@ class Simulation(Readouts):
             return False
         if self.newton.inverted_count:
             return False
-        if not all(part.may_keep(before, state) for part in self.parts):
+        if not all(part.may_keep(before, state) for part in self._keeping):
             return False
         follows = isinstance(command, FollowTargets)
         share = KEPT_SHARE_TOWARDS_TARGETS if follows else KEPT_SHARE
@@ -804,38 +742,38 @@ class Simulation(Readouts):
             is_kept: Whether the step kept the state.
         """
         newton = self.newton
-        is_again = is_kept and self._kept_by is not None and self._asks_as(self._kept_by, command)
-        kept_count = self._kept_count + 1 if is_again else 0
+        before, self.kept = self.kept, None
         if not is_kept:
-            self._kept_by = self._rest = None
             return
-        if isinstance(command, FollowTargets):
+        is_again = before is not None and self.asks_as(before.command, command)
+        count, follows = before.count + 1 if is_again else 0, isinstance(command, FollowTargets)
+        if follows:
             self.direct.remember(self.state.efforts)
-            explores = self._explores and not command.is_on_way
-            is_first = explores and self._exploration is None and result.status is not Status.OK
-            steps = STEPS_UNTIL_EXPLORATION if is_first else STEPS_UNTIL_REST
-            is_again = kept_count >= steps + len(self.state.setpoints)
+            waits = (part.steps_until_rest(command, result) for part in self._replacing)
+            is_again = count >= max(STEPS_UNTIL_REST, *waits, 0) + len(self.state.setpoints)
         else:
             age = newton.factor_age
             self._begin_anew()
             # The factor is that of the kept state, for whoever asks for compliances there.
             newton.factor_age = 0 if age == 0 else None
-        self._kept_by, self._kept_count, self._rest = command, kept_count, None
-        if is_again:
-            report = replace(
-                result.report, stage_times=dict.fromkeys(result.report.stage_times, 0.0),
-                compute_time=0.0, iterations=0, factor_age=0, is_late=False, is_resting=True,
-            )  # fmt: skip
-            self._rest = replace(result, report=report)
-            if isinstance(command, FollowTargets) and explores:
-                self._may_explore(command, self._rest)
+        if not is_again:
+            self.kept = Kept(command, count, None)
+            return
+        report = replace(
+            result.report, stage_times=dict.fromkeys(result.report.stage_times, 0.0),
+            compute_time=0.0, iterations=0, factor_age=0, is_late=False, is_resting=True,
+        )  # fmt: skip
+        self.kept = Kept(command, count, replace(result, report=report))
+        if follows:
+            for part in self._replacing:
+                part.rest(self, command, self.kept.result)
 
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
         self._goes_on = False
-        self._kept_by = self._rest = None
+        self.kept = None
         self.state = self.state.kept_through(command.time_step)
         self.model.rows.tell_efforts(self.state.efforts)
         return self._results.of_failure(

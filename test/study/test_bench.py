@@ -228,4 +228,3 @@ def test_a_file_that_is_no_bench_is_refused_before_anything_is_timed(column, tmp
     done = call("bench", column, "--compare", tmp_path / "other.csv")
     assert done.code == 2 and "other.csv" in done.errors and "no bench.csv" in done.errors
     assert call("bench", column, "--compare", tmp_path / "none.csv").code == 2
-    assert call("bench", "--contacts", "--compare", tmp_path / "other.csv").code == 2

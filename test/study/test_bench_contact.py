@@ -1,6 +1,4 @@
-"""``bench`` with contact: held commands, the paper's robots, and growth with contacts."""
-
-import csv
+"""``bench`` with contact: held commands, and the paper's robots."""
 
 import numpy as np
 import pytest
@@ -18,12 +16,6 @@ from softrobot_twin.study.bench_measurement import (
     given_cases,
     measure,
     holding_cases,
-)
-from softrobot_twin.study.contact_growth import (
-    contact_table,
-    draw_contacts,
-    measure_contacts,
-    write_contacts,
 )
 
 
@@ -90,25 +82,7 @@ def test_an_option_that_is_impossible_in_contact_gives_one_line(
     assert not list(tmp_path.iterdir()), "nothing is left behind"
 
 
-def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
-    few, many = found = measure_contacts(tmp_path, 5, (3, 6))
-    assert few.dof_count == many.dof_count
-    assert 9 <= few.contact_count < 36 <= many.contact_count
-    assert many.row_count > few.row_count >= 3 * few.contact_count
-    assert few.stages["optimise"].median < few.stages[WHOLE_STEP].median
-    write_contacts(tmp_path / "contacts.csv", found)
-    with (tmp_path / "contacts.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * len(few.stages)
-    assert {row["contacts"] for row in rows} == {f"{one.contact_count:g}" for one in found}
-    assert contact_table(found).row_count == 3
-    pytest.importorskip("matplotlib")
-    draw_contacts(tmp_path / "contacts.png", found, "here")
-    assert (tmp_path / "contacts.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_options_without_effect_in_contact_are_refused(stamp, call):
-    assert "no scene" in call("bench", stamp, "--contacts").errors
+def test_commands_without_a_scene_are_refused(call):
     assert "--commands: requires" in call("bench", "--commands", "x.csv").errors
 
 

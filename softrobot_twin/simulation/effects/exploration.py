@@ -12,21 +12,28 @@ of the robot, which would change nothing, it is one of these.
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.command import FollowTargets
-from softrobot_twin.simulation.result import StepResult
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.command import Command, FollowTargets
+from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.step_part import StepPart
+from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.target_trust import CALM, Approach
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
 # its limits shorten to less than the last share is not.
 MOVES, LEAST_MOVE = (0.05, -0.1, -0.03, 0.15), 0.01
 # After these, so many moves of all actuators are tried, at random with this standard deviation.
 RANDOM_MOVES, RANDOM_MOVE = 8, 0.1
+# Steps towards targets in vain that keep the state, before nearer poses are sought.
+STEPS_UNTIL_EXPLORATION = 300
 # A pose is nearer where the weighted sum of squared distances is below this share.
 NEARER = 0.985
 # Steps of one trial; steps in which it comes no nearer than so far by `PROGRESS`, before it is given up
@@ -200,3 +207,113 @@ class Exploration:
         # Bounds must not meet, for what is not free nor for what is at its limit.
         moves = lsq_linear(slopes, -misses, (np.minimum(least, 0.0) - 1e-12, np.maximum(most, 0.0) + 1e-12))
         return self._within(place + np.where(self._is_free, moves.x, 0.0) * scale)
+
+
+class Explorer(StepPart):
+    """Lets a robot at rest away from its targets explore in place of steps that change nothing."""
+
+    name = "exploration"
+
+    def __init__(self) -> None:
+        """Nothing is explored yet."""
+        self._exploration: Exploration | None = None
+
+    def forget(self) -> None:
+        """See `StepPart`."""
+        self._exploration = None
+
+    @property
+    def is_stepping(self) -> bool:
+        """Whether something is tried."""
+        return self._exploration is not None and self._exploration.trial is not None
+
+    def steps_until_rest(self, command: FollowTargets, result: StepResult) -> int:
+        """More where an exploration would follow."""
+        is_first = self._exploration is None and not command.is_on_way
+        return STEPS_UNTIL_EXPLORATION if is_first and result.status is not Status.OK else 0
+
+    def rest(self, simulation: Steppable, command: FollowTargets, result: StepResult) -> None:
+        """Begin to look for nearer poses where a robot rests away from its targets.
+
+        From where an exploration led, the next one begins, if that is nearer indeed.
+        """
+        if command.is_on_way:
+            return
+        before, misses = self._exploration, simulation.inverse.trust.misses
+        is_nearer = before is None or misses @ misses < NEARER * before.missed
+        if result.status is not Status.OK and is_nearer:
+            self._exploration = Exploration(command, result, misses, simulation.model.actuators)
+            self._begin_trial(simulation)
+        elif before is not None:
+            before.end(result)
+
+    def step_in_place(
+        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
+    ) -> StepResult | None:
+        """A step of a trial; None where the robot steps itself. See `StepPart`."""
+        exploration = self._exploration
+        if exploration is None:
+            return None
+        is_other = measured is not None and measured.is_any
+        if is_other or not simulation.asks_as(exploration.command, command):
+            if not exploration.is_found:
+                simulation.forget_solvers()
+            self._exploration = None
+            return None
+        if exploration.trial is None:
+            return simulation.stay_by(command, exploration.result)
+        if exploration.is_found:
+            return None
+        return self._try(simulation, exploration, command, budget, measured)
+
+    def _begin_trial(self, simulation: Steppable) -> None:
+        simulation.forget_solvers()
+        if self._exploration.trial is not None:
+            near, trial = 0.5 * NEARER * self._exploration.missed, self._exploration.trial
+            simulation.inverse.trust.depart(trial.goal, trial.follows, near)
+
+    def _try(
+        self, simulation: Steppable, exploration: Exploration, command: Command,
+        budget: float | None, measured: object | None,
+    ) -> StepResult:  # fmt: skip
+        """Make a step of a trial in place of one of the robot, which would keep its state."""
+        newton, trust = simulation.newton, simulation.inverse.trust
+        stays = simulation.state, simulation.kept
+        simulation.state, newton.factor_age = exploration.state, exploration.factor_age
+        self._exploration = simulation.kept = None
+        try:
+            tried = simulation.step(command, budget, measured)
+            moved = np.abs(simulation.state.setpoints - exploration.state.setpoints)
+            exploration.state = simulation.state
+        except Exception:
+            simulation.forget_solvers()
+            raise
+        finally:
+            simulation.state, simulation.kept = stays
+            # The factor is that of another state.
+            exploration.factor_age, newton.factor_age = newton.factor_age, None
+        self._exploration = exploration
+        has_gone = trust.approach is not Approach.DEPART
+        is_stable = simulation.is_balanced and not newton.projected_tangent
+        is_calm = bool((moved <= CALM * simulation.limits.drive_scale).all())
+        trial = exploration.trial
+        if tried.status.is_failure:
+            exploration.next_trial()
+        else:
+            exploration.judge(trust.misses, has_gone, is_stable, is_calm)
+        if exploration.is_found or exploration.trial is not trial:
+            self._begin_trial(simulation)
+        simulation.state = simulation.state.kept_through(command.time_step)
+        report = replace(
+            exploration.result.report, stage_times=tried.report.stage_times,
+            compute_time=tried.report.compute_time, iterations=tried.report.iterations,
+            factor_age=tried.report.factor_age, is_late=tried.report.is_late, is_exploring=True,
+            is_resting=False,
+        )  # fmt: skip
+        return replace(exploration.result, state=simulation.state, report=report)
+
+
+def explorer_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene that asks for exploration."""
+    if model.scene.solver.exploration:
+        yield Explorer()

@@ -26,7 +26,7 @@ from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.effects.vertebrae_watch import LARGE_BY_SIZE, ReductionState
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.coordinate_range import coordinate_ranges, reduced_bodies
+from softrobot_twin.simulation.effects.coordinate_range import coordinate_ranges, reduced_bodies
 from softrobot_twin.simulation.step.steppable import Steppable
 
 

@@ -13,8 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.command import Command
+from softrobot_twin.simulation.command import Command, FollowTargets
+from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.time_budget import StageClock
 
 
 class PartReport(NamedTuple):
@@ -23,10 +26,12 @@ class PartReport(NamedTuple):
     Attributes:
         limits: Names of limits that bind.
         figures: Figures by their names, which end in their units.
+        entries: Entries of the step's report by their names; see `StepReport`.
     """
 
     limits: tuple[str, ...] = ()
     figures: Mapping[str, float] = {}
+    entries: Mapping[str, object] = {}
 
 
 class StepPart:
@@ -38,6 +43,7 @@ class StepPart:
         may_rest: Whether a state in balance may be kept while the command stays.
         depends_on_time: Whether it matters how long actuators are held.
         hides_stiffness: Whether the robot shows no stiffness of its own now.
+        is_stepping: Whether a robot at rest has steps to make, see `step_in_place`.
         load: Sum of its forces on the robot by magnitude [N].
     """
 
@@ -46,6 +52,7 @@ class StepPart:
     may_rest: bool = True
     depends_on_time: bool = False
     hides_stiffness: bool = False
+    is_stepping: bool = False
     load: float = 0.0
 
     def why_not(self) -> str:
@@ -96,6 +103,71 @@ class StepPart:
         """
         return {}
 
+    def reset(self) -> None:
+        """Begin where the robot is in its rest shape."""
+
+    def restore(self, state: State) -> None:
+        """Begin where a saved state is put back."""
+
+    def forget(self) -> None:
+        """Forget the steps before; the state tells all that the next one depends on."""
+
+    def lead(
+        self, simulation: Steppable, positions: np.ndarray, efforts: np.ndarray, time_step: float,
+        clock: StageClock,
+    ) -> bool:  # fmt: skip
+        """Bring the bodies after what a step prescribes, where one linearization cannot.
+
+        Args:
+            simulation: The simulation, whose state is that before the step.
+            positions: Node positions after what is prescribed has moved [m], shape (node_count, 3);
+                moved.
+            efforts: Efforts of the actuators before the step, shape (actuator_count,).
+            time_step: h [s].
+            clock: Books the stages.
+
+        Returns:
+            Whether all that is prescribed is reached; else it goes on in the next step.
+        """
+        return True
+
+    def prescribed(self, positions: np.ndarray) -> np.ndarray:
+        """Coordinates of what it prescribes [m], shape (n,); another pose is another task.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return np.empty(0)
+
+    def step_in_place(
+        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
+    ) -> StepResult | None:
+        """Take the place of a step.
+
+        Args:
+            simulation: The simulation, before the step.
+            command: What is asked.
+            budget: Time for the step [s], or None.
+            measured: What is measured; see `Simulation.step`.
+
+        Returns:
+            Its result; None where the step is to be made as usual.
+        """
+        return None
+
+    def steps_until_rest(self, command: FollowTargets, result: StepResult) -> int:
+        """Steps towards targets that must keep the state before further ones need not be made."""
+        return 0
+
+    def rest(self, simulation: Steppable, command: FollowTargets, result: StepResult) -> None:
+        """See that further steps towards the same targets need not be made.
+
+        Args:
+            simulation: The simulation.
+            command: What is asked.
+            result: The result that they would have.
+        """
+
     def may_keep(self, before: State, after: State) -> bool:
         """Whether a step between two states in balance changed nothing of it."""
         return all(np.array_equal(array, after.memory[key]) for key, array in self.own(before))
@@ -116,6 +188,13 @@ class StepPart:
     def remembered(self, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Memory by field, with the keys that it has in a state."""
         return {f"{self.name}.{field}": array for field, array in fields.items()}
+
+
+def those_with(parts: Iterable[StepPart], *methods: str) -> tuple[StepPart, ...]:
+    """The parts that define one of some methods: a step asks no others for it."""
+    return tuple(part for part in parts if any(
+        getattr(type(part), method) is not getattr(StepPart, method) for method in methods
+    ))  # fmt: skip
 
 
 class TermMemory(StepPart):

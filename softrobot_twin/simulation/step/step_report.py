@@ -19,8 +19,6 @@ from softrobot_twin.simulation.command import (
 from softrobot_twin.simulation.contact_forces import ContactForces, contact_forces
 from softrobot_twin.simulation.result import (
     RATE,
-    SAMPLED,
-    STRAINED,
     UNSTABLE,
     Status,
     StepReport,
@@ -28,11 +26,10 @@ from softrobot_twin.simulation.result import (
 )
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, NO_EFFORT, Actuation, ContactLoads
-from softrobot_twin.simulation.step.coordinate_range import coordinate_ranges
 from softrobot_twin.simulation.step.interpretation import Asked
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
-from softrobot_twin.simulation.step.step_part import StepPart
+from softrobot_twin.simulation.step.step_part import StepPart, those_with
 from softrobot_twin.simulation.step.step_status import (
     ENERGY,
     REACH,
@@ -91,9 +88,7 @@ class StepResults:
             newton: Linearizes it.
             inverse: Finds λ that leads to targets, or None.
         """
-        self._model, self._parts, self._newton = model, parts, newton
-        self._strain_watches = model.strain_watches
-        self._coordinate_ranges = coordinate_ranges(model)
+        self._model, self._parts, self._newton = model, those_with(parts, "report"), newton
         self._inverse = inverse
 
     def of_step(
@@ -135,17 +130,14 @@ class StepResults:
         status = judge(
             actuation, newton.inverted_count, outcome.balance, met, active, following
         )
-        ranges = {name: s.ranges.max() for name, s in model.superelements.items()}
-        for coordinates in self._coordinate_ranges:
-            ranges[coordinates.name] = coordinates.share(outcome.positions)
-        active = (*active, *(f"{name}.{SAMPLED}" for name, share in ranges.items() if share > 1.0))
-        watched = [watch.outside(outcome.positions) for watch in self._strain_watches]
-        strains = tuple(outside for outside in watched if outside is not None)
-        active = (*active, *dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in strains))
         if isinstance(command, CommandEfforts) and newton.projected_tangent:
             active = (*active, UNSTABLE)
-        reports = {part.name: part.report(state) for part in self._parts}
-        active = (*active, *(limit for report in reports.values() for limit in report.limits))
+        figures, entries = {}, {}
+        for part in self._parts:
+            told = part.report(state)
+            active = (*active, *told.limits)
+            figures |= {f"{part.name}.{figure}": value for figure, value in told.figures.items()}
+            entries |= told.entries
         touching = None
         if model.contacts is not None:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
@@ -159,10 +151,7 @@ class StepResults:
             linearization_error=outcome.error, factor_age=newton.factor_age,
             is_late=outcome.pressed and newton.factor_age == 0,
             qp_solver=actuation.qp_solver,
-            sampled_range=max(ranges.values(), default=0.0), strains=strains,
-            driven_by=_DRIVEN_BY[type(command)],
-            figures={f"{name}.{figure}": value for name, report in reports.items()
-                     for figure, value in report.figures.items()},
+            driven_by=_DRIVEN_BY[type(command)], figures=figures, **entries,
             **_of_contacts(actuation.contact, touching),
         )  # fmt: skip
         # The rows were evaluated last where the step ended.

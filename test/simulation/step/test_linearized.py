@@ -2,8 +2,10 @@
 
 import math
 
+import contact_growth
 import numpy as np
 import pytest
+from contact_growth import rubbing_scene
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
@@ -13,9 +15,7 @@ from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.factorization import NodeRows
-from softrobot_twin.study import contact_growth
 from softrobot_twin.study.bench_measurement import column_mesh, write_mesh
-from softrobot_twin.study.contact_growth import rubbing_scene
 
 STEP, ROUND = 0.01, 40
 STEPS = 30

@@ -1,9 +1,14 @@
-"""``python -m softrobot_twin bench --contacts``: time of a step over the number of contacts."""
+"""Time of a step over the number of contacts, on a block that rubs on 10 to 200 points.
+
+`python tools/contact_growth.py [STEPS] [FOLDER]` prints the table, and writes contacts.csv and
+contacts.png into a folder; docs/computing_time.md tells of it.
+"""
 
 from __future__ import annotations
 
 import csv
 import math
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +21,6 @@ from rich.table import Table
 
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
-from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.bench_measurement import (
     INTERRUPTION,
     WHOLE_STEP,
@@ -187,21 +191,18 @@ _COLOURS = {"detect": "#5f5aa2", "condense": "#3a8f5c", "optimise": "#d95f02",
             WHOLE_STEP: "#1b6ca8"}
 
 
-def bench_contacts(steps: int, output: Path | None = None) -> int:
+def print_growth(steps: int, output: Path | None = None) -> None:
     """Times steps over numbers of contacts and prints the results.
 
     Args:
         steps: Steps to time for each number.
         output: Folder for ``contacts.csv`` and ``contacts.png``, or None.
 
-    Returns:
-        Exit code, always 0.
-
     Raises:
         SoftRobotTwinError: An output cannot be written.
     """
     if output is not None:
-        make_folder(output)
+        output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         found = measure_contacts(Path(folder), steps)
         slab = measure_slab(Path(folder), steps)
@@ -217,7 +218,6 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
         write_contacts(output / "contacts.csv", found)
         draw_contacts(output / "contacts.png", found, conditions)
         shown.print(f"\nwritten: {output / 'contacts.csv'}, {output / 'contacts.png'}")
-    return 0
 
 
 def describe_slab(slab: ContactMeasurement) -> str:
@@ -297,3 +297,7 @@ def draw_contacts(path: Path, found: Sequence[ContactMeasurement], conditions: s
         axes.set(xscale="log", yscale="log", xlabel="contacts with force",
                  ylabel="median time [ms]", title="Time of a step, friction included")
         axes.legend(loc="upper left")
+
+
+if __name__ == "__main__":
+    print_growth(int((sys.argv[1:] or ["1000"])[0]), *map(Path, sys.argv[2:3]))

@@ -1,6 +1,6 @@
-"""The range of training in which a body in the coordinates of a basis can be believed.
+"""The range of training in which a reduced body can be believed.
 
-Each coordinate counts by the largest magnitude that it had in the training. The root mean square of
+Of a body in the coordinates of a basis, each coordinate counts by the largest magnitude that it had in the training. The root mean square of
 these shares is known in every step for next to nothing. The largest share would be above one at a
 tenth to a quarter of fresh states inside of the range: the last coordinates are small and noisy, and
 the more of them there are, the more often one exceeds what it had in a few hundred states. The root
@@ -11,12 +11,17 @@ coordinates that were small grow first.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.result import SAMPLED
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
 
 class CoordinateRange(NamedTuple):
@@ -41,6 +46,42 @@ class CoordinateRange(NamedTuple):
         """
         shares = (positions[self.nodes] * self.scales).ravel()
         return math.sqrt(shares @ shares)
+
+
+class SampledRanges(StepPart):
+    """Tells how much of their ranges the reduced bodies of a scene use, and which left its range."""
+
+    name = "sampled_ranges"
+
+    def __init__(
+        self, superelements: dict[str, Superelements], coordinates: tuple[CoordinateRange, ...]
+    ):
+        """Take what has a range.
+
+        Args:
+            superelements: Those of each body that is reduced to vertebrae, by its name.
+            coordinates: The ranges of the bodies in the coordinates of a basis.
+        """
+        self._superelements, self._coordinates = superelements, coordinates
+        self._shares: dict[str, float] = {}
+
+    def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
+        """See `StepPart`."""
+        self._shares = {name: one.ranges.max() for name, one in self._superelements.items()}
+        self._shares |= {one.name: one.share(positions) for one in self._coordinates}
+        return {}
+
+    def report(self, state: State) -> PartReport:
+        """See `StepPart`."""
+        outside = (f"{name}.{SAMPLED}" for name, share in self._shares.items() if share > 1.0)
+        return PartReport(tuple(outside), entries={"sampled_range": max(self._shares.values())})
+
+
+def sampled_ranges_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene with reduced bodies."""
+    coordinates = coordinate_ranges(model)
+    if model.superelements or coordinates:
+        yield SampledRanges(model.superelements, coordinates)
 
 
 def reduced_bodies(model: Model) -> tuple[Body, ...]:

@@ -1,0 +1,79 @@
+"""Bodies go after what is guided, where its move alone would fold their elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from softrobot_twin.simulation.building.guided_bodies import Guides
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.step_part import StepPart
+from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.time_budget import StageClock
+
+# Parts of the move of guided bodies, and halvings of a part that would fold elements, at most.
+MOST_PARTS, MOST_HALVINGS = 100, 20
+
+
+class Guiding(StepPart):
+    """Steps of a scene with guided bodies."""
+
+    name = "guides"
+
+    def __init__(self, guides: Guides):
+        """Take the guided bodies."""
+        self._guides, self.may_rest = guides, not guides.limits
+
+    def reset(self) -> None:
+        """See `StepPart`."""
+        self._guides.reset()
+
+    def restore(self, state: State) -> None:
+        """See `StepPart`."""
+        self._guides.stay(state.positions)
+
+    def prescribed(self, positions: np.ndarray) -> np.ndarray:
+        """See `StepPart`."""
+        return self._guides.points(positions) if self._guides.limits else super().prescribed(positions)
+
+    def lead(
+        self, simulation: Steppable, positions: np.ndarray, efforts: np.ndarray, time_step: float,
+        clock: StageClock,
+    ) -> bool:  # fmt: skip
+        """Make the move in parts, none of which takes most of an element's volume.
+
+        The bodies come near balance after each part but the last. See `StepPart.lead`.
+        """
+        guides, newton = self._guides, simulation.newton
+        if not guides.moved or newton.is_folded:
+            return True
+        if not newton.folds(simulation.state.positions, positions):
+            return True
+        positions[:], gone, tried = simulation.state.positions, 0.0, positions.copy()
+        for _ in range(MOST_PARTS):
+            part = 1.0 - gone
+            for _ in range(MOST_HALVINGS):
+                tried[:] = positions
+                guides.place(tried, gone + part)
+                if not newton.folds(positions, tried):
+                    break
+                part *= 0.5
+            else:
+                newton.forget_folds()
+                return False
+            positions[:], gone = tried, gone + part
+            if gone >= 1.0:
+                return True
+            efforts = simulation.come_near(positions, efforts, time_step, clock)
+            if efforts is None:
+                positions[:] = tried
+                return False
+        return False
+
+
+def guiding_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene with guided bodies."""
+    if model.guides is not None:
+        yield Guiding(model.guides)
