@@ -152,7 +152,7 @@ class BeamAndShape:
         self, beam: RoundBeam, second, shape, friction: float, names, rest: np.ndarray,
         held_nodes=(),
     ):  # fmt: skip
-        """Take both.
+        """Store the two sides of the pair.
 
         Args:
             beam: The beam.
@@ -206,7 +206,7 @@ class TwoRoundBeams:
     """Two round beams, or one and itself."""
 
     def __init__(self, first: RoundBeam, second: RoundBeam, excluded, friction: float, names):
-        """Take both.
+        """Store the two sides of the pair.
 
         Args:
             first: A beam.

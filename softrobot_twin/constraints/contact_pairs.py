@@ -273,7 +273,7 @@ class SurfaceAndShape:
     """A triangle surface and an analytic shape on a rigid body or an obstacle."""
 
     def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
-        """Take both.
+        """Store the two sides of the pair.
 
         Args:
             first: The surface.
@@ -297,7 +297,7 @@ class TwoBoxes:
     """Two boxes: face by face; where edges or corners meet, as any surface and shape."""
 
     def __init__(self, faces, general: SurfaceAndShape):
-        """Take both.
+        """Store the two sides of the pair.
 
         Args:
             faces: A `BoxPairDetector`.
@@ -324,7 +324,7 @@ class TwoSurfaces:
     """Two triangle surfaces."""
 
     def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
-        """Take both; see `SurfaceAndShape`, the detector is a `SurfacePairDetector`."""
+        """Store the two sides; see `SurfaceAndShape`, the detector is a `SurfacePairDetector`."""
         self.first, self.second = first, second
         self.friction, self.names = friction, names
         self._detector = detector
@@ -354,7 +354,7 @@ class BallAndShape:
     """A rigid ball and a shape: its one nearest point, exact wherever it rolls."""
 
     def __init__(self, ball, radius: float, centre, second, shape, friction: float, names):
-        """Take both.
+        """Store the two sides of the pair.
 
         Args:
             ball: What carries the ball.
@@ -393,7 +393,7 @@ class RoundAndPlane:
     """
 
     def __init__(self, solid, shape, second, plane, friction: float, names: tuple[str, str]):
-        """Take both.
+        """Store the two sides of the pair.
 
         Args:
             solid: What carries the capsule or cylinder.

@@ -61,9 +61,10 @@ class RowStack:
         node_index: Unknown of each entry, shape (entry_count,).
         blocks: Entries of H, shape (entry_count, 3).
         values: δ of every row at the state evaluated last, shape (row_count,).
-        told: Efforts of the actuators whose forces are in the force terms, zero for all but those of
-            an `EffortTerm`, shape (actuator_row_count,); None without any such term.
-        is_told: Whether each is one of these, shape (actuator_row_count,); None without any.
+        told: Efforts of the actuators of an `EffortTerm`, whose forces are part of the force terms;
+            zero for other actuators, shape (actuator_row_count,). None without such a term.
+        is_told: Whether each actuator belongs to an `EffortTerm`, shape (actuator_row_count,). None
+            without such a term.
         reached_nodes: Unknowns with entries in the rows, in any state.
     """
 

@@ -227,7 +227,7 @@ def mark_surely_upright(corners, sure):
 
 @njit(**INNER)
 def cut_the_unsure(corners, sure, upright):
-    """Elements that are not surely upright and fold somewhere are upright no more.
+    """Mark the elements that fold as not upright; only elements without a proof are examined.
 
     Args:
         corners: F at the four corners, shape (4, 9 BATCH).

@@ -731,7 +731,7 @@ class CommonUnknowns:
         self.half, self._loaded = np.empty_like(self.D), np.empty_like(self.D)
 
     def add(self, storage: np.ndarray) -> None:
-        """Add Dᵀ (K D), whose second factor is in `half`, to the system matrix."""
+        """Add Dᵀ (K D) to the system matrix; `half` holds the product K D."""
         add_clique(self._offsets, self._strides, self.D.T @ self.half, storage)
 
     def add_segments(self, matrices: np.ndarray, storage: np.ndarray) -> None:

@@ -22,7 +22,7 @@ hold it. Then the equations of unknowns and multipliers are solved together,
 
     A dq - Hᵀ dλ = f,     D dq + C dλ = dδ,
 
-with the rows D of displacements, which are H but for cables with friction.
+with the rows D of displacements. D is H, except in scenes with friction along cables.
 """
 
 from __future__ import annotations

@@ -790,7 +790,7 @@ def _motion_of(model: Model) -> Statics | Dynamics:
 
 
 def _why_kept(actuation: Actuation) -> tuple[Status, tuple[str, ...]]:
-    """Status of a step that moved nothing, and the limit that held it back."""
+    """Status of a step that moved nothing, and the names of the limits that prevented the move."""
     if actuation.is_refused:
         return Status.REFUSED, (INVERSION,)
     return Status.DIVERGED, ()

@@ -109,7 +109,7 @@ def solve_direct(
 def solve_by_daqp(
     W: np.ndarray, violation: np.ndarray, effort_min: np.ndarray, effort_max: np.ndarray
 ) -> np.ndarray | None:
-    """The same by DAQP alone, without a guess.
+    """Efforts that hold prescribed displacements, found by DAQP without a guess.
 
     Args:
         W: Displacement by effort [m/N], shape (n, n).

@@ -340,7 +340,7 @@ def pick(
 
 
 def _known(error: float) -> float:
-    """An error for comparisons: one that is not known is the largest."""
+    """The error, for comparisons: an unknown error counts as infinite."""
     return error if np.isfinite(error) else np.inf
 
 

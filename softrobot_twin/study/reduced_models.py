@@ -288,7 +288,7 @@ def make_trial(
 
 
 def _error(training: Training, reduction: BodyReduction, truth: States) -> float:
-    """Error against states of the full model, as that of a study.
+    """Relative error of the effectors against states of the full model.
 
     It is the root mean square of the effectors' distances by that of their displacements, over all
     states that the reduced model finds.

@@ -99,8 +99,9 @@ class ActuatorKind(Protocol):
             of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
 
-    A kind whose displacement at a limit of its effort is where the bodies are has one more: `stalls`,
-    True. Others have the displacement that is set: a cable at its greatest tension slips.
+    A kind whose actuator stops where the bodies hold it, when its effort is at a limit, has one
+    attribute more: `stalls`, True. Actuators of other kinds reach the set displacement even then: a
+    cable at its greatest tension slips.
 
     A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
     such as a volume. Of other kinds it is the setpoint.

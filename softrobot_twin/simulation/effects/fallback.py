@@ -122,7 +122,7 @@ class Fallback:
             self._exchange(simulation)
 
     def fit(self, simulation: Steppable, state: State) -> None:
-        """Change to the model that a state is of, before it is restored."""
+        """Change to the model that a state belongs to, before the state is restored."""
         count = len(state.positions)
         if count != len(simulation.state.positions) and count == len(self.other.state.positions):
             self._exchange(simulation)

@@ -56,7 +56,8 @@ TIGHTER, LOOSER = 8.0, 0.25
 # Gains below the first are poor, above the second good.
 POOR, GOOD = 0.25, 0.7
 # With wanted stiffnesses, weights below this multiple of one that gave a poor gain are not tried again:
-# what the targets leave open changes them only by its square, and each try would stir it anew.
+# efforts that leave the targets alone change a stiffness only by their square, and each try with a
+# smaller weight would move the actuators for nothing.
 ABOVE_POOR = 4.0
 # A promise below this share of the tracking term is round-off.
 NO_PROMISE = 1.0e-9
