@@ -288,8 +288,8 @@ def add_bench(commands) -> None:
         "effectors, while the actuators move over their limits, together with one SuperLU "
         "factorization of the same matrices and with dense products. Without "
         "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
-        "Grasper and the Octoleg while they hold. tools/contact_growth.py times 10 to 200 contacts, "
-        "tools/compare_solvers.py compares factorizations and QP solvers.",
+        "Grasper and the Octoleg while they hold. tools/contact_growth.py times 10 to 200 "
+        "contacts, tools/compare_solvers.py compares factorizations and QP solvers.",
         examples=(
             "",
             "config/scenes/diamond.yaml config/scenes/fetch_reduced.yaml --steps 300",

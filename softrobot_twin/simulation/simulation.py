@@ -164,6 +164,7 @@ class Simulation(Readouts):
         self._optimises = "optimise" in self.model.stages
         self._replacing = those_with(self.parts, "step_in_place")
         self._leading = those_with(self.parts, "lead")
+        self._prescribing = those_with(self.parts, "prescribed")
         self._recalling = those_with(self.parts, "recall")
         self._beginning = those_with(self.parts, "begin")
         self._commanding = those_with(self.parts, "command")
@@ -176,10 +177,8 @@ class Simulation(Readouts):
         self._find_surface()
         self.fallback: Fallback | None = None
         # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
-        self.may_rest = not (
-            self.model.is_dynamic or self.model.rows.varies
-            or not all(part.may_rest for part in self.parts)
-        )
+        may_all = all(part.may_rest for part in self.parts)
+        self.may_rest = may_all and not (self.model.is_dynamic or self.model.rows.varies)
         self.reset()
         if with_warnings:
             self.model.notes.extend(stability_notes(self))
@@ -408,17 +407,16 @@ class Simulation(Readouts):
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
         guided = NO_LOADS
-        if self._leading:
-            guided = np.concatenate([part.prescribed(positions) for part in self._leading])
+        if self._prescribing:
+            guided = np.concatenate([part.prescribed(positions) for part in self._prescribing])
         is_stable = not self.newton.projected_tangent
         loads = [part.loads for part in self.parts if part.loads is not None]
         if not loads:
             self.inverse.begin_step(self.is_balanced, is_stable, guided=guided)
             return
         own = self._load_of_parts() + self.actuators.load(self.state.efforts)
-        self.inverse.begin_step(
-            self.is_balanced, is_stable, np.concatenate(loads), self.newton.constant_load + own, guided
-        )
+        own += self.newton.constant_load
+        self.inverse.begin_step(self.is_balanced, is_stable, np.concatenate(loads), own, guided)
 
     def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
         """Let all parts begin a step.

@@ -1,11 +1,11 @@
 """The range of training in which a reduced body can be believed.
 
-Of a body in the coordinates of a basis, each coordinate counts by the largest magnitude that it had in the training. The root mean square of
-these shares is known in every step for next to nothing. The largest share would be above one at a
-tenth to a quarter of fresh states inside of the range: the last coordinates are small and noisy, and
-the more of them there are, the more often one exceeds what it had in a few hundred states. The root
-mean square is above one at 1 % of these states. Outside of the range it is several times one, since
-coordinates that were small grow first.
+Of a body in the coordinates of a basis, each coordinate counts by the largest magnitude that it had
+in the training. The root mean square of these shares is known in every step for next to nothing.
+The largest share would be above one at a tenth to a quarter of fresh states inside of the range:
+the last coordinates are small and noisy, and the more of them there are, the more often one exceeds
+what it had in a few hundred states. The root mean square is above one at 1 % of these states.
+Outside of the range it is several times one, since coordinates that were small grow first.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class CoordinateRange(NamedTuple):
 
 
 class SampledRanges(StepPart):
-    """Tells how much of their ranges the reduced bodies of a scene use, and which left its range."""
+    """Tells how much of their ranges reduced bodies use, and which body left its range."""
 
     name = "sampled_ranges"
 

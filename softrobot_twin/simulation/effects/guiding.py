@@ -20,11 +20,11 @@ MOST_PARTS, MOST_HALVINGS = 100, 20
 class Guiding(StepPart):
     """Steps of a scene with guided bodies."""
 
-    name = "guides"
+    name, may_rest = "guides", False
 
     def __init__(self, guides: Guides):
         """Take the guided bodies."""
-        self._guides, self.may_rest = guides, not guides.limits
+        self._guides = guides
 
     def reset(self) -> None:
         """See `StepPart`."""
@@ -36,7 +36,7 @@ class Guiding(StepPart):
 
     def prescribed(self, positions: np.ndarray) -> np.ndarray:
         """See `StepPart`."""
-        return self._guides.points(positions) if self._guides.limits else super().prescribed(positions)
+        return self._guides.points(positions)
 
     def lead(
         self, simulation: Steppable, positions: np.ndarray, efforts: np.ndarray, time_step: float,
@@ -75,5 +75,5 @@ class Guiding(StepPart):
 
 def guiding_of(model: Model) -> Iterator[StepPart]:
     """The part of a scene with guided bodies."""
-    if model.guides is not None:
+    if model.guides is not None and model.guides.limits:
         yield Guiding(model.guides)
