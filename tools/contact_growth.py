@@ -21,6 +21,7 @@ from rich.table import Table
 
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.bench_measurement import (
     INTERRUPTION,
     WHOLE_STEP,
@@ -202,7 +203,7 @@ def print_growth(steps: int, output: Path | None = None) -> None:
         SoftRobotTwinError: An output cannot be written.
     """
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
+        make_folder(output)
     with tempfile.TemporaryDirectory() as folder:
         found = measure_contacts(Path(folder), steps)
         slab = measure_slab(Path(folder), steps)

@@ -24,13 +24,13 @@ import numpy as np
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import without_reductions
+from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import (
     largest_on_each_body,
     shares_of_displacement,
     step_held,
 )
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.step.steppable import Steppable
 
 # A linearization that moves the effectors by at most this share of their distance from the reduced

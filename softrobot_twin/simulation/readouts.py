@@ -20,6 +20,7 @@ from softrobot_twin.simulation.building.beam_surface import BeamSkin
 from softrobot_twin.simulation.building.limits import ActuatorLimits
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import (
     ReductionErrors,
     has_spare_modes,
@@ -27,7 +28,6 @@ from softrobot_twin.simulation.effects.reduction_error import (
 )
 from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState, reduction_state
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.step.stiffness_targets import stiffness_of_scene
 
 

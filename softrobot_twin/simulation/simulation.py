@@ -748,7 +748,7 @@ class Simulation(Readouts):
         if follows:
             self.direct.remember(self.state.efforts)
             waits = (part.steps_until_rest(command, result) for part in self._replacing)
-            is_again = count >= max(STEPS_UNTIL_REST, *waits, 0) + len(self.state.setpoints)
+            is_again = count >= max([STEPS_UNTIL_REST, *waits]) + len(self.state.setpoints)
         else:
             age = newton.factor_age
             self._begin_anew()

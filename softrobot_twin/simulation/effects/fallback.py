@@ -23,9 +23,9 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import with_entries
+from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import largest_on_each_body, step_held
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.step.steppable import Steppable
 
 # Steps between two looks at the other model, each of which takes the time of one of its steps.

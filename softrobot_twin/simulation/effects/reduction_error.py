@@ -22,11 +22,11 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import with_reduced_entries, without_fallback
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
+from softrobot_twin.simulation.effects.coordinate_range import coordinate_ranges, reduced_bodies
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.effects.vertebrae_watch import LARGE_BY_SIZE, ReductionState
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.effects.coordinate_range import coordinate_ranges, reduced_bodies
 from softrobot_twin.simulation.step.steppable import Steppable
 
 

@@ -35,8 +35,6 @@ class StrainRanges(StepPart):
 
     def report(self, state: State) -> PartReport:
         """See `StepPart`."""
-        if not self._outside:
-            return PartReport()
         limits = dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in self._outside)
         return PartReport(tuple(limits), entries={"strains": tuple(self._outside)})
 

@@ -31,10 +31,10 @@ from softrobot_twin.simulation.building.table_columns import (
     target_name,
 )
 from softrobot_twin.simulation.command import Command, FollowTargets
+from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import has_spare_modes
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.simulation import Simulation
-from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 
 PATH = Quantity("path", "m")
 COMPUTE_TIME = "compute_time_s"

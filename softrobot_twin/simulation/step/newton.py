@@ -194,7 +194,8 @@ class Newton:
         """Let the next linearization augment its tangent, where held actuators bear.
 
         Returns:
-            Whether kernels are compiled by that: else a body that becomes unstable would wait for them.
+            Whether that tangent has kernels of its own, for which a body that becomes unstable would
+            wait if nothing had compiled them.
         """
         self._is_indefinite = self._augmented is not None
         return self._is_indefinite and self._augmented.has_kernels

@@ -13,6 +13,7 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.time_budget import StageClock
 
@@ -22,6 +23,7 @@ class Steppable(Protocol):
 
     model: Model
     newton: Newton
+    inverse: InverseActuation | None
     state: State
     now: Callable[[], float]
     kept: NamedTuple | None
