@@ -20,6 +20,15 @@ Medians in microseconds on a shared machine, for a notched finger against a cube
 The refit of coal was timed with one call for all points. For self-contact both libraries report
 every pair of neighbouring triangles as a collision. They return pairs of triangles, in which the
 features with a local minimum of distance must still be found, and fcl has no contact margin.
+
+Arguments of the kernels here:
+    a, b, box, region: A box, lower and upper corner, six numbers [m].
+    corners: Points of each item in its first columns, shape (item_count, ≥ width).
+    counts: Cells along each axis, shape (3,).
+    frame: Lower corner [m], upper corner [m] and cells per length [1/m], shape (3, 3).
+    keep: Items to use, shape (item_count,), or (0,) for all.
+    p: A point, three numbers [m].
+    x: Points [m], shape (point_count, 3).
 """
 
 from __future__ import annotations

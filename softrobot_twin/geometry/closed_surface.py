@@ -4,6 +4,15 @@ A feature of a surface is a triangle, an edge or a vertex. The outward direction
 vertex is the angle-weighted sum of the adjacent triangle normals. For the feature nearest to a
 point, the sign of the distance along this direction tells inside from outside (Bærentzen and
 Aanæs 2005).
+
+Arguments of the kernels here:
+    edges: Two points, two triangles and their opposite corners, shape (edge_count, 6).
+    fans: Triangles and corners around each point, shape (point_count, 1 + 3 largest number).
+    leaders: First triangle of the region of each triangle, shape (triangle_count,).
+    links: Corners, neighbours and ownership of each triangle, shape (triangle_count, 15).
+    normals: Unit normal and offset [m] of each triangle, shape (triangle_count, 4).
+    ridges: Whether each edge is a ridge, shape (edge_count,).
+    x: Points [m], shape (point_count, 3).
 """
 
 from __future__ import annotations

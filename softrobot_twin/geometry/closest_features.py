@@ -7,6 +7,17 @@ triangles that the broad phase lists near a point.
 The search kernels run for every vertex. They take arrays as arguments and use plain numbers in
 their loops, because numba counts references for each array that is passed on, which costs more
 than the geometry itself.
+
+Arguments of the kernels here:
+    box: Lower and upper corner of a box, six numbers [m].
+    boxes: Those of all items [m], shape (item_count, 6).
+    found: Indices of triangles, shape (triangle_capacity,).
+    items: Items of all cells, concatenated, shape (item_capacity,).
+    p: A point, three numbers [m].
+    skipped: First and last mark, two numbers.
+    stamps: Marks of the triangles, shape (triangle_count,) or (0,).
+    w: Barycentric weights, three numbers.
+Those of a surface are as in `closed_surface`.
 """
 
 from __future__ import annotations

@@ -3,6 +3,10 @@
 No array is allocated, and a row of a matrix is a vector: `matrix[i]` may be given to `dot` or
 `cross`. All functions are inlined: a call would cost more than the arithmetic, and would keep a
 loop over elements from becoming vector instructions.
+
+Arguments of the kernels here:
+    A, B, dA: Matrices, three rows of three numbers.
+    a, v: Vectors, three numbers.
 """
 
 from __future__ import annotations

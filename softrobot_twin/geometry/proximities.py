@@ -83,8 +83,8 @@ def write_row(integers, reals, i, swap, first, second, normal, gap, key):
     """Write row i if the buffer has that many rows.
 
     Args:
-        integers: See `PairRows`.
-        reals: See `PairRows`.
+        integers: See `PairRows`, shape (capacity, 7).
+        reals: See `PairRows`, shape (capacity, 16).
         i: Row.
         swap: Whether `first` belongs to the second surface.
         first: Points, their weights and the position [m] on one surface.

@@ -9,6 +9,11 @@ than its radius, so distances, normals and rolling are those of a round body, no
 
 Where a range of an axis is equally near, its middle counts: a term ε L (s - ½)², which no other
 place notices, makes the minimum unique, and keeps it where it is as the bodies move.
+
+Arguments of the kernels here:
+    balls, others: Centre and radius of the ball of each element [m], shape (element_count, 4).
+    out: The same in `write_balls`; in `axis_distances` the distance of each element of the
+        first axis from each of the second [m], shape (first_count, second_count).
 """
 
 from __future__ import annotations

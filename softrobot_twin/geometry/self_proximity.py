@@ -10,6 +10,11 @@ of a vertex and a triangle, or of two edges, permanently if in the rest shape
   at such a small distance behind a triangle would look like one that has passed through it.
 
 `FixedPairs` measures only the pairs that a scene names.
+
+Arguments of the kernels here:
+    marked: Reason for excluding a pair, 0 for none, shape (vertex_count, triangle_count).
+    rows, columns: Vertex and triangle of each excluded pair, shape (pair_count,).
+Those of a surface are as in `closed_surface`.
 """
 
 from __future__ import annotations

@@ -6,6 +6,14 @@ features. Coplanar neighbouring triangles act as one plane (`flat_regions`). Can
 - a sphere, an end of a capsule or the rim of a cylinder against a plane of the surface, including
   edges inside the plane,
 - convex edges and vertices of the surface against the shape, see `surface_shape`.
+
+Arguments of the kernels here:
+    crests: Whether each vertex ends a ridge, shape (vertex_count,).
+    extents: Extents of the shape [m], shape (3,).
+    p: A point, three numbers [m].
+    ridges: Indices of the edges that are ridges, shape (ridge_count,).
+    vertices: Points that a triangle uses, ascending, shape (vertex_count,).
+Those of a surface are as in `closed_surface`.
 """
 
 from __future__ import annotations

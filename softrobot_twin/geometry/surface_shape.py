@@ -28,6 +28,24 @@ with edges and triangles of the surface, and not with that vertex. A candidate o
 surface against a box is therefore kept only if its direction lies within the normal cone of its
 own feature. A fold of the surface around the edge of the box has no cone; it keeps its direction
 as long as this agrees with the normal.
+
+Arguments of the kernels here:
+    distances: Signed distance of each vertex from the shape [m], shape (vertex_count,).
+    edge: One row of `edges`, shape (2 or more,).
+    edges, sides: Points, and triangles on both sides, shape (edge_count, 2). Where cones are tested
+        there are no sides, and edges have shape (edge_count, 6).
+    extents: Extents of the shape [m], shape (3,).
+    first_points, weights, first, second, normals, gaps, keys: The pairs, see `Proximities`, shape
+        (count, 3) or (count,). In other kernels `weights` are three numbers.
+    gradients: Gradient of each of the distances, shape (vertex_count, 3).
+    normal, p: A unit vector and a point [m], three numbers.
+    one, other, triangle: Points of a triangle, shape (3,).
+    placed: Origin [m] and axes of the shape in the world, shape (4, 3).
+    points: Three points of a candidate; in `place_candidates` all [m], shape (point_count, 3).
+    triangles: Points of all triangles, shape (triangle_count, 3).
+    vertices: Points that a triangle uses, ascending, shape (vertex_count,).
+    x: Vertices in the frame of the shape [m], shape (vertex_count, 3).
+Those of a surface are as in `closed_surface`.
 """
 
 from __future__ import annotations

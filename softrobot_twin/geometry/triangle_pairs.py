@@ -10,6 +10,18 @@ Two edges have a local minimum of distance inside both where their common perpen
 out of the second body (it lies between the normals of the two triangles there) and into the first
 body. The orientation of n follows from these normals and not from the vector between the edges, so
 n does not flip when the edges pass through each other; the gap changes its sign instead.
+
+Arguments of the kernels here:
+    boxes: Lower and upper corner of the box of each item [m], shape (item_count, 6).
+    end: A point, three numbers [m].
+    frame: Lower corner [m], upper corner [m] and cells per length [1/m], shape (3, 3).
+    low, high: First and last cell along each axis, shape (3,).
+    others: Edges of the other surface, shape (other_edge_count, 6).
+    rest: Points at rest [m], shape (point_count, 3), or (0, 3) for two surfaces.
+    stamps: Marks of the triangles, shape (triangle_count,).
+    w: Barycentric weights, three numbers.
+    y: Points of the other surface [m], shape (other_point_count, 3).
+Those of a surface are as in `closed_surface`.
 """
 
 from __future__ import annotations

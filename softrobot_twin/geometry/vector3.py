@@ -1,6 +1,9 @@
 """Algebra of vectors of three numbers, as tuples, for kernels: no array is allocated.
 
 All functions are inlined into the kernel that calls them.
+
+Arguments of the kernels here:
+    a, b: Vectors, three numbers.
 """
 
 from __future__ import annotations

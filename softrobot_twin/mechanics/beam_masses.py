@@ -24,6 +24,19 @@ the constant force g ∫ρ w_k dV. All of them are forces F on z that act on the
 
 and have a symmetric stiffness: that of M, and the turning terms Σ (F_i·r_i) 1 - (F_i r_iᵀ + r_i F_iᵀ)/2
 of each rotation. A frame that does not move by itself counts as unaccelerated.
+
+Arguments of the kernels here; those of one element have no first axis:
+    aims, constants: a and F₀ of the ends, shape (element_count, 8, 3).
+    constant: Those of one element, shape (8, 3).
+    factors: Number c of each element, shape (element_count,).
+    forces: On the unknowns [N] and [N m], shape (free_node_count, 3); added to.
+    loads, z: F and z of one element, shape (8, 3).
+    matrices: M [kg], [kg m] and [kg m²], shape (element_count, 8, 8).
+    matrix: M of one element, shape (8, 8).
+    order, offsets, strides: See `BoundStencils`, shape (element_count, 4) and (element_count, 10).
+    origins, unknowns: Node and unknown of the frame of each end, shape (element_count, 2).
+    out: Stiffness of one element by its four unknowns, shape (12, 12); added to.
+    x: Node positions [m], shape (node_count, 3).
 """
 
 from __future__ import annotations

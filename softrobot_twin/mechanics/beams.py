@@ -37,6 +37,22 @@ unknowns too (Magisano, Leonetti and Garcea 2017). Forces are always those of th
 linearization of a step has the tangent of the state, unless the last step ended out of balance.
 
 Damping in proportion to stiffness adds β K times the rates of t and ψ, by backward Euler.
+
+Arguments of the kernels here; those of one element have no first axis:
+    A, K: A matrix, three rows of three numbers; in `project` an array of shape (12, 12).
+    axes: Axes of each end in its frame, as columns, shape (element_count, 2, 3, 3).
+    before, after, x: Node positions [m], shape (node_count, 3).
+    block: A matrix, three rows of three numbers.
+    forces: On the unknowns [N] and [N m], shape (free_node_count, 3); added to.
+    gradient, lever, psi, t: Vectors, three numbers.
+    has_lever: Whether each end lies off the origin of its frame, shape (element_count, 2).
+    k, pulls: Stiffnesses [N/m] and [N m], and k times t₀ and ψ₀, shape (element_count, 6).
+    order, offsets, strides: See `BoundStencils`, shape (element_count, 4) and (element_count, 10).
+    origins, unknowns: Node and unknown of the frame of each end, shape (element_count, 2).
+    out: t and ψ, shape (element_count, 6); or the stiffness of one element, shape (12, 12).
+    points: Place of each end in its frame [m], shape (element_count, 2, 3).
+    predicted: t and ψ, shape (element_count, 6), or (0, 6) where there are none.
+    vector: Three numbers, shape (3,).
 """
 
 from __future__ import annotations

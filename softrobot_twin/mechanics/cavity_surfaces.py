@@ -12,6 +12,22 @@ because a closed surface has a volume, and it is neither positive nor negative.
 A cavity may consist of several closed surfaces that one valve connects: they have one pressure,
 and their volumes sum up. Vertices are points that bodies carry, x = Σ w_a x_a: they need not be
 nodes of a mesh.
+
+Arguments of the kernels here:
+    blocks: Entries of ∂V/∂q [m²], shape (entry_count, 3); added to.
+    cavity: Cavity of each triangle, shape (triangle_count,).
+    entry, free: Entry, and unknown, of each node that carries a vertex, -1 where none, shape
+        (vertex_count, carrier_count).
+    gradients: ∂V/∂x [m²], shape (vertex_count, 3).
+    moves: Displacements of unknowns and carried points [m], shape (count, 3).
+    offsets, strides: Places of the blocks in storage, shape (triangle_count, pair_count).
+    origin: Vertex from which each cavity is seen, shape (cavity_count,).
+    out: Displacements of the vertices [m], shape (vertex_count, 3).
+    points: Vertices [m], shape (vertex_count, 3).
+    pressures, volumes: p [Pa] and V [m³], shape (cavity_count,).
+    triangles: Vertices of each, shape (triangle_count, 3).
+    weights: Of the carriers in each vertex, shape (vertex_count, carrier_count); by triangle in
+        `add_pressure_stiffness`, shape (triangle_count, 3, width).
 """
 
 from __future__ import annotations

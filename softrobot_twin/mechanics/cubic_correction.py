@@ -11,6 +11,13 @@ equilibrium:
 K_22⁻¹ is the factor of the quadratic body, with all other terms of the scene; the remaining
 products are with the elements' stiffness. Conjugate gradients need some ten of them, because S is
 nearly block diagonal (3×3) on any mesh.
+
+Arguments of the kernels here:
+    gradients: ∇L_c of each element [1/m], shape (element_count, 4, 3).
+    lame: λ and µ of each element [Pa], shape (element_count, 2).
+    rotations: Of each point, shape (element_count, point_count, 3, 3).
+    slopes, out: By the four L_c at each point, shape (4 point_count, element_count, 3).
+    weights: Share of volume of each point, shape (point_count,).
 """
 
 from __future__ import annotations

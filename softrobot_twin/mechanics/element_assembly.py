@@ -15,6 +15,21 @@ How many nodes and points an element has is told by its arrays; the law is told 
 parameters, so that its kernels are compiled into the loops. See `element_batches.py` for how
 quantities lie in memory. Kernels that take a law are not kept on disk one by one: only whole
 assemblies are, and only of laws inside this package (`assembly_of`).
+
+Arguments of the kernels here; those of one batch or point have no first axis:
+    C: ∂P/∂F at a point, shape (81 × BATCH,).
+    D, F, shifted: Matrices at a point, shape (9 × BATCH,).
+    G: ∇N_a at a point [1/m], shape (3 nodes × BATCH,).
+    K: One block of each element [N/m], shape (9 × BATCH,).
+    T: Three matrices at a point, shape (27 × BATCH,).
+    cells, free: Nodes and unknowns, shape (batch_count, most nodes of a batch, BATCH).
+    deformations: F, shape (batch_count, point_count, 9 × BATCH).
+    forces: On the unknowns [N], shape (free_node_count, 3).
+    gradients: ∇N_a [1/m], shape (batch_count, point_count, 3 nodes × BATCH).
+    negative: Whether a point is not positive semidefinite, shape (BATCH,).
+    upright: 1.0 where a point is upright, else 0.0, shape (batch_count, point_count, BATCH).
+    weights: Volumes of the points [m³], shape (batch_count, point_count, BATCH).
+    x: Vectors of the nodes, shape (node_count, 3).
 """
 
 from __future__ import annotations

@@ -6,6 +6,11 @@ gradient, matrices row by row. Elements of a batch have as many nodes as the one
 what lies behind in arrays that are as wide as the widest batch is not read (`node_count_of`). A loop over e then becomes a few vector instructions, provided that
 the entries' numbers are constants and what is read and what is written are different arrays.
 `matrix_at` and `vector_at` read the entries of one element as the tuples of `matrix3`.
+
+Arguments of the kernels here:
+    V: Some entries of all elements of a batch, shape (entry_count × BATCH,).
+    matrix: Three rows of three numbers.
+    source, target: Arrays of one shape (count,).
 """
 
 from __future__ import annotations

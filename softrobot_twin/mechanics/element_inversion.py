@@ -16,6 +16,16 @@ Where F is constant, its one point tells all. A hexahedron is upright if F is so
 points, and if the map of its eight corners alone is so in each of them: enhanced strain can hide
 that the corners are inside out. Of other elements nothing is proved: they are upright if they are so
 at their quadrature points.
+
+Arguments of the kernels here; those of one batch have no first axis:
+    A, B, C: Matrices, three rows of three numbers.
+    F, first, second: F at the corners of one element, shape (4, 3, 3).
+    corners: F at the corners, shape (4, 9 × BATCH).
+    edges: Local nodes of one corner, shape (4,).
+    inverse: Inverse of its edges at rest [1/m], shape (3, 3).
+    nodes: Nodes of one element, shape (node_count_of_element,).
+    sure, upright, lowest, weights: One number for each element, shape (BATCH,).
+    x: Node positions [m], shape (node_count, 3).
 """
 
 from __future__ import annotations

@@ -23,6 +23,16 @@ is M (1 + D) with |D| ≤ d, then J_t ≥ det M (2 - (1 + d)³), which is looked
 
 A body with a value that is not positive has no such barrier: to unfold, others may have to pass
 through zero too. No move of a step makes one so (`ForceTerm.crossed_count`).
+
+Arguments of the kernels here; those of one batch have no first axis:
+    D, F: Three matrices, each three rows of three numbers.
+    bounds, least: Of each element, shape (batch_count, BATCH).
+    corners: F at the four corners, shape (4, 9 × BATCH).
+    gradients: ∇N_a at each place [1/m], shape (batch_count, place_count, 3 nodes × BATCH).
+    places: F at each place, shape (batch_count, place_count, 9 × BATCH).
+    triple: Three places, shape (3,).
+    triples: All of them, shape (triple_count, 3).
+    weights: Volume of a place [m³], shape (batch_count, BATCH).
 """
 
 from __future__ import annotations

@@ -31,6 +31,23 @@ the last because exp([θ]×) exp([S u]×) is the rotation by θ + S u + ½ θ ×
 A hinge transmits no moment about its axis, and all others; nothing yields. The angle is measured
 from the frames and written back on the axis in every move, so that nothing drifts. It is known up
 to whole turns.
+
+Arguments of the kernels here; those of one hinge have no first axis:
+    A, Q: Matrices, three rows of three numbers.
+    a, lever: Vectors, three numbers.
+    axes: Unit vectors in the hinged frames, zero for ball joints, shape (hinge_count, 3).
+    crosses, free_parents: Place of a block and of the parent, -1 for none, shape (hinge_count,).
+    forces: At the four nodes of each frame [N], shape (4 hinge_count, 3).
+    is_ball, offsets, stiffness, strides: Of each own block, shape (hinge_count,).
+    move: u, θ and α of the unknowns, shape (free_node_count, 3).
+    nodes, parents: Origin node of each frame and of its parent, shape (hinge_count,).
+    out: Angles, shape (hinge_count,); rotations, shape (hinge_count, 3, 3); turns of the unknowns,
+        shape (free_node_count, 3); levers, shape (count, 3, 3, 3); or blocks, shape (count, 3, 3).
+    points: Hinge points in the frames of the parents [m], shape (hinge_count, 3).
+    relative, rests: Rotation of each in its parent's frame, shape (hinge_count, 3, 3).
+    storage: The factorization's storage, shape (size,); added to.
+    twists: Force [N] and moment [N m] on each frame, shape (2 hinge_count, 3).
+    x: Node positions [m], shape (node_count, 3).
 """
 
 from __future__ import annotations

@@ -11,6 +11,16 @@ where c is 1/h for inertia. Mass damping has c = α and v₀ = 0. A consistent m
 M_ab = ∫ρ N_a N_b dV 1, gives f = -M ((q - q₀)/h - v₀)/h and the stiffness M/h². M of each element
 is its mass times one small matrix, integrated exactly, the same in all three directions: one number
 for each pair of nodes is stored.
+
+Arguments of the kernels here:
+    accelerations, start, start_velocities: a [m/s²], x₀ [m] and v₀ [m/s], shape (mass_count, 3).
+    columns, values: Of M in compressed rows, shape (entry_count,).
+    forces: On the unknowns [N], shape (free_node_count, 3); added to.
+    masses, nodes, unknowns: Mass [kg], node and unknown of each, shape (mass_count,).
+    offsets, strides: Places of the blocks in storage, shape (block_count,).
+    row_starts: First entry of each row, shape (mass_count + 1,).
+    storage: The factorization's storage [N/m], shape (size,); added to.
+    x: Node positions [m], shape (node_count, 3).
 """
 
 from __future__ import annotations

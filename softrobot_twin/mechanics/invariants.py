@@ -13,6 +13,10 @@ continues m, n and U below a small J, so that all of it is finite for flat and i
 A kernel `linearize` stores what depends on F alone, and its `differential` takes it up:
 
     dP = s dF + p dC + (FF F : dF + FC J̇) F + (FC F : dF + CC J̇) C,    J̇ = C : dF
+
+Arguments of the kernels here:
+    F: A matrix, three rows of three numbers.
+    rows: Eight rows of three numbers.
 """
 
 from __future__ import annotations

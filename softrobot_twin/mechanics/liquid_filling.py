@@ -10,6 +10,16 @@ g_i = ∂v/∂x_i and s = x_i + x_j + x_k the forces and their derivative are
 
     f_i = (w · s) g_i / 4 + v w / 4,
     ∂f_i/∂x_j = (w · s) ∂g_i/∂x_j / 4 + (g_i wᵀ + w g_jᵀ) / 4,    ∂g_i/∂x_j = -[x_k]ₓ / 6.
+
+Arguments of the kernels here; those of one triangle have no first axis:
+    cavity: Cavity of each triangle, shape (triangle_count,).
+    forces: At the vertices [N], shape (vertex_count, 3); added to.
+    offsets, strides: Places of the blocks in storage, shape (triangle_count, pair_count).
+    points: Vertices [m], shape (vertex_count, 3).
+    shares: Weights of the nodes that carry the vertices, shape (triangle_count, 3, width).
+    tops, weights: Top [m], and w [N/m³], of each cavity, shape (cavity_count, 3).
+    triangles: Vertices of each, shape (triangle_count, 3).
+    x: Three vertices of one triangle, each three numbers [m].
 """
 
 from __future__ import annotations

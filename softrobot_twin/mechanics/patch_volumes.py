@@ -16,6 +16,18 @@ pressure that is constant in a patch and eliminated.
 Elements keep a small share of the bulk modulus, `element_bulk`, which resists what a patch does not
 see: one part of it that swells while another one shrinks, as the two sides of a wall in bending do.
 The sizes of patches and this share were chosen by measurement (docs/elements.md, "Rubber").
+
+Arguments of the kernels here; those of one element or patch have no first axis:
+    G: ∇N_a at one point [1/m], shape (nodes, 3).
+    cell: Nodes of the elements, shape (element_count, nodes).
+    curvature: Of each pair of a patch [m], shape (width, width, 3), or (0, 0, 0).
+    forces: On the unknowns [N], shape (free_node_count, 3).
+    free: Unknowns of the nodes of each patch, shape (patch_count, width).
+    g: ∂v/∂x_a [m²], shape (width, 3).
+    gradients: ∇N_a at each point [1/m], shape (element_count, point_count, nodes, 3).
+    moves, x: Moves and positions of the nodes [m], shape (node_count, 3).
+    places: Nodes among those of the patch, shape (element_count, nodes).
+    t: A vector, three numbers.
 """
 
 from __future__ import annotations

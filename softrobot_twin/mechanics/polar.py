@@ -1,4 +1,9 @@
-"""The rotation of a deformation: polar decomposition F = R S, also of inverted elements."""
+"""The rotation of a deformation: polar decomposition F = R S, also of inverted elements.
+
+Arguments of the kernels here:
+    F, R: Of all elements of a batch, shape (9 × BATCH,).
+    upright, change: One number for each element, shape (BATCH,).
+"""
 
 from __future__ import annotations
 

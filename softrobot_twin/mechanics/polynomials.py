@@ -5,6 +5,10 @@ degree less times one variable, so that all of them cost one product each. The d
 polynomial are polynomials themselves, whose coefficients are computed once: values, gradients and
 second derivatives are then products of a matrix and the vector of monomials, and consistent with
 each other to round-off.
+
+Arguments of the kernels here:
+    parents, factors, out: Of each monomial, shape (monomial_count,).
+    z: Variables, shape (variable_count,).
 """
 
 from __future__ import annotations

@@ -11,6 +11,12 @@ Isotropic Distortion Energies, 2019):
 
 It is positive semidefinite if and only if the 3×3 matrix ψ_ij is and no a_ij or b_ij is negative.
 Pairs are in the order 23, 31, 12: pair k has the two axes other than k.
+
+Arguments of the kernels here:
+    A, diagonal: Entries 11, 22, 33, 23, 31, 12 of a symmetric matrix, six numbers.
+    U, V: Matrices, three rows of three numbers.
+    rows: Ten rows of three numbers.
+    spins, twists, v, values: Three numbers.
 """
 
 from __future__ import annotations

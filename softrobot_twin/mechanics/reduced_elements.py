@@ -15,6 +15,14 @@ of rank three (`corotational.py`), so K is a constant and two products of few ro
 Where points are sampled, G is rounded to single precision: half the memory is read, and the sampling
 is less exact by orders. Forces remain the exact derivatives of an energy, since sums of F and of
 forces are in double precision; only the products of rows are in single precision too.
+
+Arguments of the kernels here; those of one batch have no first axis:
+    C: ∂P/∂F of a batch, shape (81 × BATCH,).
+    M: A matrix, three rows of three numbers.
+    changes, gradients: w C G and G [1/m], shape (batch_count, 9, BATCH, mode_count).
+    rows: Rows of all points, shape (row_count, mode_count).
+    v: A change of F, nine numbers.
+    weights: Of the points [m³], shape (batch_count, BATCH).
 """
 
 from __future__ import annotations

@@ -38,6 +38,22 @@ this goes to the stiffness. The rest is smaller by the angle turned in the step 
 of the principal moments, and Newton's iteration contracts by about that: to 1e-12 in 9 iterations
 at 0.05 rad a step, in 36 at 0.5 rad, and not at all from about 1 rad on (moments 1 : 2 : 2.8; in
 one iteration where they are equal).
+
+Arguments of the kernels here; those of one body have no first axis:
+    before, after, x: Node positions [m], shape (node_count, 3).
+    bodies, nodes: Free body and node of each attached point, shape (point_count,).
+    centres, pushes, twists: Of each free body [m], [N] and [N m], shape (body_count, 3).
+    forces, rates, vectors, velocities, move: Of the unknowns, shape (free_node_count, 3); forces of
+        `add_lever_turning` at the points, shape (point_count, 3).
+    inertias, inverses, rotations: Of each free body, shape (body_count, 3, 3).
+    inertia: One of them, shape (3, 3).
+    local: Attached points in the frames of their bodies [m], shape (point_count, 3).
+    masses, radii: Of each free body [kg] and [m], shape (body_count,).
+    offsets, strides: Places of the blocks of each free body in storage, shape (2 body_count,).
+    origins: Origin node of each free body, or of that of each point, shape (count,).
+    out: Of the unknowns, shape (free_node_count, 3); levers, shape (point_count, 2, 3, 3); blocks,
+        shape (body_count, 3, 3); or momenta, shape (body_count, 3).
+    storage: The factorization's storage, shape (size,); added to.
 """
 
 from __future__ import annotations

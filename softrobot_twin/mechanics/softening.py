@@ -16,6 +16,11 @@ soften. With G(x) = x erf(x) + exp(-x²)/√π,
 
 Ψ_m is that of the beginning of a step; a greater one in the step follows the law itself, which is
 the same. It is remembered at the end of the step.
+
+Arguments of the kernels here:
+    law: A `SoftenedLaw`, whose `greatest` has shape (batch_count, point_count, BATCH), or a
+        `SoftenedPoint`.
+    linearized: F, P and three factors, seven rows of three numbers.
 """
 
 from __future__ import annotations

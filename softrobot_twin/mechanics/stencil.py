@@ -4,6 +4,10 @@ A stencil is the small set of nodes that one element (a tetrahedron, a segment o
 Its nodes are sorted by their place in the elimination order once, at set-up, so that each pair
 belongs to the lower triangle and a kernel adds its blocks without a test. Indices after all
 unknowns, those of carried points (`kinematics`), count as absent: they have no block of their own.
+
+Arguments of the kernels here:
+    matrix: In `add_block` three rows of three numbers.
+    storage: The factorization's storage [N/m], shape (size,); added to.
 """
 
 from __future__ import annotations

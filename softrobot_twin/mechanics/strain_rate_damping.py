@@ -31,6 +31,12 @@ element that is not flat needs no replacement.
 
 The term is an `Elements` of the corotational law whose gradients and weights are computed anew at
 the beginning of each step; F = 1 + Σ u_a g_aᵀ is their usual deformation gradient.
+
+Arguments of the kernels here:
+    cells: Nodes, shape (batch_count, most nodes of a batch, BATCH).
+    rest_gradients, gradients: ∇N_a and g_a [1/m], shape (batch_count, point_count,
+        3 nodes × BATCH).
+    thin: Memory, shape (BATCH,).
 """
 
 from __future__ import annotations

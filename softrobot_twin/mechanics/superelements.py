@@ -33,6 +33,49 @@ their mass. On the Fetch, whose accordions weigh a third of its plates, the shar
 
 Π is a polynomial of z, the scaled deformations and pressures: it holds where |z_k| ≤ 1, the range
 that was sampled. `study/vertebrae_reduction.py` fits it.
+
+Arguments of the kernels here; those of one superelement have no first axis:
+    a, b: Vectors, three numbers.
+    axes: Axes of A as sums of its frame nodes, shape (3, 8).
+    block: A matrix, three rows of three numbers.
+    blocks: Entries of H [m²], shape (entry_count, 3); added to.
+    by_unknowns: ∂e by the four unknowns, shape (count, 6, 4, 3).
+    cavities: Its cavities, -1 behind the last one, shape (count, most cavities).
+    centre_values, centre_gradients, centre_curvatures: Coefficients of c and of its derivatives, by
+        superelement, axis and monomial or variable, shape (count, 3, …).
+    centres: c [m], shape (count, 3).
+    centre: That of one superelement, shape (3,).
+    centre_slopes: ∂c/∂(e, p), shape (count, 3, n).
+    chords, chord: x_B - x_A as a sum of the frame nodes, shape (count, 8).
+    compliance: Growth by pressure [m³/Pa], shape (all_cavities, same); added to.
+    curvature: ∂²Π/∂(e, p)², shape (count, n, n).
+    drawn: What turns the weight along the axes of A, shape (count, 3, 3).
+    e, rests, rest: Deformations, and those at rest, shape (count, 6).
+    ends: Middles of the faces on A and B [m], shape (count, 2, 3).
+    entry: Entry of H of each cavity and unknown, -1 for none, shape (count, most cavities, 4).
+    forces: On the unknowns [N] and [N m], shape (free_node_count, 3); added to.
+    gradient: ∂Π/∂(e, p), shape (count, n).
+    gradients, curvatures: Coefficients of the derivatives of Π by monomial, shape (count,
+        monomial_count, n) and (count, monomial_count, n²).
+    levers: Of its frame nodes [m], shape (count, 8, 3).
+    middle: Of the sampled range, shape (count, n).
+    monomials, parents, factors: Of each monomial of lower degree, shape (monomial_count,).
+    nodes: Frame nodes of A and B, shape (count, 8).
+    offset, slope, z: Memory, shape (n,).
+    order, offsets, strides: See `BoundStencils`, shape (count, 4) and (count, 10).
+    out: Stiffness by the four unknowns, shape (12, 12).
+    own_shares, shares: Mass of each frame node, shape (8,) and (count, 8).
+    points: Frame nodes at the state known last [m], shape (count, 8, 3).
+    pressures, told, values: Of all cavities [Pa] and [m³], shape (all_cavities,).
+    pulls: The weight along the axes of A [N], shape (3,).
+    ranges: Largest |z|, shape (count,).
+    scaling: z by (e, p), shape (count, n, n); `by_z` and `by_variables` are of one superelement.
+    by_z, by_variables: Second derivatives, shape (n²,) and (n, n).
+    slopes: ∂e/∂x of the frame nodes, shape (count, 6, 8, 3).
+    unknowns: Translation and rotation of A and B, -1 where none, shape (count, 4).
+    weights: Weight [N], shape (count, 3).
+    work, bend: Memory, shape (n, n) and (n²,); in `write_stiffness` shape (12,).
+    x: Node positions [m], shape (node_count, 3).
 """
 
 from __future__ import annotations

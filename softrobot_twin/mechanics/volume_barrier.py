@@ -20,6 +20,12 @@ Between its points an element has the barrier of `fold_barrier.py`.
 
 Along a move, J of a point is a cubic polynomial. `largest_share` follows it, so that a step can stop
 before an element folds.
+
+Arguments of the kernels here:
+    deformations: F, shape (batch_count, point_count, 9 × BATCH).
+    storage: The factorization's storage [N/m], shape (size,); added to.
+    volumes: J, shape (BATCH,).
+    weights: Volumes of the points [m³], shape (batch_count, point_count, BATCH).
 """
 
 from __future__ import annotations

@@ -10,6 +10,11 @@ Every shape is mapped to one of four canonical forms, identified by a number:
 
 All forms are convex, so the signed distance is a convex function of space, inside as well: the
 tangent plane at any point is a lower bound everywhere.
+
+Arguments of the kernels here:
+    half: Half sides of a box [m], three numbers.
+    p: A point, three numbers [m].
+    placed: Origin [m] in row 0 and axes in rows 1 to 3, shape (4, 3).
 """
 
 from __future__ import annotations

@@ -10,6 +10,9 @@ With F = R S and the left stretch V = F Rᵀ = R S Rᵀ
 w = axial(A) is the vector of the twice skew part, w₀ = A₂₁ - A₁₂ and so on: G⁻¹ w is the rate of R.
 The differential is exact, so Newton's method converges quadratically. At rest the last term is
 µ [w]×, and dP is that of linear elasticity.
+
+Arguments of the kernels here:
+    A: A matrix, three rows of three numbers.
 """
 
 from __future__ import annotations

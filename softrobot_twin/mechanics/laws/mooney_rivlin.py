@@ -7,6 +7,9 @@
 
 with the invariants and G of `invariants.py`. It fits rubber up to about 100 % strain (Rivlin, Philosophical
 Transactions A 241, 1948).
+
+Arguments of the kernels here:
+    F: A matrix, three rows of three numbers.
 """
 
 from __future__ import annotations

@@ -18,6 +18,9 @@ So that all powers are of positive exponents, and energy grows where a material 
 
 `principal_axes.py` makes the differential of them. Below `LEAST_STRETCH` powers are continued by their
 Taylor polynomials, as those of J are in `volume_change.py`.
+
+Arguments of the kernels here:
+    a, l, x, y, z: Areas, stretches and powers of them, three numbers.
 """
 
 from __future__ import annotations

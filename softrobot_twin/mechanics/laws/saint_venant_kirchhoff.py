@@ -7,6 +7,10 @@
 It is for large rotations with small strains. Under compression it is soft: a bar pressed to 58 % of
 its length bears the greatest load of all, and a point turned inside out is at rest again. It does
 not push back from a flat shape by itself; `volume_barrier.py` does.
+
+Arguments of the kernels here:
+    F: A matrix, three rows of three numbers.
+    linearized: F and S, six rows of three numbers.
 """
 
 from __future__ import annotations
