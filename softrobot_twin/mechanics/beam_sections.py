@@ -36,11 +36,6 @@ class BeamSection(NamedTuple):
     outline: np.ndarray
 
     @property
-    def polar_inertia(self) -> float:
-        """I_y + I_z [m⁴]: of the mass in a turn about the tangent."""
-        return self.inertia_y + self.inertia_z
-
-    @property
     def radius(self) -> float:
         """Distance of the furthest point of the outline from the axis [m]."""
         return float(np.linalg.norm(self.outline, axis=1).max())

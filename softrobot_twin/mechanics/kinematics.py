@@ -562,6 +562,26 @@ def add_plain_blocks(sources, offsets, strides, scratch, storage):
                 storage[offsets[k] + j * strides[k] + i] += scratch[sources[k] + 3 * j + i]
 
 
+@njit(**KERNEL)
+def add_turning_blocks(blocks, reached, is_upper, offsets, strides, storage):
+    """Add some of the turning blocks, transposed where their place is.
+
+    Args:
+        blocks: All of them [N m], shape (turning_count, 3, 3).
+        reached: Those that are added, shape (count,).
+        is_upper: Whether each is transposed, shape (count,).
+        offsets: Where each begins in the storage, shape (count,).
+        strides: Distance between two columns of it there, shape (count,).
+        storage: The factorization's storage, shape (size,); added to.
+    """
+    for k in range(len(reached)):
+        block = blocks[reached[k]]
+        for j in range(3):
+            for i in range(3):
+                value = block[j, i] if is_upper[k] else block[i, j]
+                storage[offsets[k] + j * strides[k] + i] += value
+
+
 @njit(**INNER)
 def write_derivative(derivatives, p, j, out):
     """D of a carried point by one of its unknowns; the unit matrix for a free node, p < 0.
@@ -1048,12 +1068,9 @@ class TurningBlocks:
             point_forces: Forces on the carried points [N], shape (carried_count, 3).
             storage: The factorization's storage; added to.
         """
-        if not len(self._reached):
-            return
-        blocks = self._points.turning(positions, point_forces)[self._reached]
-        blocks[self._is_upper] = blocks[self._is_upper].transpose(0, 2, 1)
-        scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
-        add_plain_blocks(9 * np.arange(len(blocks)), *self._places, scratch, storage)
+        if len(self._reached):
+            blocks = self._points.turning(positions, point_forces)
+            add_turning_blocks(blocks, self._reached, self._is_upper, *self._places, storage)
 
 
 class CarriedTerm(ForceTerm):

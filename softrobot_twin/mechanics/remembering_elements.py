@@ -33,7 +33,6 @@ from softrobot_twin.mechanics.viscosity import (
     StepFactors,
     ViscousLaw,
     ViscousTerm,
-    instant_shares,
     second_piola,
     step_factors,
 )
@@ -206,11 +205,6 @@ class RememberingElements(Elements):
         scale = self._factors.scale
         base = self._wrapped(self._unwrapped.bulk_modulus / scale)
         return ViscousLaw(base, scale, self._memory)
-
-    @property
-    def instant_scale(self) -> float:
-        """Modulus at once over the modulus after a long time."""
-        return 1.0 + float(instant_shares(self.viscosity).sum()) if self.viscosity else 1.0
 
     def memory_at_rest(self) -> dict[str, np.ndarray]:
         """What points of new material remember: overstresses [Pa] of the terms of the series, and the

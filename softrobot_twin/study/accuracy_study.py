@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import yaml
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 from scipy.sparse.linalg import splu
 
 from softrobot_twin.errors import SoftRobotTwinError
@@ -300,33 +300,6 @@ class Extrapolation(NamedTuple):
     value: np.ndarray
     order: float | None
     uncertainty: float
-
-
-def observed_order(sizes: Sequence[float], values: Sequence[np.ndarray]) -> float:
-    """Order p with which three values v = v∞ + c hᵖ approach their limit.
-
-    With vectors, the norms of the two differences are compared.
-
-    Args:
-        sizes: Element sizes h of three meshes, decreasing.
-        values: The values on them, each of the same shape.
-
-    Returns:
-        p; NaN when it does not lie between `LOWEST_ORDER` and `HIGHEST_ORDER`.
-    """
-    coarse, middle, fine = (float(size) for size in sizes)
-    far = float(np.linalg.norm(np.subtract(values[1], values[0])))
-    near = float(np.linalg.norm(np.subtract(values[2], values[1])))
-    if not (coarse > middle > fine > 0.0 and far > 0.0 and near > 0.0):
-        return float("nan")
-
-    def mismatch(order: float) -> float:
-        a, b = (coarse / middle) ** order, (fine / middle) ** order
-        return near * (a - 1.0) - far * (1.0 - b)
-
-    if mismatch(LOWEST_ORDER) * mismatch(HIGHEST_ORDER) > 0.0:
-        return float("nan")
-    return float(brentq(mismatch, LOWEST_ORDER, HIGHEST_ORDER, xtol=1e-12))
 
 
 def extrapolate(sizes: Sequence[float], values: Sequence[np.ndarray]) -> Extrapolation:

@@ -109,29 +109,6 @@ def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
                            for arm in half])
 
 
-def subdivide(triangles: np.ndarray, longest: float) -> np.ndarray:
-    """Subdivides triangles into four until no edge is longer than a limit [m].
-
-    Args:
-        triangles: Corners [m], shape (triangle_count, 3, 3).
-        longest: Longest edge to leave [m].
-
-    Returns:
-        Corners of the new triangles [m], shape (new_count, 3, 3), with the same orientation.
-    """
-    done = []
-    while len(triangles):
-        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-        is_long = edges.max(axis=1) > longest
-        done.append(triangles[~is_long])
-        a, b, c = np.moveaxis(triangles[is_long], 1, 0)
-        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-        triangles = np.concatenate([
-            np.stack(piece, axis=1)
-            for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
-    return np.concatenate(done) if done else np.empty((0, 3, 3))
-
-
 def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarray:
     """Sharp edges of a surface.
 

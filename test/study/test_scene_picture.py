@@ -22,19 +22,6 @@ SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 CUBE = Box(np.zeros(3), np.array([0.03, 0.03, 0.03]), np.eye(3))
 
 
-def areas(triangles):
-    return 0.5 * np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0],
-                                         triangles[:, 2] - triangles[:, 0]), axis=1)
-
-
-def test_cut_triangles_are_small_and_cover_the_same_area():
-    points, triangles = CUBE.surface(np.inf)
-    pieces = scene_picture.subdivide(points[triangles], 0.004)
-    assert areas(pieces).sum() == pytest.approx(6 * 0.03**2)
-    edges = np.linalg.norm(pieces - np.roll(pieces, -1, axis=1), axis=2)
-    assert edges.max() <= 0.004
-
-
 def test_a_box_has_twelve_creases_and_no_diagonals():
     points, triangles = CUBE.surface(np.inf)
     edges = scene_picture.creases(points, triangles, 0.6)

@@ -392,6 +392,21 @@ class DirectActuation:
         return min(self.solvers.tolerance, stiffest * force)
 
 
+@njit(**KERNEL)
+def largest_distance(places, others, row_effector, squares):
+    """Largest distance of an effector between two states [m]; NaN where one is.
+
+    Args:
+        places: Effector coordinates [m], shape (effector_row_count,).
+        others: Those in the other state [m], same shape.
+        row_effector: Effector of each row of positions, shape (position_row_count,).
+        squares: Zeros; takes the squared distances [m²], shape (effector_count,).
+    """
+    for r in range(len(row_effector)):
+        squares[row_effector[r]] += (places[r] - others[r]) ** 2
+    return np.sqrt(np.max(squares))
+
+
 def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     """Distance of the effectors from equilibrium at held displacements, by the linearization.
 
@@ -406,9 +421,10 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     if effectors is None or held is None or linear.contact_row_count:
         return float("nan")
     places = linear.effector_places(held.efforts, held.contact.multipliers, held.moves)
-    moves = (places - linear.effectors_now)[: effectors.position_row_count]
-    squares = np.bincount(effectors.row_effector[: len(moves)], weights=moves * moves)
-    return float(np.sqrt(squares.max(initial=0.0)))
+    return largest_distance(
+        places, linear.effectors_now, effectors.row_effector[: effectors.position_row_count],
+        np.zeros(len(effectors.effectors)),
+    )  # fmt: skip
 
 
 def widened(path: np.ndarray, bounds: Bounds) -> Bounds:
