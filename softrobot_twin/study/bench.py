@@ -41,7 +41,7 @@ COLUMNS = (
     "interrupted_share",
     "factor_flop", "solves_flop", "dgemm_flop_per_s", "share_of_dgemm_speed", "factor_bytes",
     "resident_bytes", "full_ms", "ratio_to_full", "python_calls",
-    "kernel_share",
+    "kernel_share", "beside_step_ms",
 )
 
 
@@ -81,7 +81,7 @@ def _row(
         flops and flops.factor,
         flops and flops.solves, size.dense_speed, size.share_of_dense_speed, size.factor_bytes,
         size.resident, whole and 1e3 * whole, whole and times.median / whole, size.calls,
-        size.kernel_share,
+        size.kernel_share, 1e3 * size.beside,
     )
 
 
@@ -131,6 +131,7 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("factorization", lambda size: size.factorization),
         ("calls of Python in a step", lambda size: f"{size.calls:.0f}"),
         ("share of kernels in a step", lambda size: f"{100.0 * size.kernel_share:.0f} %"),
+        ("tick beside the step, ms", lambda size: _number(1e3 * size.beside, "{:.3f}")),
         ("rows of H, contacts with force",
          lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
         ("paper's step / ours", lambda size: _paper_ratio(size)),

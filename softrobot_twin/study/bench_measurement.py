@@ -26,6 +26,10 @@ from numba.core.registry import CPUDispatcher
 from scipy.sparse.linalg import splu
 
 import softrobot_twin
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import Scene, load_scene
@@ -501,43 +505,6 @@ class Paper(NamedTuple):
     required: float | None = None
 
 
-# Commands file of each robot with contact, in `config/commands`.
-_TOUCHING = {
-    "grasper": ("grasper_lift.csv", Paper(1422, 5.0e-3)),
-    "octoleg": ("octoleg_curl.csv", Paper(360, 1.7e-3)),
-}
-
-
-# The Trunk touches a cylinder during this part of its path [s].
-_LEANING = ("trunk_path.csv", 5.6, 8.3)
-# The second time is the best of the paper's C++ code on its small mesh with one obstacle.
-_TRUNKS = {
-    "trunk_900": Paper(4995, 29.0e-3),
-    "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best"),
-}
-# The tips of the PneuNet gripper close and open during this part of their path [s].
-_CLOSING = ("pneunet_tips.csv", 0.5, 11.5)
-_SPRINGY = Paper(4596, 19.7e-3, "its C++ code's best", required=4.0e-3)
-_PNEUNET = Paper(3642, 8.5e-3, "its C++ code's best", required=2.0e-3)
-
-
-# The Fetch with all its nodes, and reduced to two vertebrae, which the paper's step is of.
-_FETCHES = {
-    "fetch": None,
-    "fetch_reduced": Paper(12, 7.5e-3, required=0.25e-3),
-}
-
-
-# The tip of the Flexo is on its circle during this part of its path [s].
-_CIRCLING = ("flexo_circle.csv", 4.0, 12.0)
-_FLEXO = Paper(912, 4.5e-3, required=0.4e-3)
-_STIFFACE = Paper(2285, 30.0e-3, required=3.0e-3)
-
-
-# Published for the Diamond in the C++ framework: 32 modes and hyper-reduction.
-_REDUCED_DIAMOND = Paper(32, 4.6e-3, "the published reduction's", required=0.3e-3)
-
-
 class BenchCase(NamedTuple):
     """One scene to measure.
 
@@ -587,14 +554,9 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
             commands.
         commands: Commands file whose longest hold is timed, or None.
     """
-    cases = []
+    cases, ours = [], robot_cases() if any(path.is_file() for path in paths) else []
     for path in paths:
-        ours = (
-            [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases(), *fetch_cases(),
-             *beam_cases(), *stiffness_cases(), *reduced_cases()]
-            if path.is_file() else []
-        )
-        known = [case for case in ours if case.scene.path.samefile(path)]
+        known = [case for case in ours if path.is_file() and case.scene.path.samefile(path)]
         if known and commands is None:
             cases += known
             continue
@@ -625,83 +587,55 @@ def _bodies(scene: Scene) -> list[tuple]:
              body.element, body.material) for body in scene.deformables]
 
 
-def holding_cases() -> list[BenchCase]:
-    """Cases of the robots with contact in direct mode: Grasper and Octoleg."""
+def robot_cases() -> list[BenchCase]:
+    """The robots of the package that have figures of the paper, or are driven in their own way."""
     folder = default_scene_path().parent
-    return [
-        BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name.capitalize()}",
-                  commands=folder.parent / "commands" / commands, paper=paper)
-        for name, (commands, paper) in _TOUCHING.items()
-    ]
 
+    def case(
+        name: str, family: str = "", commands: str = "", path: tuple[str, float, float] | None = None,
+        paper: Paper | None = None, sweeps: bool = False,
+    ) -> BenchCase:  # fmt: skip
+        """The case of a scene: a commands file, or a targets file and an interval of it [s]."""
+        return BenchCase(
+            name, load_scene(folder / f"{name}.yaml"), family or f"the {name.capitalize()}",
+            commands=folder.parent / "commands" / commands if commands else None, paper=paper,
+            interval=path and FileInterval(folder.parent / "targets" / path[0], *path[1:]),
+            sweeps=sweeps,
+        )  # fmt: skip
 
-def tracking_in_contact_cases() -> list[BenchCase]:
-    """Cases of the Trunk, which follows targets in contact with cylinders."""
-    folder = default_scene_path().parent
-    scene = load_scene(folder / "trunk_cylinders.yaml")
-    file, begin, end = _LEANING
-    interval = FileInterval(folder.parent / "targets" / file, begin, end)
-    coarse = _with_mesh(scene, scene.mesh_path.with_name("trunk_700.vtk"))
-    coarse = coarse.model_copy(update={
-        "obstacles": scene.obstacles[:1],
-        "contact": scene.contact.model_copy(update={"between": scene.contact.between[:1]}),
+    # It touches a cylinder in this interval.
+    trunk = case("trunk_cylinders", "the Trunk", path=("trunk_path.csv", 5.6, 8.3))
+    small = _with_mesh(trunk.scene, trunk.scene.mesh_path.with_name("trunk_700.vtk"))
+    small = small.model_copy(update={
+        "obstacles": small.obstacles[:1],
+        "contact": small.contact.model_copy(update={"between": small.contact.between[:1]}),
     })
+    # Published for the Diamond in the C++ framework: 32 modes and hyper-reduction.
+    published = Paper(32, 4.6e-3, "the published reduction's", required=0.3e-3)
+    reduced = case("diamond_reduced", "the Diamond, reduced", paper=published)
+    body = reduced.scene.body.model_copy(update={"reduced": None})
+    best = "its C++ code's best"
     return [
-        BenchCase(name, case, "the Trunk", paper=_TRUNKS[name], interval=interval)
-        for name, case in (("trunk_700", coarse), ("trunk_900", scene))
-    ]
-
-
-def pneumatic_cases() -> list[BenchCase]:
-    """Cases of robots with cavities: Springy by volume, and tips of the PneuNet gripper."""
-    folder = default_scene_path().parent
-    file, begin, end = _CLOSING
-    interval = FileInterval(folder.parent / "targets" / file, begin, end)
-    return [
-        BenchCase("springy", load_scene(folder / "springy.yaml"), "the Springy", paper=_SPRINGY,
-                  sweeps=True),
-        BenchCase("pneunet_inverse", load_scene(folder / "pneunet_inverse.yaml"), "the PneuNet",
-                  paper=_PNEUNET, interval=interval),
-    ]
-
-
-def fetch_cases() -> list[BenchCase]:
-    """Cases of the Fetch, which follows targets by six pressures: full and reduced."""
-    folder = default_scene_path().parent
-    return [
-        BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name}", paper=paper)
-        for name, paper in _FETCHES.items()
-    ]
-
-
-def beam_cases() -> list[BenchCase]:
-    """Cases of beams: one of 200 elements by the length of its tendon, and the Flexo to targets."""
-    folder = default_scene_path().parent
-    file, begin, end = _CIRCLING
-    interval = FileInterval(folder.parent / "targets" / file, begin, end)
-    return [
-        BenchCase("cantilever", load_scene(folder / "cantilever.yaml"), "the cantilever",
-                  sweeps=True),
-        BenchCase("flexo", load_scene(folder / "flexo.yaml"), "the Flexo", paper=_FLEXO,
-                  interval=interval),
+        case("grasper", commands="grasper_lift.csv", paper=Paper(1422, 5.0e-3)),
+        case("octoleg", commands="octoleg_curl.csv", paper=Paper(360, 1.7e-3)),
+        # The paper's small mesh, with one obstacle.
+        trunk._replace(name="trunk_700", scene=small, paper=Paper(2100, 4.5e-3, best)),
+        trunk._replace(name="trunk_900", paper=Paper(4995, 29.0e-3)),
+        case("springy", sweeps=True, paper=Paper(4596, 19.7e-3, best, required=4.0e-3)),
+        # Its tips close and open in this interval.
+        case("pneunet_inverse", "the PneuNet", path=("pneunet_tips.csv", 0.5, 11.5),
+             paper=Paper(3642, 8.5e-3, best, required=2.0e-3)),
+        # With all its nodes, and reduced to two vertebrae, which the paper's step is of.
+        case("fetch", "the fetch"),
+        case("fetch_reduced", "the fetch_reduced", paper=Paper(12, 7.5e-3, required=0.25e-3)),
+        case("cantilever", "the cantilever", sweeps=True),
+        case("flexo", path=("flexo_circle.csv", 4.0, 12.0),
+             paper=Paper(912, 4.5e-3, required=0.4e-3)),
+        case("stifface", paper=Paper(2285, 30.0e-3, required=3.0e-3)),
+        reduced._replace(name="diamond_quadratic", family="the Diamond, quadratic", paper=None,
+                         scene=reduced.scene.model_copy(update={"body": body})),
+        reduced,
     ]  # fmt: skip
-
-
-def stiffness_cases() -> list[BenchCase]:
-    """The Stifface on a circle of its effector, at the stiffness of its scene."""
-    path = default_scene_path().parent / "stifface.yaml"
-    return [BenchCase("stifface", load_scene(path), "the Stifface", paper=_STIFFACE)]
-
-
-def reduced_cases() -> list[BenchCase]:
-    """The Diamond reduced to modes, after its full model."""
-    reduced = load_scene(default_scene_path().parent / "diamond_reduced.yaml")
-    body = reduced.body.model_copy(update={"reduced": None})
-    return [
-        BenchCase("diamond_quadratic", reduced.model_copy(update={"body": body}),
-                  "the Diamond, quadratic"),
-        BenchCase("diamond_reduced", reduced, "the Diamond, reduced", paper=_REDUCED_DIAMOND),
-    ]
 
 
 def standard_cases(folder: Path) -> list[BenchCase]:
@@ -719,9 +653,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
         for nodes in _REFINEMENTS
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
-    return [small, *diamonds, large, *holding_cases(), *tracking_in_contact_cases(),
-            *pneumatic_cases(), *fetch_cases(), *beam_cases(), *stiffness_cases(),
-            *reduced_cases()]
+    return [small, *diamonds, large, *robot_cases()]
 
 
 def _is_default(path: Path) -> bool:
@@ -806,6 +738,8 @@ class SizeMeasurement:
         qp_solvers: Number of timed steps by solver of the inverse problem.
         calls: Calls of Python functions in a step, those that are written in C too, in the mean.
         kernel_share: Share of a step's time that kernels take, in the median.
+        beside: Time of the twin's tick beside its step, without ROS [s], in the median; NaN where no
+            targets lead.
     """
 
     case: BenchCase
@@ -831,6 +765,7 @@ class SizeMeasurement:
     qp_solvers: Counter[str]
     calls: float
     kernel_share: float
+    beside: float
 
     @property
     def is_reduced(self) -> bool:
@@ -902,6 +837,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         record = _follow(simulation, commands, steps, not is_reduced(case.scene))
         calls = _calls_in_a_step(simulation, commands)
         kernel_share = _share_of_kernels(simulation, commands)
+        beside = _time_beside_steps(simulation, commands)
     factorization = model.factorization
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     return SizeMeasurement(
@@ -915,7 +851,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         record.interrupted / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
         float(np.median(record.dense)), _factor_bytes(factorization), resident,
-        record.statuses, record.qp_solvers, calls, kernel_share)
+        record.statuses, record.qp_solvers, calls, kernel_share, beside)
 
 
 def _commands_of(simulation: Simulation, case: BenchCase):
@@ -1021,6 +957,35 @@ def _share_of_kernels(simulation: Simulation, commands) -> float:
         # What is inherited from numba's compiled base class is used again.
         del CPUDispatcher.__call__
     return float(np.median(shares))
+
+
+def _time_beside_steps(simulation: Simulation, commands) -> float:
+    """Time of a tick beside its step, see `SizeMeasurement.beside`."""
+    if not isinstance(commands.next(), FollowTargets):
+        return float("nan")
+    loop, step, within, beside = TwinLoop(simulation, LoopSettings()), simulation.step, 0.0, []
+
+    def timed(*given, **options) -> StepResult:
+        nonlocal within
+        start = perf_counter()
+        try:
+            return step(*given, **options)
+        finally:
+            within += perf_counter() - start
+
+    simulation.step = timed
+    try:
+        for number in range(COUNTED_STEPS):
+            now = number / loop.settings.rate
+            arrival = Arrival("base_link", 0, round(NANOSECONDS * now), now)
+            for effector, target in enumerate(commands.next().targets):
+                loop.targets.accept_point(effector, target, arrival)
+            within, start = 0.0, perf_counter()
+            loop.tick(now, arrival.ros_time)
+            beside.append(perf_counter() - start - within)
+    finally:
+        del simulation.step
+    return float(np.median(beside))
 
 
 def _factor_bytes(factorization) -> int | None:

@@ -207,6 +207,7 @@ def test_a_step_that_grew_is_marked_beside_an_earlier_run(column, tmp_path, call
     whole = next(row for row in rows if row["stage"] == WHOLE_STEP)
     assert float(whole["python_calls"]) > 100.0
     assert 0.05 < float(whole["kernel_share"]) < 1.0
+    assert float(whole["beside_step_ms"]) > 0.0
 
     def earlier(name, ratio, calls):
         path = tmp_path / f"{name}.csv"

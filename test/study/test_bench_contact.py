@@ -1,5 +1,7 @@
 """``bench`` with contact: held commands, and the paper's robots."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from softrobot_twin.study.bench_measurement import (
     Paper,
     given_cases,
     measure,
-    holding_cases,
+    robot_cases,
 )
 
 
@@ -28,6 +30,7 @@ def held(stamp):
 def test_a_hold_is_timed_in_contact(held):
     assert held.contact_count > 4  # the cube's corners on the floor, and the pad on the cube
     assert held.row_count >= 3 * held.contact_count
+    assert math.isnan(held.beside)  # no targets lead
     assert {"detect", "optimise", WHOLE_STEP} <= set(held.stages)
     assert held.statuses["ok"] == 5
 
@@ -57,7 +60,8 @@ def test_a_file_without_a_hold_is_refused(tmp_path, stamp):
 
 
 def test_the_robots_of_the_package_hold_and_have_the_papers_figures():
-    cases = {case.name: case for case in holding_cases()}
+    cases = {case.name: case for case in robot_cases() if case.commands is not None}
+    assert cases.keys() == {"grasper", "octoleg"}
     assert cases["grasper"].paper == Paper(1422, 5.0e-3)
     assert cases["octoleg"].paper == Paper(360, 1.7e-3)
     for case in cases.values():

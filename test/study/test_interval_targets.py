@@ -3,11 +3,11 @@
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.bench_measurement import IntervalTargets, tracking_in_contact_cases
+from softrobot_twin.study.bench_measurement import IntervalTargets, robot_cases
 
 
 def test_the_trunk_is_in_contact_during_the_whole_timed_interval():
-    case = tracking_in_contact_cases()[0]
+    case = next(case for case in robot_cases() if case.name == "trunk_700")
     simulation = Simulation(case.scene)
     tour = IntervalTargets(simulation, case.interval)
     targets, contacts = [], []
