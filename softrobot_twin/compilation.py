@@ -44,6 +44,10 @@ GENERIC = {**INLINED, "cache": False}
 """As `INNER_UNCACHED`, inlined."""
 
 
+class Kernel(CPUDispatcher):
+    """A kernel that Python calls. `recorded_stage` gives it another `__call__` while it records."""
+
+
 class InnerKernel(CPUDispatcher):
     """A kernel that only kernels call. numba crashes where Python calls such a kernel."""
 
@@ -69,8 +73,7 @@ def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
         kernel = numba.njit(**options, no_cpython_wrapper=is_inner)(function)
         if is_kept and function.__module__.startswith(_PACKAGE):
             kernel._cache = KernelCache(function)
-        if is_inner:
-            kernel.__class__ = InnerKernel
+        kernel.__class__ = InnerKernel if is_inner else Kernel
         _progress.known += 1
         return kernel
 

@@ -43,6 +43,7 @@ from softrobot_twin.mechanics.kinematics import (
 )
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils
+from softrobot_twin.recorded_stage import clear
 
 # Two segments whose directions have a smaller cosine fold back on each other.
 FOLD_COSINE = -0.5
@@ -258,11 +259,19 @@ def share_kernel(x, nodes, coefficients, constants, least, rounding, free, move)
     return share
 
 
+@njit(**KERNEL)
+def shorten(rest_lengths, lengths):
+    """Turn lengths into shortenings [m], both of shape (cable_count,)."""
+    for c in range(len(lengths)):
+        lengths[c] = rest_lengths[c] - lengths[c]
+
+
 class Cables(ConstantRows):
     """Constraint term of all cables of a scene, and the stiffness of the taut ones."""
 
     name = "cables"
     group = "actuators"
+    is_recordable = True
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
@@ -297,6 +306,11 @@ class Cables(ConstantRows):
         if points is not None and (self._free >= points.free_count).any():
             self._points, self._folded = points, FoldedSegments(points, self._free, self._coefficients)
             self._carriers = points_among(self._free, points.free_count)
+            self._matrices = np.empty((count, 3, 3))
+            self._pulls = (
+                np.empty((len(self.entry_rows), 3)), np.empty(self.row_count),
+                np.empty((points.free_count + points.count, 3)),
+            )  # fmt: skip
         vectors = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
         lengths = np.linalg.norm(vectors + self._constants, axis=1)
         self._least = NO_LENGTH * self._scale(lengths, rest_positions)
@@ -355,7 +369,7 @@ class Cables(ConstantRows):
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the shortenings δ [m]; see `ConstraintTerm.evaluate`."""
         self._evaluate(positions, blocks, values)
-        np.subtract(self.rest_lengths, values, out=values)
+        shorten(self.rest_lengths, values)
 
     def _evaluate(self, positions, blocks, lengths) -> None:
         evaluate_kernel(
@@ -388,15 +402,14 @@ class Cables(ConstantRows):
                 storage,
             )  # fmt: skip
             return
-        matrices = np.empty((len(self._nodes), 3, 3))
         write_matrices(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, self._cable, tensions, matrices,
+            self._rounding, self._cable, tensions, self._matrices,
         )  # fmt: skip
         pulls = None
         if self._folded.turns and not projected:
             pulls = self._pulls_on_carried_points(positions, tensions)
-        self._folded.add(positions, matrices, pulls, storage)
+        self._folded.add(positions, self._matrices, pulls, storage)
 
     def add_row_stiffness(
         self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
@@ -415,12 +428,11 @@ class Cables(ConstantRows):
 
     def _pulls_on_carried_points(self, positions, tensions) -> np.ndarray:
         """Force of the cables on each carried point [N], shape (carried_count, 3)."""
-        free = self._points.free_count
-        blocks, lengths = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
+        blocks, lengths, forces = self._pulls
         self._evaluate(positions, blocks, lengths)
-        forces = np.zeros((free + self._points.count, 3))
+        clear(forces.reshape(-1))
         add_row_forces(self.entry_rows, self.entry_nodes, blocks, tensions, forces)
-        return forces[free:]
+        return forces[self._points.free_count :]
 
 
 def _segments(path: CablePath, width: int):

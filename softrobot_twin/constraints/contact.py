@@ -338,6 +338,11 @@ class Contacts:
         self._anchors, self._begins = np.zeros(capacity), np.zeros((capacity, 3))
 
     @property
+    def is_recordable(self) -> bool:
+        """See `ConstraintTerm`: rows keep their arrays while there are as many contacts."""
+        return self.curvature is None
+
+    @property
     def entry_capacity(self) -> int:
         """Entries of rows that there may be."""
         return 2 * self._width * self.row_capacity
@@ -412,7 +417,9 @@ class Contacts:
         )  # fmt: skip
         pair = self.pair[: self.count]
         row_counts = self.rows_of_pair[pair]
-        self.row_starts = np.concatenate(([0], row_counts.cumsum()))
+        if len(self.row_starts) != self.count + 1:
+            self.row_starts = np.zeros(self.count + 1, np.int64)
+        np.cumsum(row_counts, out=self.row_starts[1:])
         self._entry_count = write_layout(
             self._free_index, self.nodes, self.row_starts, self._entry_rows, self._entry_nodes
         )

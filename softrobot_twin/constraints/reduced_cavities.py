@@ -31,6 +31,7 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.geometry.vector3 import row
+from softrobot_twin.geometry.vector_arrays import are_same
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 from softrobot_twin.mechanics.cavity_surfaces import (
     CavitySurface,
@@ -40,7 +41,6 @@ from softrobot_twin.mechanics.cavity_surfaces import (
     sphere_volumes,
     surface_area,
 )
-from softrobot_twin.mechanics.elements import are_same
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 
 # Triangles whose coefficients are summed at once; it bounds the memory.

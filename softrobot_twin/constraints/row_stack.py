@@ -93,6 +93,8 @@ class RowStack:
             own = reached[reached < points.free_count]
             reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
+        self.row_count, self.values, self._multipliers = 0, np.zeros(0), np.zeros(0)
+        self._written = self._rows, self._nodes, self._blocks = (np.empty(0),) * 3
         self._make_room()
         self._told_parts = [
             (term, rows) for term, _, rows in self._constant_parts
@@ -108,7 +110,12 @@ class RowStack:
             self.is_told = np.zeros(self.groups.actuators.stop, bool)
             for _, rows in self._told_parts:
                 self.is_told[rows] = True
-        self.values = np.zeros(self.row_count)
+
+    @property
+    def is_recordable(self) -> bool:
+        """Whether `evaluate` and `add_stiffness` may be recorded; see `recorded_stage.py`."""
+        is_carried = self._carried is not None and not self._carried.points.is_recordable
+        return not is_carried and all(term.is_recordable for term in self.terms)
 
     @property
     def reaches_carried_points(self) -> bool:
@@ -158,10 +165,12 @@ class RowStack:
             row, entry = self._place(term, row, entry, self._parts)
         if self._varying:
             self.groups = RowGroups(self.groups.actuators, self.groups.effectors, slice(first, row))
+        if row != self.row_count:
+            self.values, self._multipliers = np.zeros((2, row))
         self.row_count = row
-        self.row_index, self.node_index = self._rows[:entry], self._nodes[:entry]
-        self.blocks = self._blocks[:entry]
-        self._written = self.row_index, self.node_index, self.blocks
+        if len(self._written[0]) != entry or self._written[0].base is not self._rows:
+            self._written = self._rows[:entry], self._nodes[:entry], self._blocks[:entry]
+            self.row_index, self.node_index, self.blocks = self._written
 
     def detect(self, positions: np.ndarray) -> None:
         """Detect the rows of all terms at a state.
@@ -198,15 +207,14 @@ class RowStack:
             positions: Node positions [m], shape (node_count, 3).
         """
         positions = writable(positions)
-        # Allocated anew: a linearization keeps the values of its own state.
-        self.values = np.empty(self.row_count)
         for term, blocks, rows in self._parts:
             term.evaluate(positions, blocks, self.values[rows])
         if self._carried is not None:
             carried, count = self._carried, self._carried.reduce(positions, *self._written)
-            self.row_index = carried.row_index[:count]
-            self.node_index = carried.node_index[:count]
-            self.blocks = carried.blocks[:count]
+            if len(self.blocks) != count or self.blocks.base is not carried.blocks:
+                self.row_index = carried.row_index[:count]
+                self.node_index = carried.node_index[:count]
+                self.blocks = carried.blocks[:count]
 
     def actuator_blocks_at(self, positions: np.ndarray) -> np.ndarray:
         """Entries of the actuators' rows at another state, which come first in `blocks`.
@@ -296,14 +304,14 @@ class RowStack:
         return ratios
 
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:
-        """λ of all rows in the last solution [N], shape (row_count,).
+        """λ of all rows in the last solution [N], shape (row_count,); the next call overwrites it.
 
         Args:
             efforts: λ of the actuators; those without rows come last [N],
                 shape (actuator_count,).
         """
-        multipliers = np.zeros(self.row_count)
-        actuators = self.groups.actuators
+        multipliers, actuators = self._multipliers, self.groups.actuators
+        multipliers[:] = 0.0
         multipliers[actuators] = efforts[actuators]
         for term, _, rows in self._parts:
             if term.varies:

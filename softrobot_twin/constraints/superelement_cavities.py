@@ -21,6 +21,7 @@ import numpy as np
 from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, sphere_volumes
 from softrobot_twin.mechanics.superelements import Superelements
+from softrobot_twin.recorded_stage import clear
 
 
 class SuperelementCavities(ConstantRows):
@@ -35,6 +36,7 @@ class SuperelementCavities(ConstantRows):
 
     name = "cavities"
     group = "actuators"
+    is_recordable = True
     takes_efforts = True
 
     def __init__(
@@ -109,7 +111,8 @@ class SuperelementCavities(ConstantRows):
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H, the growths δ [m³] and the compliance; see `ConstraintTerm.evaluate`."""
-        blocks[:], values[:], self.compliance[:] = 0.0, 0.0, 0.0
+        for numbers in (blocks, values, self.compliance):
+            clear(numbers.reshape(-1))
         for superelements, entry, entries in self._parts:
             superelements.add_growths(positions, entry, values, blocks[entries], self.compliance)
 

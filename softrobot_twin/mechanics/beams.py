@@ -88,9 +88,9 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
+from softrobot_twin.geometry.vector_arrays import are_same, copy_vectors
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.kinematics import is_same
 from softrobot_twin.mechanics.rigid_bodies import rotation_at
 from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial, turn_between
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
@@ -513,6 +513,7 @@ class Beams(ForceTerm):
 
     name = "beams"
     is_slender = True
+    is_recordable = True
     remembers_start = True
 
     def __init__(self, elements: BeamElements):
@@ -537,9 +538,8 @@ class Beams(ForceTerm):
         # With damping, K grows by β K/h in a step, and what is subtracted from K ε changes.
         self._k, self._pulls = e.stiffness.copy(), e.stiffness * e.rest
         self._start = np.empty((self.element_count, 6))
-        # Node positions of the last linearization of a step, and of the one before.
-        self._linearized_at: np.ndarray | None = None
-        self._linearized_before: np.ndarray | None = None
+        # Node positions of the last linearization of a step, and of the one before; NaN without any.
+        self._linearized_at = self._linearized_before = np.empty((0, 3))
         self._predicted, self._nothing = np.empty((self.element_count, 6)), np.empty((0, 6))
         self._bound = None
 
@@ -556,7 +556,7 @@ class Beams(ForceTerm):
     ) -> None:
         """Forget the last linearization; with damping, remember t and ψ where a step of h [s] begins.
         """
-        self._linearized_at = self._linearized_before = None
+        self._linearized_at.fill(np.nan)
         if not self._is_damped:
             return
         e = self.elements
@@ -567,7 +567,8 @@ class Beams(ForceTerm):
 
     def follow_move(self, start: np.ndarray) -> None:
         """Predict t and ψ in the first linearization of a step too; see `ForceTerm.follow_move`."""
-        self._linearized_at = start.copy()
+        self._make_room(start)
+        self._linearized_at[:] = start
 
     def deformations(self, positions: np.ndarray) -> np.ndarray:
         """t [m] and ψ [rad] of every element, in the axes of its first end.
@@ -606,11 +607,13 @@ class Beams(ForceTerm):
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
         e, bound, x = self.elements, self._bound, writable(positions)
+        self._make_room(x)
         # Another tangent of the same state is predicted from the same one before.
-        if self._linearized_at is None or not is_same(self._linearized_at, x):
-            self._linearized_before, self._linearized_at = self._linearized_at, x.copy()
+        if not are_same(self._linearized_at, x):
+            copy_vectors(self._linearized_at, self._linearized_before)
+            copy_vectors(x, self._linearized_at)
         predicted = self._nothing
-        if self._linearized_before is not None:
+        if are_same(self._linearized_before, self._linearized_before):
             predicted = self._predicted
             predict_deformations(
                 self._linearized_before, x, e.origins, e.end_points, e.end_axes, predicted
@@ -620,6 +623,10 @@ class Beams(ForceTerm):
             self._pulls, predicted, projected, bound.order, bound.offsets, bound.strides, forces,
             storage,
         )  # fmt: skip
+
+    def _make_room(self, positions: np.ndarray) -> None:
+        if len(self._linearized_at) != len(positions):
+            self._linearized_at, self._linearized_before = np.full((2, *positions.shape), np.nan)
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
         """Share of a move in which no element is bent by half a turn; see `ForceTerm`."""

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
 from softrobot_twin.geometry.smoothed_mesh import EdgeRings
+from softrobot_twin.geometry.vector_arrays import (
+    add_vectors,
+    are_same,
+    copy_vectors,
+    make_unknown,
+    write_differences,
+)
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
@@ -26,24 +32,12 @@ from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_stiffness,
     largest_share_of_points,
 )
+from softrobot_twin.recorded_stage import clear
 
 # Stretch by which the stiffness of a law at rest is measured.
 SMALL_STRETCH = 1.0e-4
 # Change of the deformation gradient over which its differential is differentiated.
 CURVATURE_STEP = 2.0e-5
-
-
-@njit(**KERNEL)
-def are_same(first, second):
-    """Whether two arrays of vectors, shape (count, 3), are equal in all components; NaN never is.
-    """
-    if len(first) != len(second):
-        return False
-    for k in range(len(first)):
-        for i in range(3):
-            if not first[k, i] == second[k, i]:
-                return False
-    return True
 
 
 class Elements(ForceTerm):
@@ -59,6 +53,7 @@ class Elements(ForceTerm):
     """
 
     strain_watch: StrainWatch | None = None
+    is_recordable = True
 
     def __init__(self, mesh, free_index: np.ndarray, law: tuple):
         """Prepare the elements.
@@ -117,6 +112,7 @@ class Elements(ForceTerm):
         self._rotations = np.zeros((batch_count, point_count, entries * BATCH))
         self._uprights = np.zeros((batch_count, point_count, BATCH))
         self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
+        self._moves = np.empty_like(self._reference)
         self._forget()
         self._constant_stiffness = None
         self._barrier_stiffness = self._stretch_stiffness()
@@ -141,8 +137,8 @@ class Elements(ForceTerm):
 
     def _forget(self) -> None:
         """Discard the stored state."""
-        self._is_known, self.nearly_flat_count, self.crossed_count = False, 0, 0
-        self._nearly_flat_points = 0
+        make_unknown(self._known_at)
+        self.nearly_flat_count = self.crossed_count = self._nearly_flat_points = 0
 
     def _stretch_stiffness(self) -> float:
         """The stiffness of the law at rest against a uniaxial stretch [Pa].
@@ -173,12 +169,12 @@ class Elements(ForceTerm):
         """
         self._begin_state(positions, forces)
         inverted_count, self._nearly_flat_points = self._assembly.add_forces(
-            self.law, positions - self._reference, self._cells, self._free,
+            self.law, self._moved(positions), self._cells, self._free,
             self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
             self._deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
         self._add_fold_forces()
-        forces += self._forces
+        add_vectors(self._forces, forces)
         if len(self._corners.edges):
             return count_folded(
                 writable(positions), self._mesh.cells, *self._corners, self._uprights
@@ -189,13 +185,18 @@ class Elements(ForceTerm):
         """Note the state whose forces are taken now, and set them to zero."""
         if self._forces.shape != forces.shape or self._known_at.shape != positions.shape:
             self._forces, self._known_at = np.empty(forces.shape), np.empty(positions.shape)
-        self._forces[:] = 0.0
-        self._known_at[:] = positions
-        self._is_known = True
+        clear(self._forces.reshape(-1))
+        copy_vectors(positions, self._known_at)
+
+    def _moved(self, positions: np.ndarray) -> np.ndarray:
+        """Displacements from the reference [m], shape (node_count, 3); overwritten by the next call.
+        """
+        write_differences(writable(positions), self._reference, self._moves)
+        return self._moves
 
     def _knows(self, positions: np.ndarray) -> bool:
         """Whether the stored state is that at node positions [m], to the bit."""
-        return self._is_known and are_same(writable(positions), self._known_at)
+        return are_same(writable(positions), self._known_at)
 
     def _deformations_at(self, positions: np.ndarray) -> np.ndarray:
         """F at the points, shape (batch_count, point_count, 9 × BATCH), not to be changed.
@@ -221,7 +222,7 @@ class Elements(ForceTerm):
         is_known = self._knows(positions)
         if self._constant_stiffness is not None:
             if is_known:
-                forces += self._forces
+                add_vectors(self._forces, forces)
             else:
                 self.add_forces(positions, forces)
             storage[: len(self._constant_stiffness)] += self._constant_stiffness
@@ -239,11 +240,11 @@ class Elements(ForceTerm):
             )  # fmt: skip
         if self._fold_barrier is not None and self._fold_barrier.acting_count:
             self._fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
-        forces += self._forces
+        add_vectors(self._forces, forces)
 
     def _add_stiffness(self, positions, storage, projected: bool, is_known: bool) -> int:
         return self._assembly.add_stiffness(
-            self.law, positions - self._reference, self._cells, self._free,
+            self.law, self._moved(positions), self._cells, self._free,
             self._gradients, self._weights, self._barrier_stiffness, projected, is_known,
             self._deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, self._forces, storage,

@@ -201,9 +201,9 @@ def find_least_values(to_places, triples, weights, deformations, places, least):
         least: Written, shape (batch_count, BATCH).
 
     Returns:
-        The least of all; -∞ where one is not positive.
+        Whether one is below J₀, if all are positive; and how many are not.
     """
-    lowest = np.inf
+    lowest, crossed_count = np.inf, 0
     for k in range(len(weights)):
         if len(to_places) > 0:
             deform_corners(to_places[:4], deformations[k], places[k, :4])
@@ -216,8 +216,9 @@ def find_least_values(to_places, triples, weights, deformations, places, least):
                 least[k, e] = BARRIER_VOLUME
             elif len(to_places) == 0 or not least[k, e] >= BARRIER_VOLUME:
                 least[k, e] = least_value(triples, places[k], e, len(to_places) > 0)
-                lowest = min(lowest, least[k, e]) if least[k, e] > 0.0 else -np.inf
-    return lowest
+                lowest = min(lowest, least[k, e])
+                crossed_count += not least[k, e] > 0.0
+    return crossed_count == 0 and lowest < BARRIER_VOLUME, crossed_count
 
 
 @njit(**INNER)
@@ -449,14 +450,12 @@ class FoldBarrier:
         Returns:
             Whether the barrier acts, if all points are upright.
         """
-        lowest = self._find(positions, deformations, self._places, self._least)
-        self.acting_count = self.crossed_count = 0
-        if not lowest > 0.0:
-            self.crossed_count = int((~(self._least > 0.0)).sum())
-        return 0.0 < lowest < BARRIER_VOLUME
+        self.acting_count = 0
+        acts, self.crossed_count = self._find(positions, deformations, self._places, self._least)
+        return acts
 
-    def _find(self, positions, deformations, places, least) -> float:
-        """Write F at the places, and the least value of each element; the least of all."""
+    def _find(self, positions, deformations, places, least) -> tuple[bool, int]:
+        """Write F at the places, and the least value of each element; see `find_least_values`."""
         if not len(self._to_places):
             self._write_corners(positions, places)
         return find_least_values(
@@ -484,7 +483,7 @@ class FoldBarrier:
     def energy(self, stiffness: float, positions: np.ndarray, deformations: np.ndarray) -> float:
         """Energy at a state of which all points are upright [J]; see `take`."""
         places, least = np.zeros_like(self._places), np.empty_like(self._least)
-        if not 0.0 < self._find(positions, deformations, places, least) < BARRIER_VOLUME:
+        if not self._find(positions, deformations, places, least)[0]:
             return 0.0
         return add_energies(stiffness, self._triples, self._weights, places, least)
 

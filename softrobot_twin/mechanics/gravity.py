@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.geometry.vector_arrays import add_vectors
 from softrobot_twin.mechanics.force_term import ForceTerm
 
 
@@ -11,6 +12,7 @@ class Gravity(ForceTerm):
     """Force term of all bodies' own weight."""
 
     name = "gravity"
+    is_recordable = True
 
     def __init__(
         self, masses: np.ndarray, gravity: np.ndarray, more: np.ndarray | None = None
@@ -37,12 +39,12 @@ class Gravity(ForceTerm):
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the weight [N] to forces, shape (free_node_count, 3); it inverts no element."""
-        forces += self.weights
+        add_vectors(self.weights, forces)
         return 0
 
     def add(self, positions, forces, storage, projected) -> None:
         """Add the weight; it has no stiffness."""
-        forces += self.weights
+        add_vectors(self.weights, forces)
 
     def add_force_curvature(self, positions, direction, reach, curvature) -> None:
         """Adds nothing: the weight is constant."""

@@ -301,6 +301,8 @@ class HingedFrames(RigidFrames):
             shape (hinge_count,).
     """
 
+    is_recordable = False
+
     def __init__(
         self, first_node: int, free, first_unknown: int, free_node_count: int, hinges: Hinges,
         radii=None, attached: AttachedNodes = NOTHING_ATTACHED,
@@ -566,6 +568,8 @@ class HingedTwists:
         turning_unknowns: Row of each turning block, shape (turning_count,).
         turning_columns: Its column, same shape.
     """
+
+    is_recordable = False
 
     def __init__(self, frames: HingedFrames):
         """Number places and turns.

@@ -292,6 +292,7 @@ class LumpedInertia(NodalMasses, InertiaTerm):
     """
 
     name = "lumped inertia"
+    is_recordable = True
 
     @property
     def rate(self) -> float:
@@ -326,6 +327,7 @@ class MassDamping(NodalMasses):
     """
 
     name = "mass damping"
+    is_recordable = True
 
     def __init__(
         self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray, rate: float

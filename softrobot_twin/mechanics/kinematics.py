@@ -34,9 +34,11 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import product, rows, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
+from softrobot_twin.geometry.vector_arrays import add_vectors, are_same, copy_vectors
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
+from softrobot_twin.recorded_stage import clear
 
 
 @njit(**KERNEL)
@@ -83,20 +85,12 @@ def longest_row(vectors):
     return np.sqrt(largest)
 
 
-@njit(**KERNEL)
-def is_same(first, second):
-    """Whether two sets of points, shape (count, 3), are the same to the bit."""
-    for k in range(len(first)):
-        for i in range(3):
-            if first[k, i] != second[k, i]:
-                return False
-    return True
-
-
 class UnknownKind(Protocol):
     """A kind of unknowns, or of points that unknowns carry: frames of rigid bodies, reduced bodies.
 
     Attributes:
+        is_recordable: Whether `write_derivatives`, where D changes, and `add_turning` do nothing
+            with numbers but by kernels.
         has_constant_derivatives: Whether D is the same in every state.
         carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
             (carried_count, width). The order is that of the points' indices.
@@ -104,6 +98,7 @@ class UnknownKind(Protocol):
         turning_columns: Its column, the same unknown for a diagonal block, shape (turning_count,).
     """
 
+    is_recordable: bool
     has_constant_derivatives: bool
     carried_unknowns: np.ndarray
     turning_unknowns: np.ndarray
@@ -298,7 +293,8 @@ class CarriedPoints:
         for kind, part in zip(kinds, self._parts, strict=True):
             own = kind.carried_unknowns
             self.unknowns[part, : own.shape[1]] = own
-        self.derivatives, self._known_at = np.zeros((self.count, width, 3, 3)), np.empty((0, 3))
+        self.derivatives = np.zeros((self.count, width, 3, 3))
+        self._known_at = np.empty((0, 3))
         self._changing = []
         for kind, part in zip(kinds, self._parts, strict=True):
             if kind.has_constant_derivatives:
@@ -312,19 +308,25 @@ class CarriedPoints:
         none = [np.empty(0, np.int64)]
         self.turning_unknowns = np.concatenate(none + [kind.turning_unknowns for kind in kinds])
         self.turning_columns = np.concatenate(none + [kind.turning_columns for kind in kinds])
+        self._turning_blocks = np.zeros((len(self.turning_unknowns), 3, 3))
 
     def update(self, positions: np.ndarray) -> None:
         """Compute D at a state: node positions [m], shape (node_count, 3).
 
         Several terms ask for the same state one after the other: it is computed once.
         """
-        if not self._changing or (
-            self._known_at.shape == positions.shape and is_same(self._known_at, positions)
-        ):
+        if not self._changing or are_same(self._known_at, positions):
             return
-        self._known_at = positions.copy()
+        if len(self._known_at) != len(positions):
+            self._known_at = np.empty_like(positions)
+        copy_vectors(positions, self._known_at)
         for kind, part in self._changing:
             kind.write_derivatives(positions, self.derivatives[part])
+
+    @property
+    def is_recordable(self) -> bool:
+        """Whether all kinds write what changes by kernels; see `ForceTerm.is_recordable`."""
+        return all(kind.is_recordable for kind in self._kinds)
 
     def all_unknowns(self) -> np.ndarray:
         """Unknowns that any carried point depends on, each once."""
@@ -343,8 +345,9 @@ class CarriedPoints:
         fold_own_forces(own, self.unknowns, self.derivatives, point_forces, forces)
 
     def turning(self, positions: np.ndarray, point_forces: np.ndarray) -> np.ndarray:
-        """Turning terms, shape (turning_count, 3, 3); see `UnknownKind.add_turning`."""
-        blocks, first = np.zeros((len(self.turning_unknowns), 3, 3)), 0
+        """Turning terms, shape (turning_count, 3, 3), overwritten by the next call; see `UnknownKind.add_turning`."""
+        blocks, first = self._turning_blocks, 0
+        clear(blocks.reshape(-1))
         for kind, part in zip(self._kinds, self._parts, strict=True):
             last = first + len(kind.turning_unknowns)
             kind.add_turning(positions, point_forces[part], blocks[first:last])
@@ -864,7 +867,7 @@ class FoldedStiffness:
 
     def clear(self) -> None:
         """Set the blocks of the points to zero."""
-        self.scratch[:] = 0.0
+        clear(self.scratch)
 
     def fold(
         self, positions: np.ndarray, point_forces: np.ndarray | None, storage: np.ndarray
@@ -1086,6 +1089,7 @@ class CarriedTerm(ForceTerm):
         self._term, self.name = term, term.name
         self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
         self.stays_upright, self.is_inertia = term.stays_upright, term.is_inertia
+        self.is_recordable = term.is_recordable and points.is_recordable
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))
@@ -1137,7 +1141,7 @@ class CarriedTerm(ForceTerm):
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces; see `ForceTerm.add_forces`."""
-        self._forces[:] = 0.0
+        clear(self._forces.reshape(-1))
         inverted_count = self._term.add_forces(positions, self._forces)
         self.nearly_flat_count = self._term.nearly_flat_count
         self.crossed_count = self._term.crossed_count
@@ -1146,7 +1150,7 @@ class CarriedTerm(ForceTerm):
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add the forces, and the stiffness to the system matrix; see `ForceTerm.add`."""
-        self._forces[:] = 0.0
+        clear(self._forces.reshape(-1))
         self._stiffness.clear()
         self._term.add(positions, self._forces, self._stiffness.scratch, projected)
         self._fold_forces(positions, forces)
@@ -1155,7 +1159,7 @@ class CarriedTerm(ForceTerm):
 
     def _fold_forces(self, positions, forces) -> None:
         free = self._points.free_count
-        forces += self._forces[:free]
+        add_vectors(self._forces[:free], forces)
         self._points.update(positions)
         self._points.fold_forces(self._forces[free:], forces, self._own)
 

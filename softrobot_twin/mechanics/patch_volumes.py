@@ -48,6 +48,7 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row
+from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import (
     add_blocks,
@@ -367,6 +368,7 @@ class PatchVolumes(ForceTerm):
     """
 
     name = "patch volumes"
+    is_recordable = True
 
     def __init__(self, mesh, free_index: np.ndarray, bulk_modulus: float, patches: np.ndarray):
         """Prepare the patches.
@@ -386,7 +388,7 @@ class PatchVolumes(ForceTerm):
         self._weights = np.ascontiguousarray(points.weights[order])
         self._first = np.searchsorted(numbers, np.arange(self.patch_count + 1))
         self._rest_volumes = np.add.reduceat(self._weights.sum(axis=1), self._first[:-1])
-        self._reference = mesh.node_positions
+        self._reference, self._moves = mesh.node_positions, np.empty_like(mesh.node_positions)
         self._number_nodes(numbers)
         nodes = self._nodes
         self._free = np.where(nodes >= 0, free_index[nodes], -1)
@@ -421,8 +423,7 @@ class PatchVolumes(ForceTerm):
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -∂E/∂q [N]; see `ForceTerm.add_forces`. Elements count what is flat."""
         add_patch_forces(
-            self.bulk_modulus, self._rest_volumes, writable(positions),
-            positions - self._reference, self._cells, self._places, self._first, self._gradients,
+            self.bulk_modulus, self._rest_volumes, writable(positions), self._moved(positions), self._cells, self._places, self._first, self._gradients,
             self._weights, self._free, forces,
         )  # fmt: skip
         return 0
@@ -431,10 +432,14 @@ class PatchVolumes(ForceTerm):
         """Add forces and stiffness; see `ForceTerm.add`."""
         add_patch_stiffness(
             self.bulk_modulus, projected, self._rest_volumes, writable(positions),
-            positions - self._reference, self._cells, self._places, self._first, self._gradients,
+            self._moved(positions), self._cells, self._places, self._first, self._gradients,
             self._weights, self._free, self._offsets, self._strides, self._are_contiguous, forces,
             storage,
         )  # fmt: skip
+
+    def _moved(self, positions: np.ndarray) -> np.ndarray:
+        write_differences(writable(positions), self._reference, self._moves)
+        return self._moves
 
     def volume_ratios(self, positions: np.ndarray) -> np.ndarray:
         """v/V of each patch, shape (patch_count,).
@@ -444,7 +449,7 @@ class PatchVolumes(ForceTerm):
         """
         volumes = np.empty(self.patch_count)
         write_volumes(
-            positions - self._reference, self._cells, self._first, self._gradients, self._weights,
+            self._moved(positions), self._cells, self._first, self._gradients, self._weights,
             volumes,
         )  # fmt: skip
         return volumes / self._rest_volumes

@@ -37,6 +37,7 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product
+from softrobot_twin.geometry.vector_arrays import are_same
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
     fill_derivatives,
@@ -50,7 +51,6 @@ from softrobot_twin.mechanics.element_assembly import (
     weighted_stresses,
 )
 from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at, scratch
-from softrobot_twin.mechanics.elements import are_same
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.corotational import linearize as spin_stiffness

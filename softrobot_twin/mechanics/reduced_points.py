@@ -73,6 +73,7 @@ class ReducedPoints:
         turning_columns: Empty.
     """
 
+    is_recordable = False
     has_constant_derivatives = True
 
     def __init__(

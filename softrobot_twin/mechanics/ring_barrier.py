@@ -15,6 +15,8 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
 from softrobot_twin.geometry.matrix3 import determinant
+from softrobot_twin.geometry.vector_arrays import write_differences
+from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import deform_all
 from softrobot_twin.mechanics.element_batches import BATCH, lay_out_elements, matrix_at
 from softrobot_twin.mechanics.polar import is_upright
@@ -28,8 +30,8 @@ from softrobot_twin.mechanics.volume_barrier import (
 
 
 @njit(**KERNEL)
-def least_volume(weights, deformations):
-    """Least det F of all tetrahedra, and the number of those that are flat or inside out.
+def look_at_volumes(weights, deformations):
+    """Whether the barrier acts on a tetrahedron, if none is flat or inside out, and how many are.
 
     Args:
         weights: Volumes [m³], 0 beyond the last one, shape (batch_count, 1, BATCH).
@@ -42,7 +44,7 @@ def least_volume(weights, deformations):
             if weights[k, 0, e] > 0.0:
                 least = min(least, determinant(F))
                 folded_count += not is_upright(F)
-    return least, folded_count
+    return folded_count == 0 and least < BARRIER_VOLUME, folded_count
 
 
 class RingBarrier:
@@ -71,6 +73,7 @@ class RingBarrier:
             slots,
         )  # fmt: skip
         self._deformations = np.empty((len(self._batches.weights), 1, 9 * BATCH))
+        self._moves = np.empty_like(tets.node_positions)
 
     def places_at(self, positions: np.ndarray, deformations: np.ndarray) -> np.ndarray:
         """F of the tetrahedra, shape (batch_count, 1, 9 × BATCH); see `take`."""
@@ -89,11 +92,11 @@ class RingBarrier:
         Returns:
             Whether the barrier acts, if all points are upright.
         """
-        moves = positions - self._tets.node_positions
-        deform_all(moves, self._batches.cells, self._batches.gradients, self._deformations)
-        least, self.crossed_count = least_volume(self._batches.weights, self._deformations)
+        write_differences(writable(positions), self._tets.node_positions, self._moves)
+        deform_all(self._moves, self._batches.cells, self._batches.gradients, self._deformations)
+        acts, self.crossed_count = look_at_volumes(self._batches.weights, self._deformations)
         self.acting_count = 0
-        return self.crossed_count == 0 and least < BARRIER_VOLUME
+        return acts
 
     @property
     def folded_count(self) -> int:
@@ -121,8 +124,7 @@ class RingBarrier:
     def energy(self, stiffness: float, positions: np.ndarray, deformations: np.ndarray) -> float:
         """Energy at a state of which all points are upright [J]; see `take`."""
         own = self.places_at(positions, deformations)
-        least, folded_count = least_volume(self._batches.weights, own)
-        if folded_count or not least < BARRIER_VOLUME:
+        if not look_at_volumes(self._batches.weights, own)[0]:
             return 0.0
         return add_barrier_energies(stiffness, self._batches.weights, own)
 

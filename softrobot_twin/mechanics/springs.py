@@ -218,6 +218,7 @@ class Springs(ForceTerm):
     """
 
     name = "springs"
+    is_recordable = True
     remembers_start = True
 
     def __init__(

@@ -46,6 +46,7 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
+from softrobot_twin.geometry.vector_arrays import are_same
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
     assembly_of,
@@ -62,7 +63,7 @@ from softrobot_twin.mechanics.element_batches import (
     scratch,
 )
 from softrobot_twin.mechanics.element_inversion import no_corners
-from softrobot_twin.mechanics.elements import Elements, are_same
+from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.small_displacement import SmallDisplacement
 from softrobot_twin.mechanics.material import LameParameters
@@ -112,6 +113,7 @@ class StrainRateDamping(Elements):
         beta: β [s].
     """
 
+    is_recordable = True
     remembers_start = True
 
     def __init__(self, mesh, free_index: np.ndarray, material: LameParameters, beta: float):

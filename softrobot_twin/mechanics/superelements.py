@@ -486,21 +486,28 @@ def add_growths(
 
 
 @njit(**KERNEL)
-def takes_new_state(x, nodes, points, pressures, told):
-    """Store the points of the superelements and the pressures; whether they have changed."""
-    changed = False
+def is_known(x, nodes, points, pressures, told):
+    """Whether the points of the superelements and the pressures are those that were stored."""
     for s in range(len(nodes)):
         for a in range(nodes.shape[1]):
             for i in range(3):
-                value = x[nodes[s, a], i]
-                if value != points[s, a, i]:
-                    points[s, a, i] = value
-                    changed = True
+                if x[nodes[s, a], i] != points[s, a, i]:
+                    return False
     for c in range(len(pressures)):
         if pressures[c] != told[c]:
-            told[c] = pressures[c]
-            changed = True
-    return changed
+            return False
+    return True
+
+
+@njit(**KERNEL)
+def store(x, nodes, points, pressures, told):
+    """Store the points of the superelements and the pressures."""
+    for s in range(len(nodes)):
+        for a in range(nodes.shape[1]):
+            for i in range(3):
+                points[s, a, i] = x[nodes[s, a], i]
+    for c in range(len(pressures)):
+        told[c] = pressures[c]
 
 
 class Superelements(ForceTerm):
@@ -514,6 +521,7 @@ class Superelements(ForceTerm):
     """
 
     name = "superelements"
+    is_recordable = True
 
     def __init__(
         self, fits: tuple[SuperelementFit, ...], degree: int, frame_nodes: np.ndarray,
@@ -581,8 +589,8 @@ class Superelements(ForceTerm):
         self._slopes = np.zeros((self.count, DEFORMATIONS, POINTS, 3))
         self._gradient, self._curvature = np.zeros((self.count, n)), np.zeros((self.count, n, n))
         self.ranges = np.zeros(self.count)
-        self._is_known = False
-        self._points, self._told = np.zeros((*self._nodes.shape, 3)), np.zeros(cavity_count)
+        # Those of the state that is known: none yet.
+        self._points, self._told = np.full((*self._nodes.shape, 3), np.nan), np.zeros(cavity_count)
         self._bound = None
 
     def stencils(self) -> np.ndarray:
@@ -608,11 +616,10 @@ class Superelements(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
         """
         positions = writable(positions)
-        if not takes_new_state(
-            positions, self._nodes, self._points, self.pressures, self._told
-        ) and self._is_known:
+        state = positions, self._nodes, self._points, self.pressures, self._told
+        if is_known(*state):
             return
-        self._is_known = True
+        store(*state)
         evaluate_all(
             positions, self._nodes, self._chords, self._rests, self.pressures, self.cavities,
             self._middle, self._scaling, self._parents, self._factors, self._gradients,

@@ -153,6 +153,8 @@ class Simulation(Readouts):
         self._motion = _motion_of(self.model)
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
+        # A step works on one array of its own, in which its stages are recorded.
+        self._positions = self.model.nodes.rest_positions.copy()
         self.parts: tuple[StepPart, ...] = step_parts(self.model)
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self.newton = Newton(self.model)
@@ -310,14 +312,16 @@ class Simulation(Readouts):
             clock.mark("fallback")
         command, has_other_stiffness = self._begin_parts(command, measured)
         asked = self._reading.read(command, self.state)
-        positions, efforts = self.state.positions.copy(), self.state.efforts
+        positions, efforts = self._positions, self.state.efforts
+        positions[:] = self.state.positions
         is_changed = self._begin(
             positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
         )
         if is_changed or has_other_stiffness:
-            self.newton.factor_age = None
+            self.newton.take_other_tangent()
         newton, time_budget = self.newton, self._time_budget
+        newton.expect(command.time_step)
         if self.inverse is not None:
             self._begin_inverse(positions)
         if self._goes_on and not newton.projected_tangent:
@@ -669,6 +673,7 @@ class Simulation(Readouts):
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
     ) -> StepResult:
         before = self.state
+        outcome = outcome._replace(positions=outcome.positions.copy())
         motion = self._motion.end_step(
             before, outcome.positions, outcome.actuation, command.time_step
         )

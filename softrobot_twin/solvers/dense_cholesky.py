@@ -12,6 +12,7 @@ from scipy.linalg.blas import dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
 from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.recorded_stage import clear
 from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
 
 
@@ -72,7 +73,7 @@ class DenseCholesky:
 
     def clear(self) -> None:
         """See `Factorization.clear`."""
-        self.storage[:] = 0.0
+        clear(self.storage)
 
     def matrix(self) -> sp.csc_array:
         """The assembled matrix A, full and symmetric, shape (3 node_count, 3 node_count)."""

@@ -97,7 +97,7 @@ class Factorization(Protocol):
         """
 
     def clear(self) -> None:
-        """Set the matrix to zero."""
+        """Set the matrix to zero, by a kernel; see `recorded_stage.py`."""
 
     def factor(self) -> bool:
         """Factorize what was assembled; False if it is not positive definite."""

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from softrobot_twin.recorded_stage import clear
 from softrobot_twin.solvers.factorization import Condensed, NodeRows
 
 OPTIONS = {
@@ -88,7 +89,7 @@ class SuperLU:
 
     def clear(self) -> None:
         """See `Factorization.clear`."""
-        self.storage[:] = 0.0
+        clear(self.storage)
 
     def matrix(self) -> sp.csc_array:
         """The assembled matrix A, full and symmetric, shape (3 node_count, 3 node_count)."""

@@ -108,7 +108,7 @@ class Linearized:
         self.augmentation = augmentation
         self._factorization, self._forces = factorization, forces
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
-        self._values, self._all, self._moves = stack.values, stack.groups, moves
+        self._values, self._all, self._moves = stack.values.copy(), stack.groups, moves
         self._own, self._told = stack.own_compliance(), stack.told
         self._row_starts = row_starts
         self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from softrobot_twin.recorded_stage import RecordedStages, clear
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step import apparent_stiffness
 from softrobot_twin.simulation.step.actuation import Actuation
@@ -58,6 +59,9 @@ LESS_PROJECTION, LEAST_PROJECTION, MORE_PROJECTION = 8.0, 2.0**-16, 2.0
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
+# Places of the recorded stages.
+GATHER, ASSEMBLE = 0, 1
+EVALUATE, ADD_STIFFNESS = 0, 1
 # Halvings of a move that still folds an element.
 MOST_UNFOLDINGS = 40
 
@@ -121,6 +125,12 @@ class Newton:
         )  # fmt: skip
         self._was_folded = False
         self.projected_tangent = self.is_augmented = False
+        are_recordable = all(term.is_recordable for term in model.forces) and self._dense is None
+        are_rows = self._rows.is_recordable
+        # Rows that vary have other arrays where there are more or fewer.
+        self._has_rows_apart = self._rows.varies or not are_rows
+        self._stages = RecordedStages(are_recordable, self._gather, self._assemble)
+        self._row_stages = RecordedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
         self.forget()
         self.gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self.forces, axis=1).sum())
@@ -178,6 +188,8 @@ class Newton:
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
+        self._stages.begin_anew()
+        self._row_stages.begin_anew()
         self.factor_age: int | None = None
         self.is_worn = False
         self.inverted_count, self.is_folded = 0, None
@@ -218,7 +230,27 @@ class Newton:
         self._step_limit = self._whole_limit + inertial
         self._moves_to_make = 0
         if time_step != self._time_step:
-            self._time_step, self.factor_age = time_step, None
+            self.factor_age = None
+        self.expect(time_step)
+
+    def take_other_tangent(self) -> None:
+        """Make the factor anew: the tangent is another one than in an equally long step before."""
+        self.factor_age = None
+        self._forget_stages()
+
+    def expect(self, time_step: float) -> None:
+        """Run the next stages in Python where steps are longer or shorter than before.
+
+        Args:
+            time_step: Their duration [s].
+        """
+        if time_step != self._time_step:
+            self._time_step = time_step
+            self._forget_stages()
+
+    def _forget_stages(self) -> None:
+        self._stages.forget()
+        self._row_stages.forget()
 
     def go_on(self) -> None:
         """Let a step of statics go on where the one before ended out of balance.
@@ -465,7 +497,9 @@ class Newton:
     def _set_multipliers(self, actuation: Actuation) -> None:
         """λ of every row; an effector bears no load."""
         groups = self._rows.groups
-        self.multipliers = np.zeros(self._rows.row_count)
+        if len(self.multipliers) != self._rows.row_count:
+            self.multipliers = np.zeros(self._rows.row_count)
+        self.multipliers[groups.effectors] = 0.0
         self.multipliers[groups.actuators] = actuation.efforts[groups.actuators]
         self.multipliers[groups.contacts] = actuation.contact.multipliers
 
@@ -775,18 +809,36 @@ class Newton:
         Returns:
             The forces.
         """
-        self._sum_forces(positions)
-        self._rows.evaluate(positions)
+        self._note_folds(self._stages.run(GATHER, positions))
+        if self._has_rows_apart:
+            self._row_stages.run(EVALUATE, positions)
         return self.forces
 
+    def _gather(self, positions: np.ndarray) -> tuple[int, int, int]:
+        """Sum b of all terms, and evaluate the rows that may be recorded."""
+        counts = self._add_forces(positions)
+        if not self._has_rows_apart:
+            self._rows.evaluate(positions)
+        return counts
+
     def _sum_forces(self, positions: np.ndarray) -> None:
-        """Sum b = p - F(q) of all terms."""
-        self.forces[:] = 0.0
+        """Sum b = p - F(q) of all terms, and leave the rows."""
+        self._stages.forget()
+        self._note_folds(self._add_forces(positions))
+
+    def _add_forces(self, positions: np.ndarray) -> tuple[int, int, int]:
+        """Sum b of all terms; counts elements that are inverted, nearly flat, and crossed."""
+        clear(self.forces.reshape(-1))
         inverted_count = nearly_flat_count = crossed_count = 0
         for term in self._model.forces:
             inverted_count += term.add_forces(positions, self.forces)
             nearly_flat_count += term.nearly_flat_count
             crossed_count += term.crossed_count
+        return inverted_count, nearly_flat_count, crossed_count
+
+    def _note_folds(self, counts: tuple[int, int, int]) -> None:
+        """Note what the forces that were taken last tell."""
+        inverted_count, nearly_flat_count, crossed_count = counts
         self.inverted_count, self.is_nearly_flat = inverted_count, nearly_flat_count > 0
         self.is_folded = inverted_count > 0 or crossed_count > 0
 
@@ -799,16 +851,31 @@ class Newton:
             projected: Whether A is made positive definite, element by element.
         """
         model = self._model
-        storage = model.factorization.storage
-        self.forces[:] = 0.0
         self._rows.tell_efforts(multipliers)
-        model.factorization.clear()
-        for term in model.forces:
-            term.add(positions, self.forces, storage, projected)
+        if projected:
+            self._stages.forget()
+            self._assemble(positions, multipliers, True)
+        else:
+            self._stages.run(ASSEMBLE, positions, multipliers)
         if self._dense is not None:
             self._dense.set_rows(*_joined_rows(model.forces))
-        self._rows.add_stiffness(positions, multipliers, storage, projected)
-        self._rows.evaluate(positions)
+        if self._has_rows_apart:
+            storage = model.factorization.storage
+            self._row_stages.run(ADD_STIFFNESS, positions, multipliers, storage, projected)
+            self._row_stages.run(EVALUATE, positions)
+
+    def _assemble(
+        self, positions: np.ndarray, multipliers: np.ndarray, projected: bool = False
+    ) -> None:
+        """The same of the force terms, and of the rows that may be recorded."""
+        factorization = self._model.factorization
+        clear(self.forces.reshape(-1))
+        factorization.clear()
+        for term in self._model.forces:
+            term.add(positions, self.forces, factorization.storage, projected)
+        if not self._has_rows_apart:
+            self._rows.add_stiffness(positions, multipliers, factorization.storage, projected)
+            self._rows.evaluate(positions)
 
 
 def _joined_rows(terms) -> tuple[NodeRows, np.ndarray]:

@@ -155,7 +155,7 @@ class StepResults:
             **_of_contacts(actuation.contact, touching),
         )  # fmt: skip
         # The rows were evaluated last where the step ended.
-        reached = model.rows.values[model.rows.groups.actuators]
+        reached = model.rows.values[model.rows.groups.actuators].copy()
         displacements = model.actuators.displacements_at(state.setpoints, reached)
         return StepResult(
             state, status, state.setpoints, state.efforts, displacements, places, errors, report,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.recorded_stage import RecordedStages, clear
 from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
 from softrobot_twin.solvers.multifrontal import condensation
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
@@ -77,6 +78,8 @@ class Multifrontal:
         self._row_count = 0
         self._columns = ConstraintColumns(self.elimination)
         self._Y, self._gram, self._work = aligned(0), aligned(0), aligned(0)
+        self._W, self._free, self._ranks = np.empty((0, 0)), np.empty(0), np.empty(0, np.int64)
+        self._recorded = RecordedStages(True, self._condense)
         self.prepare_rows(np.zeros(0, dtype=np.int64))
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +100,7 @@ class Multifrontal:
 
     def clear(self) -> None:
         """See `Factorization.clear`."""
-        self.storage[:] = 0.0
+        clear(self.storage)
 
     def factor(self) -> bool:
         """See `Factorization.factor`."""
@@ -121,24 +124,31 @@ class Multifrontal:
     def _reserve(self, size: int, widest: int, gram_size: int) -> None:
         """Enlarge Y and the buffers made from it where they are too small."""
         # Products are computed six columns at a time, and read that many past the last row.
-        if size + WIDE > len(self._Y):
-            self._Y = aligned(size + WIDE)
-        if gram_size > len(self._gram):
-            self._gram = aligned(gram_size)
-        if self._tallest * widest > len(self._work):
-            self._work = aligned(self._tallest * widest)
+        for name, needed in (("_Y", size + WIDE), ("_gram", gram_size), ("_work", self._tallest * widest)):
+            if needed > len(getattr(self, name)):
+                setattr(self, name, aligned(needed))
+                self._recorded.forget()
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `Factorization.condense`; forward solves only, W = YᵀY with Y = L⁻¹Hᵀ."""
+        if len(self._free) != H.row_count:
+            self._W, self._free = np.empty((H.row_count, H.row_count)), np.empty(H.row_count)
+            self._recorded.forget()
+        self._row_count = H.row_count
+        self._recorded.run(0, H.row_index, H.node_index, H.blocks, b)
+        return Condensed(self._W.copy(), self._free.copy())
+
+    def _condense(
+        self, row_index: np.ndarray, node_index: np.ndarray, blocks: np.ndarray, b: np.ndarray
+    ) -> None:
+        """Write W and the free violation of rows."""
+        H, columns, layout = NodeRows(row_index, node_index, blocks, self._row_count), self._columns, self.layout
         self._place(H)
         self._solve_forward(H, b)
-        k, columns, layout = H.row_count, self._columns, self.layout
-        W, free = np.empty((k, k)), np.empty(k)
         condensation.gram(
             layout.fronts, columns.places, columns.trees, columns.strips, columns.rows,
-            self._Y, self._gram, W, free,
+            self._Y, self._gram, self._W, self._free,
         )  # fmt: skip
-        return Condensed(W, free)
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
         """See `Factorization.condense_low_rank`; the rank is at most that of the reached fronts."""
@@ -155,7 +165,11 @@ class Multifrontal:
     def _place(self, H: NodeRows) -> None:
         """Assign the rows their columns in Y, and reserve its memory."""
         columns = self._columns
-        self._ranks = self.elimination_rank[np.asarray(H.node_index, dtype=np.int64)]
+        if len(self._ranks) != len(H.node_index):
+            self._ranks = np.empty(len(H.node_index), np.int64)
+        condensation.write_ranks(
+            self.elimination_rank, np.asarray(H.node_index, dtype=np.int64), self._ranks
+        )
         columns.place(np.ascontiguousarray(H.row_index, dtype=np.int64), self._ranks, H.row_count)
         self._reserve(columns.size, columns.work_size, columns.gram_size)
         self._row_count = H.row_count

@@ -137,8 +137,7 @@ class ConstraintColumns:
         _find_strips(elimination.front, elimination.parent, ranks, self.column, self.strips)
         self._measure()
         self._placed_count = len(row_index)
-        self._placed[0, : len(row_index)] = row_index
-        self._placed[1, : len(row_index)] = ranks
+        _note(row_index, ranks, self._placed)
 
     def _measure(self) -> None:
         self.size, self.work_size, self.gram_size, self.rank = _stack_trees(self.trees)
@@ -164,6 +163,26 @@ def _same(row_index, ranks, placed, placed_count):
         if row_index[e] != placed[0, e] or ranks[e] != placed[1, e]:
             return False
     return True
+
+
+@njit(**KERNEL)
+def _note(row_index, ranks, placed):
+    """Note the entries that are placed."""
+    for e in range(len(ranks)):
+        placed[0, e], placed[1, e] = row_index[e], ranks[e]
+
+
+@njit(**KERNEL)
+def write_ranks(elimination_rank, node_index, ranks):
+    """Write the rank of the node of each entry.
+
+    Args:
+        elimination_rank: Rank of each node, shape (node_count,).
+        node_index: Node of each entry, shape (entry_count,).
+        ranks: Takes their ranks, shape (entry_count,).
+    """
+    for e in range(len(node_index)):
+        ranks[e] = elimination_rank[node_index[e]]
 
 
 @njit(**KERNEL)

@@ -1,0 +1,56 @@
+"""Sums and comparisons of whole arrays, as kernels: what a recorded stage does between its terms.
+
+Arguments of the kernels here:
+    vectors, first, second: Vectors, shape (count, 3).
+    differences, sums, copies: Vectors that are written, same shape.
+"""
+
+from __future__ import annotations
+
+import math
+
+from softrobot_twin.compilation import KERNEL, njit
+
+
+@njit(**KERNEL)
+def are_same(first, second):
+    """Whether two arrays of vectors are equal in all components; NaN never is."""
+    if len(first) != len(second):
+        return False
+    for k in range(len(first)):
+        for i in range(3):
+            if not first[k, i] == second[k, i]:
+                return False
+    return True
+
+
+@njit(**KERNEL)
+def write_differences(first, second, differences):
+    """Write what each vector differs by."""
+    for k in range(len(first)):
+        for i in range(3):
+            differences[k, i] = first[k, i] - second[k, i]
+
+
+@njit(**KERNEL)
+def add_vectors(vectors, sums):
+    """Add vectors to others."""
+    for k in range(len(vectors)):
+        for i in range(3):
+            sums[k, i] += vectors[k, i]
+
+
+@njit(**KERNEL)
+def copy_vectors(vectors, copies):
+    """Copy vectors."""
+    for k in range(len(vectors)):
+        for i in range(3):
+            copies[k, i] = vectors[k, i]
+
+
+@njit(**KERNEL)
+def make_unknown(vectors):
+    """Set vectors to NaN: then they are the same as none."""
+    for k in range(len(vectors)):
+        for i in range(3):
+            vectors[k, i] = math.nan

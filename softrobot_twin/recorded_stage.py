@@ -1,0 +1,287 @@
+"""A stage of a step that runs kernels only: recorded once, then run by one compiled driver.
+
+A stage in Python asks each term for its share, and a term calls a kernel or two: the questions
+take as long as small kernels do. They have the same answers in most steps. So a stage is recorded:
+the kernels that it called, with their arguments, and what they returned. The driver then calls them by
+their addresses, from a table in which arrays are addresses, shapes and strides. It is compiled once
+for all scenes, and a scene compiles nothing but a short piece of machine code for each signature,
+which loads the arguments.
+
+What a kernel returns decides how Python goes on, so it must return the same as when it was recorded;
+else the driver stops, and the stage is run in Python from its beginning. So a kernel that finds
+something out must not change it, and a stage begins with arrays that it clears. Arrays that are made anew
+each time cannot be recorded: a recording counts when the next one has the same arrays. Between
+kernels, a stage may only do what follows from what they returned: it must not compute with numbers.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from operator import is_
+from threading import Lock, get_ident
+
+import numpy as np
+from llvmlite import ir
+from numba import types, typeof
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import cpu_target
+from numba.extending import intrinsic
+
+from softrobot_twin.compilation import KERNEL, Kernel, njit
+
+# Recordings that may differ from the one before; after each further one a stage runs in Python as often
+# as told here, and twice as often each time, up to the last number.
+FEW, FIRST_WAIT, LONGEST_WAIT = 4, 64, 256
+NEVER = 2**62
+# Words that are kept for what a kernel returns.
+RETURNED = 4
+_WORD = ir.IntType(64)
+
+
+@intrinsic
+def _call(typing_context, address, arguments):
+    """Call a piece of machine code that takes the address of its arguments, and gives a status."""
+
+    def generate(context, builder, signature, values):
+        function = ir.FunctionType(_WORD, [_WORD]).as_pointer()
+        return builder.call(builder.inttoptr(values[0], function), [values[1]])
+
+    return types.int64(types.int64, types.int64), generate
+
+
+@njit(**KERNEL)
+def run_calls(calls, memory, expected):
+    """Call kernels one after the other, while they return what is expected.
+
+    Args:
+        calls: Address of the code that loads its arguments, and its first word in the memory,
+            shape (call_count, 2).
+        memory: What each returns, then its arguments, shape (word_count,); changed.
+        expected: What each is to return, at the same places, shape (word_count,).
+
+    Returns:
+        How many of them returned what is expected.
+    """
+    begin = memory.ctypes.data
+    for c in range(len(calls)):
+        first = calls[c, 1]
+        if _call(calls[c, 0], begin + 8 * first) != 0:
+            return c
+        for word in range(first, first + RETURNED):
+            if memory[word] != expected[word]:
+                return c
+    return len(calls)
+
+
+@njit(**KERNEL)
+def clear(numbers):
+    """Set numbers, shape (count,), to zero."""
+    for k in range(len(numbers)):
+        numbers[k] = 0.0
+
+
+_is_recording = Lock()
+_loaders: dict[tuple, tuple[int, object]] = {}
+
+
+@global_compiler_lock
+def _loader(kernel: Kernel, argument_types: tuple) -> int:
+    """Address of code that loads the arguments of one signature of a kernel, and calls it."""
+    if (kernel, argument_types) in _loaders:
+        return _loaders[kernel, argument_types][0]
+    compiled = kernel.overloads[argument_types]
+    target = cpu_target.target_context
+    kind = target.call_conv.get_function_type(compiled.signature.return_type, argument_types)
+    name = f"load_{len(_loaders)}"
+    library = target.codegen().create_library(name)
+    module = library.create_ir_module(name)
+    function = ir.Function(module, ir.FunctionType(_WORD, [_WORD]), name)
+    builder = ir.IRBuilder(function.append_basic_block())
+    place = function.args[0]
+    words = enumerate(kind.args[2:], start=RETURNED)
+    arguments = [
+        builder.load(builder.inttoptr(builder.add(place, _WORD(8 * k)), one.as_pointer()))
+        for k, one in words
+    ]
+    code = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+    status = builder.call(
+        builder.inttoptr(_WORD(code), kind.as_pointer()),
+        [builder.inttoptr(place, kind.args[0]), builder.alloca(kind.args[1].pointee), *arguments],
+    )  # fmt: skip
+    builder.ret(builder.sext(status, _WORD))
+    library.add_ir_module(module)
+    library.finalize()
+    _loaders[kernel, argument_types] = library.get_pointer_to_function(name), library
+    return _loaders[kernel, argument_types][0]
+
+
+def _words(value: object) -> list[int]:
+    """An argument as the kernel takes it: of an array its address, shape and strides.
+
+    Raises:
+        TypeError: It is of a kind that cannot be recorded.
+    """
+    if isinstance(value, np.ndarray):
+        return [0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
+    if isinstance(value, tuple):
+        return [word for part in value for word in _words(part)]
+    if isinstance(value, bool | int | np.integer | np.bool_):
+        return [int(value)]
+    if isinstance(value, float):
+        return list(struct.unpack("q", struct.pack("d", value)))
+    raise TypeError(f"a {type(value).__name__} cannot be recorded")
+
+
+def _returned(value: object) -> list[int]:
+    """What a kernel returned, as it writes it.
+
+    Raises:
+        TypeError: It is a number that differs from step to step, or an array.
+    """
+    values = value if isinstance(value, tuple) else () if value is None else (value,)
+    if not all(isinstance(one, bool | int) for one in values):
+        raise TypeError(f"a {type(value).__name__} cannot be expected")
+    packed = struct.pack("@" + "".join("?" if isinstance(v, bool) else "q" for v in values), *values)
+    if len(packed) > 8 * RETURNED:
+        raise TypeError(f"{len(values)} numbers cannot be expected")
+    packed += bytes(8 * RETURNED - len(packed))
+    return list(struct.unpack(f"{RETURNED}q", packed))
+
+
+class Recording:
+    """The kernels that a stage called, and what it returned.
+
+    Attributes:
+        calls: Each kernel, its arguments, and what it returned.
+        words: What each returned, and its arguments, as words of the driver's memory.
+        result: What the stage returned: it follows from what the kernels returned.
+    """
+
+    def __init__(self, stage: Callable, arguments: tuple):
+        """Run a stage in Python, and record its kernels.
+
+        Args:
+            stage: The stage.
+            arguments: Its arguments.
+        """
+        self.calls: list[tuple[Kernel, tuple, object]] = []
+        thread = get_ident()
+
+        def call(kernel: Kernel, *given):
+            returned = super(Kernel, kernel).__call__(*given)
+            if get_ident() == thread:
+                self.calls.append((kernel, given, returned))
+            return returned
+
+        Kernel.__call__ = call
+        try:
+            self.result = stage(*arguments)
+        finally:
+            del Kernel.__call__
+        self.words: list[list[int]] | None = None
+        try:
+            self.words = [
+                _returned(returned) + [word for one in given for word in _words(one)]
+                for _, given, returned in self.calls
+            ]
+        except TypeError:
+            pass  # It cannot be run by the driver.
+
+    def is_same(self, other: Recording | None) -> bool:
+        """Whether another one called the same kernels with the same arrays and numbers."""
+        return other is not None and self.words == other.words and all(
+            one[0] is another[0] for one, another in zip(self.calls, other.calls)
+        )
+
+
+class RecordedStages:
+    """Stages that the driver runs while they do the same as before.
+
+    What terms remember beside their arrays follows from what kernels returned. One stage may read
+    what another one left there: so where one does something else, none is taken for known.
+    """
+
+    def __init__(self, is_recordable: bool, *stages: Callable):
+        """Take the stages.
+
+        Args:
+            is_recordable: Whether all that they call may be recorded; else they run in Python.
+            stages: Each is called with the same arrays in most steps.
+        """
+        self._stages = [_Known(stage) for stage in stages]
+        self._is_recordable, self._are_known = is_recordable, False
+        self.begin_anew()
+
+    def run(self, place: int, *arguments):
+        """Run one of them.
+
+        Args:
+            place: Which.
+            arguments: Its arguments.
+
+        Returns:
+            What it returns.
+        """
+        known = self._stages[place]
+        if self._are_known:
+            is_same = all(map(is_, arguments, known.arguments))
+            if is_same and run_calls(*known.table) == len(known.table[0]):
+                return known.recording.result
+            self.forget()
+        self._wait -= self._wait > 0
+        if self._wait or not _is_recording.acquire(blocking=False):
+            return known.stage(*arguments)
+        try:
+            return self._record(known, arguments)
+        finally:
+            _is_recording.release()
+
+    def begin_anew(self) -> None:
+        """Forget, and learn without waiting."""
+        self._changes, self._next_wait = 0, FIRST_WAIT
+        self._wait = 0 if self._is_recordable else NEVER
+        self.forget()
+
+    def forget(self) -> None:
+        """Let the next run of each be one in Python: something else than the arrays has changed."""
+        self._are_known = False
+        for known in self._stages:
+            known.is_known = False
+
+    def _record(self, known: _Known, arguments: tuple):
+        """Run a stage in Python, and learn what it did; the second of two equal recordings counts."""
+        new = Recording(known.stage, arguments)
+        if new.words is None:
+            self._is_recordable, self._wait = False, NEVER
+        elif new.is_same(known.recording):
+            if known.table is None:
+                known.table = _laid_out(new)
+            known.is_known, known.arguments = True, arguments
+            self._are_known = all(one.is_known for one in self._stages)
+        else:
+            known.recording, known.table, known.is_known = new, None, False
+            self._changes += 1
+            if self._changes > FEW * len(self._stages):
+                self._wait = self._next_wait
+                self._next_wait = min(2 * self._wait, LONGEST_WAIT)
+        return new.result
+
+
+class _Known:
+    """What is known of one stage."""
+
+    def __init__(self, stage: Callable):
+        self.stage, self.arguments, self.is_known = stage, (), False
+        self.recording: Recording | None = None
+        self.table: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+
+def _laid_out(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arguments of the driver; see `run_calls`."""
+    calls, first = [], 0
+    for (kernel, given, _), words in zip(recording.calls, recording.words):
+        calls.append((_loader(kernel, tuple(map(typeof, given))), first))
+        first += len(words)
+    expected = np.array([word for words in recording.words for word in words], np.int64)
+    return np.array(calls, np.int64).reshape(-1, 2), expected.copy(), expected
