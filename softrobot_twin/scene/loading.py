@@ -214,6 +214,24 @@ class _SceneYaml(Composer, *_PARSER, SafeConstructor, Resolver):  # type: ignore
         self._level -= 1
         return node
 
+    def flatten_mapping(self, node):
+        """Merges sections: a section's own value counts, then that of the one that is named first.
+
+        PyYAML 6.0.4 takes the overridden value where a merged section has merged another one.
+        """
+        own = [(name, value) for name, value in node.value if name.tag != _MERGE]
+        merged, names = {}, {name.value for name, _ in own}
+        for name, value in node.value:
+            if name.tag != _MERGE:
+                continue
+            for section in value.value if isinstance(value, yaml.SequenceNode) else [value]:
+                if not isinstance(section, yaml.MappingNode):
+                    raise _marked("only sections can be merged", section)
+                self.flatten_mapping(section)
+                for pair in section.value:
+                    merged.setdefault(pair[0].value, pair)
+        node.value = [pair for name, pair in merged.items() if name not in names] + own
+
 
 TRUTH = re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$")
 BOOL = "tag:yaml.org,2002:bool"
@@ -248,6 +266,10 @@ def read_yaml(text: str) -> Any:
             return loader.construct_document(node)
         finally:
             loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        if "nesting depth" in str(error.problem):  # of libyaml, which reads ahead
+            raise yaml.YAMLError("its sections are nested too deeply") from None
+        raise
     except (ValueError, OverflowError) as error:  # an invalid date or number
         raise yaml.YAMLError(str(error)) from None
 
