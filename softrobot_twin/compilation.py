@@ -45,7 +45,7 @@ GENERIC = {**INLINED, "cache": False}
 
 
 class Kernel(CPUDispatcher):
-    """A kernel that Python calls. `recorded_stage` gives it another `__call__` while it records."""
+    """A kernel that Python calls. `traced_stage` gives it another `__call__` while it records."""
 
 
 class InnerKernel(CPUDispatcher):

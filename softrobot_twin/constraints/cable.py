@@ -43,7 +43,7 @@ from softrobot_twin.mechanics.kinematics import (
 )
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils
-from softrobot_twin.recorded_stage import clear
+from softrobot_twin.traced_stage import clear
 
 # Two segments whose directions have a smaller cosine fold back on each other.
 FOLD_COSINE = -0.5
@@ -271,7 +271,7 @@ class Cables(ConstantRows):
 
     name = "cables"
     group = "actuators"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,

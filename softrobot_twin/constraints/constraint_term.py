@@ -23,8 +23,8 @@ class ConstraintTerm(Protocol):
         name: Name of the term in reports.
         group: Purpose of its rows.
         varies: Whether its rows differ from state to state: then the term is a `VaryingTerm`.
-        is_recordable: Whether `evaluate` and `add_stiffness` do nothing with numbers but by kernels;
-            see `recorded_stage.py`.
+        is_traceable: Whether `evaluate` and `add_stiffness` do nothing with numbers but by kernels;
+            see `traced_stage.py`.
         conserves: Whether equilibria at held values of its rows are minima of an energy.
         memory_name: Under which name a state holds what it remembers, see `step_part`; else empty.
         row_count: Number of its rows k.
@@ -40,7 +40,7 @@ class ConstraintTerm(Protocol):
     name: str
     group: ClassVar[Group]
     varies: ClassVar[bool]
-    is_recordable: ClassVar[bool]
+    is_traceable: ClassVar[bool]
     conserves: ClassVar[bool]
     memory_name: ClassVar[str]
     row_count: int
@@ -106,7 +106,7 @@ class ConstantRows:
     """Base of terms with the same rows and entries in all states: memory is allocated for these."""
 
     varies: ClassVar[bool] = False
-    is_recordable: ClassVar[bool] = False
+    is_traceable: ClassVar[bool] = False
     conserves: ClassVar[bool] = True
     memory_name: ClassVar[str] = ""
     row_count: int
@@ -114,9 +114,9 @@ class ConstantRows:
     entry_nodes: np.ndarray
 
     def __init_subclass__(cls, **options) -> None:
-        """Each class says itself whether it is recordable: it may have other methods."""
+        """Each class says itself whether it is traceable: it may have other methods."""
         super().__init_subclass__(**options)
-        cls.is_recordable = vars(cls).get("is_recordable", False)
+        cls.is_traceable = vars(cls).get("is_traceable", False)
 
     @property
     def row_capacity(self) -> int:

@@ -338,7 +338,7 @@ class Contacts:
         self._anchors, self._begins = np.zeros(capacity), np.zeros((capacity, 3))
 
     @property
-    def is_recordable(self) -> bool:
+    def is_traceable(self) -> bool:
         """See `ConstraintTerm`: rows keep their arrays while there are as many contacts."""
         return self.curvature is None
 

@@ -91,7 +91,7 @@ class Effectors(ConstantRows):
 
     name = "effectors"
     group = "effectors"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(
         self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray, size: float

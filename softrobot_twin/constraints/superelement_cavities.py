@@ -21,7 +21,7 @@ import numpy as np
 from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, sphere_volumes
 from softrobot_twin.mechanics.superelements import Superelements
-from softrobot_twin.recorded_stage import clear
+from softrobot_twin.traced_stage import clear
 
 
 class SuperelementCavities(ConstantRows):
@@ -36,7 +36,7 @@ class SuperelementCavities(ConstantRows):
 
     name = "cavities"
     group = "actuators"
-    is_recordable = True
+    is_traceable = True
     takes_efforts = True
 
     def __init__(

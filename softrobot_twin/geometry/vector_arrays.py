@@ -1,4 +1,4 @@
-"""Sums and comparisons of whole arrays, as kernels: what a recorded stage does between its terms.
+"""Sums and comparisons of whole arrays, as kernels: what a traced stage does between its terms.
 
 Arguments of the kernels here:
     vectors, first, second: Vectors, shape (count, 3).
@@ -38,6 +38,13 @@ def add_vectors(vectors, sums):
     for k in range(len(vectors)):
         for i in range(3):
             sums[k, i] += vectors[k, i]
+
+
+@njit(**KERNEL)
+def add_numbers(numbers, sums):
+    """Add numbers, shape (count,), to the first of others, shape (count or more,)."""
+    for k in range(len(numbers)):
+        sums[k] += numbers[k]
 
 
 @njit(**KERNEL)

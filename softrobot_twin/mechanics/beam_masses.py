@@ -302,7 +302,7 @@ class BeamWeight(MassTerm):
     """Force term of the weight of beams."""
 
     name = "weight of beams"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(self, masses: BeamMasses, gravity: np.ndarray):
         """Take the mass and gravity.
@@ -327,7 +327,7 @@ class BeamDamping(MassTerm):
     """Force term of damping by the mass of beams, -α M (z - z₀)/h."""
 
     name = "mass damping of beams"
-    is_recordable = True
+    is_traceable = True
     remembers_start = True
 
     def begin_step(
@@ -342,7 +342,7 @@ class BeamInertia(MassTerm, InertiaTerm):
     """Force term of the inertia of beams."""
 
     name = "inertia of beams"
-    is_recordable = True
+    is_traceable = True
     remembers_start = True
 
     def __init__(

@@ -513,7 +513,7 @@ class Beams(ForceTerm):
 
     name = "beams"
     is_slender = True
-    is_recordable = True
+    is_traceable = True
     remembers_start = True
 
     def __init__(self, elements: BeamElements):

@@ -7,6 +7,7 @@ import numpy as np
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
 from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.geometry.vector_arrays import (
+    add_numbers,
     add_vectors,
     are_same,
     copy_vectors,
@@ -32,7 +33,7 @@ from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_stiffness,
     largest_share_of_points,
 )
-from softrobot_twin.recorded_stage import clear
+from softrobot_twin.traced_stage import clear
 
 # Stretch by which the stiffness of a law at rest is measured.
 SMALL_STRETCH = 1.0e-4
@@ -53,7 +54,7 @@ class Elements(ForceTerm):
     """
 
     strain_watch: StrainWatch | None = None
-    is_recordable = True
+    is_traceable = True
 
     def __init__(self, mesh, free_index: np.ndarray, law: tuple):
         """Prepare the elements.
@@ -225,7 +226,7 @@ class Elements(ForceTerm):
                 add_vectors(self._forces, forces)
             else:
                 self.add_forces(positions, forces)
-            storage[: len(self._constant_stiffness)] += self._constant_stiffness
+            add_numbers(self._constant_stiffness, storage)
             return
         if not is_known:
             self._begin_state(positions, forces)

@@ -42,8 +42,8 @@ class ForceTerm(Protocol):
         is_inertia: True for a term of masses that resist acceleration: it is an `InertiaTerm`.
         stays_upright: True for a term of elements that no move may turn inside out; laws of small
             displacements do not know what is inside out.
-        is_recordable: True where `add_forces`, and `add` of a tangent that is not projected, do nothing
-            with numbers but by kernels, and what else they do follows from what kernels returned; see `recorded_stage.py`.
+        is_traceable: True where `add_forces`, and `add` of a tangent that is not projected, do nothing
+            with numbers but by kernels, and what else they do follows from what kernels returned; see `traced_stage.py`.
         is_slender: True for a term of parts that are much stiffer along than across, such as
             beams. A part that turns on the straight line of a move is stretched a little on its
             way: its energy rises, and falls with the next move.
@@ -62,16 +62,16 @@ class ForceTerm(Protocol):
     is_inertia: bool = False
     stays_upright: bool = False
     is_slender: bool = False
-    is_recordable: bool = False
+    is_traceable: bool = False
     memory_name: str = ""
     nearly_flat_count: int = 0
     crossed_count: int = 0
     dense_rows: DenseRows | None = None
 
     def __init_subclass__(cls, **options) -> None:
-        """Each class says itself whether it is recordable: it may have other methods."""
+        """Each class says itself whether it is traceable: it may have other methods."""
         super().__init_subclass__(**options)
-        cls.is_recordable = vars(cls).get("is_recordable", False)
+        cls.is_traceable = vars(cls).get("is_traceable", False)
 
     @property
     def on_points(self) -> ForceTerm:

@@ -12,7 +12,7 @@ class Gravity(ForceTerm):
     """Force term of all bodies' own weight."""
 
     name = "gravity"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(
         self, masses: np.ndarray, gravity: np.ndarray, more: np.ndarray | None = None

@@ -301,7 +301,7 @@ class HingedFrames(RigidFrames):
             shape (hinge_count,).
     """
 
-    is_recordable = False
+    is_traceable = False
 
     def __init__(
         self, first_node: int, free, first_unknown: int, free_node_count: int, hinges: Hinges,
@@ -568,8 +568,6 @@ class HingedTwists:
         turning_unknowns: Row of each turning block, shape (turning_count,).
         turning_columns: Its column, same shape.
     """
-
-    is_recordable = False
 
     def __init__(self, frames: HingedFrames):
         """Number places and turns.

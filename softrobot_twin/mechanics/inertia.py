@@ -292,7 +292,7 @@ class LumpedInertia(NodalMasses, InertiaTerm):
     """
 
     name = "lumped inertia"
-    is_recordable = True
+    is_traceable = True
 
     @property
     def rate(self) -> float:
@@ -327,7 +327,7 @@ class MassDamping(NodalMasses):
     """
 
     name = "mass damping"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(
         self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray, rate: float

@@ -38,7 +38,7 @@ from softrobot_twin.geometry.vector_arrays import add_vectors, are_same, copy_ve
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
-from softrobot_twin.recorded_stage import clear
+from softrobot_twin.traced_stage import clear
 
 
 @njit(**KERNEL)
@@ -89,7 +89,7 @@ class UnknownKind(Protocol):
     """A kind of unknowns, or of points that unknowns carry: frames of rigid bodies, reduced bodies.
 
     Attributes:
-        is_recordable: Whether `write_derivatives`, where D changes, and `add_turning` do nothing
+        is_traceable: Whether `write_derivatives`, where D changes, and `add_turning` do nothing
             with numbers but by kernels.
         has_constant_derivatives: Whether D is the same in every state.
         carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
@@ -98,7 +98,7 @@ class UnknownKind(Protocol):
         turning_columns: Its column, the same unknown for a diagonal block, shape (turning_count,).
     """
 
-    is_recordable: bool
+    is_traceable: bool
     has_constant_derivatives: bool
     carried_unknowns: np.ndarray
     turning_unknowns: np.ndarray
@@ -324,9 +324,9 @@ class CarriedPoints:
             kind.write_derivatives(positions, self.derivatives[part])
 
     @property
-    def is_recordable(self) -> bool:
-        """Whether all kinds write what changes by kernels; see `ForceTerm.is_recordable`."""
-        return all(kind.is_recordable for kind in self._kinds)
+    def is_traceable(self) -> bool:
+        """Whether all kinds write what changes by kernels; see `ForceTerm.is_traceable`."""
+        return all(getattr(kind, "is_traceable", False) for kind in self._kinds)
 
     def all_unknowns(self) -> np.ndarray:
         """Unknowns that any carried point depends on, each once."""
@@ -1089,7 +1089,7 @@ class CarriedTerm(ForceTerm):
         self._term, self.name = term, term.name
         self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
         self.stays_upright, self.is_inertia = term.stays_upright, term.is_inertia
-        self.is_recordable = term.is_recordable and points.is_recordable
+        self.is_traceable = term.is_traceable and getattr(points, "is_traceable", False)
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))

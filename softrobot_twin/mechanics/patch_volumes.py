@@ -368,7 +368,7 @@ class PatchVolumes(ForceTerm):
     """
 
     name = "patch volumes"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(self, mesh, free_index: np.ndarray, bulk_modulus: float, patches: np.ndarray):
         """Prepare the patches.

@@ -73,7 +73,7 @@ class ReducedPoints:
         turning_columns: Empty.
     """
 
-    is_recordable = False
+    is_traceable = False
     has_constant_derivatives = True
 
     def __init__(

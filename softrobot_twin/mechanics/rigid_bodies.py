@@ -236,7 +236,7 @@ class RigidFrames:
         rotations: Its rotation unknown, shape (free_body_count,).
     """
 
-    is_recordable = True
+    is_traceable = True
     has_constant_derivatives = False
 
     def __init__(
@@ -599,7 +599,7 @@ class RigidInertia(RigidMotion, InertiaTerm):
     """Force term of the inertia of free rigid bodies; see `RigidMotion` for its attributes."""
 
     name = "rigid inertia"
-    is_recordable = True
+    is_traceable = True
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
@@ -705,7 +705,7 @@ class RigidDamping(RigidMotion):
     """Force term of damping by mass and inertia."""
 
     name = "rigid damping"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(self, frames: RigidFrames, masses, inertias, rates):
         """Prepare.

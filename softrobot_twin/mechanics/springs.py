@@ -218,7 +218,7 @@ class Springs(ForceTerm):
     """
 
     name = "springs"
-    is_recordable = True
+    is_traceable = True
     remembers_start = True
 
     def __init__(

@@ -113,7 +113,7 @@ class StrainRateDamping(Elements):
         beta: β [s].
     """
 
-    is_recordable = True
+    is_traceable = True
     remembers_start = True
 
     def __init__(self, mesh, free_index: np.ndarray, material: LameParameters, beta: float):

@@ -521,7 +521,7 @@ class Superelements(ForceTerm):
     """
 
     name = "superelements"
-    is_recordable = True
+    is_traceable = True
 
     def __init__(
         self, fits: tuple[SuperelementFit, ...], degree: int, frame_nodes: np.ndarray,

@@ -153,7 +153,7 @@ class Simulation(Readouts):
         self._motion = _motion_of(self.model)
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
-        # A step works on one array of its own, in which its stages are recorded.
+        # A step works on one array of its own, in which its stages are traced.
         self._positions = self.model.nodes.rest_positions.copy()
         self.parts: tuple[StepPart, ...] = step_parts(self.model)
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)

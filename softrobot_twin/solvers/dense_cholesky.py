@@ -12,7 +12,7 @@ from scipy.linalg.blas import dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.recorded_stage import clear
+from softrobot_twin.traced_stage import clear
 from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
 
 
@@ -37,6 +37,7 @@ class DenseCholesky:
     """See `Factorization`; the lower triangle is stored column by column as a square matrix."""
 
     name = "dense Cholesky"
+    is_traceable = True
 
     def __init__(self, rows: np.ndarray, columns: np.ndarray, node_count: int):
         """Allocate the matrix.

@@ -97,7 +97,7 @@ class Factorization(Protocol):
         """
 
     def clear(self) -> None:
-        """Set the matrix to zero, by a kernel; see `recorded_stage.py`."""
+        """Set the matrix to zero; by a kernel, where a member `is_traceable` says so."""
 
     def factor(self) -> bool:
         """Factorize what was assembled; False if it is not positive definite."""

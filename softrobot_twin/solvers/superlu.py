@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.recorded_stage import clear
+from softrobot_twin.traced_stage import clear
 from softrobot_twin.solvers.factorization import Condensed, NodeRows
 
 OPTIONS = {
@@ -25,6 +25,7 @@ class SuperLU:
     """
 
     name = "SuperLU"
+    is_traceable = True
 
     def __init__(self, rows: np.ndarray, columns: np.ndarray, node_count: int):
         """Lay out the lower blocks of a node graph.

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from softrobot_twin.recorded_stage import RecordedStages, clear
+from softrobot_twin.traced_stage import TracedStages, clear
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step import apparent_stiffness
 from softrobot_twin.simulation.step.actuation import Actuation
@@ -59,7 +59,7 @@ LESS_PROJECTION, LEAST_PROJECTION, MORE_PROJECTION = 8.0, 2.0**-16, 2.0
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
-# Places of the recorded stages.
+# Places of the traced stages.
 GATHER, ASSEMBLE = 0, 1
 EVALUATE, ADD_STIFFNESS = 0, 1
 # Halvings of a move that still folds an element.
@@ -125,12 +125,13 @@ class Newton:
         )  # fmt: skip
         self._was_folded = False
         self.projected_tangent = self.is_augmented = False
-        are_recordable = all(term.is_recordable for term in model.forces) and self._dense is None
-        are_rows = self._rows.is_recordable
+        sharers = (*model.forces, factorization)
+        are_traceable = all(getattr(one, "is_traceable", False) for one in sharers)
+        are_rows = self._rows.is_traceable
         # Rows that vary have other arrays where there are more or fewer.
         self._has_rows_apart = self._rows.varies or not are_rows
-        self._stages = RecordedStages(are_recordable, self._gather, self._assemble)
-        self._row_stages = RecordedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
+        self._stages = TracedStages(are_traceable, self._gather, self._assemble)
+        self._row_stages = TracedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
         self.forget()
         self.gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self.forces, axis=1).sum())
@@ -815,7 +816,7 @@ class Newton:
         return self.forces
 
     def _gather(self, positions: np.ndarray) -> tuple[int, int, int]:
-        """Sum b of all terms, and evaluate the rows that may be recorded."""
+        """Sum b of all terms, and evaluate the rows that may be traced."""
         counts = self._add_forces(positions)
         if not self._has_rows_apart:
             self._rows.evaluate(positions)
@@ -867,7 +868,7 @@ class Newton:
     def _assemble(
         self, positions: np.ndarray, multipliers: np.ndarray, projected: bool = False
     ) -> None:
-        """The same of the force terms, and of the rows that may be recorded."""
+        """The same of the force terms, and of the rows that may be traced."""
         factorization = self._model.factorization
         clear(self.forces.reshape(-1))
         factorization.clear()

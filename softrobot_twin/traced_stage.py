@@ -1,16 +1,16 @@
-"""A stage of a step that runs kernels only: recorded once, then run by one compiled driver.
+"""A stage of a step that runs kernels only: traced once, then run by one compiled driver.
 
 A stage in Python asks each term for its share, and a term calls a kernel or two: the questions
-take as long as small kernels do. They have the same answers in most steps. So a stage is recorded:
+take as long as small kernels do. They have the same answers in most steps. So a stage is traced:
 the kernels that it called, with their arguments, and what they returned. The driver then calls them by
 their addresses, from a table in which arrays are addresses, shapes and strides. It is compiled once
 for all scenes, and a scene compiles nothing but a short piece of machine code for each signature,
 which loads the arguments.
 
-What a kernel returns decides how Python goes on, so it must return the same as when it was recorded;
+What a kernel returns decides how Python goes on, so it must return the same as when it was traced;
 else the driver stops, and the stage is run in Python from its beginning. So a kernel that finds
 something out must not change it, and a stage begins with arrays that it clears. Arrays that are made anew
-each time cannot be recorded: a recording counts when the next one has the same arrays. Between
+each time cannot be traced: a trace counts when the next one has the same arrays. Between
 kernels, a stage may only do what follows from what they returned: it must not compute with numbers.
 """
 
@@ -30,7 +30,7 @@ from numba.extending import intrinsic
 
 from softrobot_twin.compilation import KERNEL, Kernel, njit
 
-# Recordings that may differ from the one before; after each further one a stage runs in Python as often
+# Traces that may differ from the one before; after each further one a stage runs in Python as often
 # as told here, and twice as often each time, up to the last number.
 FEW, FIRST_WAIT, LONGEST_WAIT = 4, 64, 256
 NEVER = 2**62
@@ -81,7 +81,7 @@ def clear(numbers):
         numbers[k] = 0.0
 
 
-_is_recording = Lock()
+_is_tracing = Lock()
 _loaders: dict[tuple, tuple[int, object]] = {}
 
 
@@ -120,7 +120,7 @@ def _words(value: object) -> list[int]:
     """An argument as the kernel takes it: of an array its address, shape and strides.
 
     Raises:
-        TypeError: It is of a kind that cannot be recorded.
+        TypeError: It is of a kind that cannot be traced.
     """
     if isinstance(value, np.ndarray):
         return [0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
@@ -130,7 +130,7 @@ def _words(value: object) -> list[int]:
         return [int(value)]
     if isinstance(value, float):
         return list(struct.unpack("q", struct.pack("d", value)))
-    raise TypeError(f"a {type(value).__name__} cannot be recorded")
+    raise TypeError(f"a {type(value).__name__} cannot be traced")
 
 
 def _returned(value: object) -> list[int]:
@@ -149,7 +149,7 @@ def _returned(value: object) -> list[int]:
     return list(struct.unpack(f"{RETURNED}q", packed))
 
 
-class Recording:
+class Trace:
     """The kernels that a stage called, and what it returned.
 
     Attributes:
@@ -188,29 +188,29 @@ class Recording:
         except TypeError:
             pass  # It cannot be run by the driver.
 
-    def is_same(self, other: Recording | None) -> bool:
+    def is_same(self, other: Trace | None) -> bool:
         """Whether another one called the same kernels with the same arrays and numbers."""
         return other is not None and self.words == other.words and all(
             one[0] is another[0] for one, another in zip(self.calls, other.calls)
         )
 
 
-class RecordedStages:
+class TracedStages:
     """Stages that the driver runs while they do the same as before.
 
     What terms remember beside their arrays follows from what kernels returned. One stage may read
     what another one left there: so where one does something else, none is taken for known.
     """
 
-    def __init__(self, is_recordable: bool, *stages: Callable):
+    def __init__(self, is_traceable: bool, *stages: Callable):
         """Take the stages.
 
         Args:
-            is_recordable: Whether all that they call may be recorded; else they run in Python.
+            is_traceable: Whether all that they call may be traced; else they run in Python.
             stages: Each is called with the same arrays in most steps.
         """
         self._stages = [_Known(stage) for stage in stages]
-        self._is_recordable, self._are_known = is_recordable, False
+        self._is_traceable, self._are_known = is_traceable, False
         self.begin_anew()
 
     def run(self, place: int, *arguments):
@@ -227,20 +227,20 @@ class RecordedStages:
         if self._are_known:
             is_same = all(map(is_, arguments, known.arguments))
             if is_same and run_calls(*known.table) == len(known.table[0]):
-                return known.recording.result
+                return known.trace.result
             self.forget()
         self._wait -= self._wait > 0
-        if self._wait or not _is_recording.acquire(blocking=False):
+        if self._wait or not _is_tracing.acquire(blocking=False):
             return known.stage(*arguments)
         try:
-            return self._record(known, arguments)
+            return self._trace(known, arguments)
         finally:
-            _is_recording.release()
+            _is_tracing.release()
 
     def begin_anew(self) -> None:
         """Forget, and learn without waiting."""
         self._changes, self._next_wait = 0, FIRST_WAIT
-        self._wait = 0 if self._is_recordable else NEVER
+        self._wait = 0 if self._is_traceable else NEVER
         self.forget()
 
     def forget(self) -> None:
@@ -249,18 +249,18 @@ class RecordedStages:
         for known in self._stages:
             known.is_known = False
 
-    def _record(self, known: _Known, arguments: tuple):
-        """Run a stage in Python, and learn what it did; the second of two equal recordings counts."""
-        new = Recording(known.stage, arguments)
+    def _trace(self, known: _Known, arguments: tuple):
+        """Run a stage in Python, and learn what it did; the second of two equal traces counts."""
+        new = Trace(known.stage, arguments)
         if new.words is None:
-            self._is_recordable, self._wait = False, NEVER
-        elif new.is_same(known.recording):
+            self._is_traceable, self._wait = False, NEVER
+        elif new.is_same(known.trace):
             if known.table is None:
                 known.table = _laid_out(new)
             known.is_known, known.arguments = True, arguments
             self._are_known = all(one.is_known for one in self._stages)
         else:
-            known.recording, known.table, known.is_known = new, None, False
+            known.trace, known.table, known.is_known = new, None, False
             self._changes += 1
             if self._changes > FEW * len(self._stages):
                 self._wait = self._next_wait
@@ -273,15 +273,15 @@ class _Known:
 
     def __init__(self, stage: Callable):
         self.stage, self.arguments, self.is_known = stage, (), False
-        self.recording: Recording | None = None
+        self.trace: Trace | None = None
         self.table: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
 
-def _laid_out(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _laid_out(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Arguments of the driver; see `run_calls`."""
     calls, first = [], 0
-    for (kernel, given, _), words in zip(recording.calls, recording.words):
+    for (kernel, given, _), words in zip(trace.calls, trace.words):
         calls.append((_loader(kernel, tuple(map(typeof, given))), first))
         first += len(words)
-    expected = np.array([word for words in recording.words for word in words], np.int64)
+    expected = np.array([word for words in trace.words for word in words], np.int64)
     return np.array(calls, np.int64).reshape(-1, 2), expected.copy(), expected

@@ -1,20 +1,20 @@
-"""Stages that one driver runs: the same bits as in Python, and only what may be recorded."""
+"""Stages that one driver runs: the same bits as in Python, and only what may be traced."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softrobot_twin import recorded_stage
+from softrobot_twin import traced_stage
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector_arrays import add_vectors, are_same
 from softrobot_twin.mechanics.gravity import Gravity
-from softrobot_twin.recorded_stage import RecordedStages, clear
+from softrobot_twin.traced_stage import TracedStages, clear
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 
 SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
-# Those of which all terms are recordable, and which the driver must therefore run.
-RECORDED = {"diamond", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger"}
+# Those of which all terms are traceable, and which the driver must therefore run.
+TRACED = {"diamond", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger"}
 
 
 @njit(**KERNEL)
@@ -29,14 +29,14 @@ def has_negative(vectors):
 
 def count_driven(monkeypatch):
     """The number of stages that the driver ran to their end."""
-    run, counts = recorded_stage.run_calls, [0]
+    run, counts = traced_stage.run_calls, [0]
 
     def counted(calls, *memory):
         done = run(calls, *memory)
         counts[0] += done == len(calls)
         return done
 
-    monkeypatch.setattr(recorded_stage, "run_calls", counted)
+    monkeypatch.setattr(traced_stage, "run_calls", counted)
     return counts
 
 
@@ -66,15 +66,15 @@ def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch):
     print("seed", seed)
     driven = count_driven(monkeypatch)
     found = states_of(path, seed)
-    assert driven[0] > 0 or path.stem not in RECORDED
-    monkeypatch.setattr(RecordedStages, "_record", lambda self, known, given: known.stage(*given))
+    assert driven[0] > 0 or path.stem not in TRACED
+    monkeypatch.setattr(TracedStages, "_trace", lambda self, known, given: known.stage(*given))
     driven[0] = 0
     for one, other in zip(found, states_of(path, seed), strict=True):
         np.testing.assert_array_equal(one, other)
     assert driven[0] == 0
 
 
-def test_the_second_of_two_equal_recordings_is_run_by_the_driver(monkeypatch):
+def test_the_second_of_two_equal_traces_is_run_by_the_driver(monkeypatch):
     driven, runs = count_driven(monkeypatch), [0]
     vectors, sums = np.ones((5, 3)), np.zeros((5, 3))
 
@@ -83,7 +83,7 @@ def test_the_second_of_two_equal_recordings_is_run_by_the_driver(monkeypatch):
         add_vectors(vectors, sums)
         return are_same(vectors, vectors)
 
-    stages = RecordedStages(True, stage)
+    stages = TracedStages(True, stage)
     assert [stages.run(0, sums) for _ in range(5)] == 5 * [True]
     np.testing.assert_array_equal(sums, 5.0)
     assert (runs[0], driven[0]) == (2, 3)
@@ -100,7 +100,7 @@ def test_a_kernel_that_returns_something_else_sends_the_stage_back_to_python(mon
             return "twice"
         return "once"
 
-    stages = RecordedStages(True, stage)
+    stages = TracedStages(True, stage)
     assert [stages.run(0) for _ in range(4)] == 4 * ["once"]
     vectors[0, 0] = -1.0
     assert stages.run(0) == "twice"
@@ -117,7 +117,7 @@ def test_where_one_stage_does_something_else_none_is_run_by_the_driver(monkeypat
     def second():
         return noted[-1] and are_same(vectors, vectors)
 
-    stages = RecordedStages(True, first, second)
+    stages = TracedStages(True, first, second)
     for _ in range(4):
         stages.run(0)
         assert not stages.run(1)
@@ -137,18 +137,18 @@ def test_a_stage_with_arrays_of_its_own_or_numbers_of_a_state_stays_in_python(mo
         return largest(vectors)
 
     for stage in (makes_arrays, asks_for_numbers):
-        stages = RecordedStages(True, stage)
+        stages = TracedStages(True, stage)
         results = [stages.run(0) for _ in range(6)]
     np.testing.assert_array_equal(vectors, 7.0)
     assert results == 6 * [7.0]
     assert driven[0] == 0
 
 
-def test_a_term_from_outside_is_not_recorded_unless_it_says_so():
+def test_a_term_from_outside_is_not_traced_unless_it_says_so():
     class Wind(Gravity):
         def add_forces(self, positions, forces):
             forces[:, 0] += positions[:, 2]
             return 0
 
-    assert Gravity.is_recordable
-    assert not Wind.is_recordable
+    assert Gravity.is_traceable
+    assert not Wind.is_traceable
