@@ -220,7 +220,7 @@ class _SceneYaml(Composer, *_PARSER, SafeConstructor, Resolver):  # type: ignore
         PyYAML 6.0.4 takes the overridden value where a merged section has merged another one.
         """
         own = [(name, value) for name, value in node.value if name.tag != _MERGE]
-        merged, names = {}, {name.value for name, _ in own}
+        merged, names = dict[str, tuple[yaml.Node, yaml.Node]](), {name.value for name, _ in own}
         for name, value in node.value:
             if name.tag != _MERGE:
                 continue
