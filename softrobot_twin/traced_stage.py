@@ -255,8 +255,11 @@ class TracedStages:
         if new.words is None:
             self._is_traceable, self._wait = False, NEVER
         elif new.is_same(known.trace):
-            if known.table is None:
-                known.table = _laid_out(new)
+            try:
+                known.table = known.table or _laid_out(new)
+            except KeyError:  # numba converts an argument of a kernel that has no code for its type.
+                self._is_traceable, self._wait = False, NEVER
+                return new.result
             known.is_known, known.arguments = True, arguments
             self._are_known = all(one.is_known for one in self._stages)
         else:
@@ -278,7 +281,11 @@ class _Known:
 
 
 def _laid_out(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Arguments of the driver; see `run_calls`."""
+    """Arguments of the driver; see `run_calls`.
+
+    Raises:
+        KeyError: A kernel has no code for exactly the types of its arguments.
+    """
     calls, first = [], 0
     for (kernel, given, _), words in zip(trace.calls, trace.words):
         calls.append((_loader(kernel, tuple(map(typeof, given))), first))

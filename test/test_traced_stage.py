@@ -9,8 +9,8 @@ from softrobot_twin import traced_stage
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector_arrays import add_vectors, are_same
 from softrobot_twin.mechanics.gravity import Gravity
-from softrobot_twin.traced_stage import TracedStages, clear
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
+from softrobot_twin.traced_stage import TracedStages, clear
 
 SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
 # Those of which all terms are traceable, and which the driver must therefore run.
@@ -141,6 +141,23 @@ def test_a_stage_with_arrays_of_its_own_or_numbers_of_a_state_stays_in_python(mo
         results = [stages.run(0) for _ in range(6)]
     np.testing.assert_array_equal(vectors, 7.0)
     assert results == 6 * [7.0]
+    assert driven[0] == 0
+
+
+def test_a_kernel_whose_arguments_numba_converts_stays_in_python(monkeypatch):
+    driven, numbers = count_driven(monkeypatch), np.zeros(3)
+
+    @njit(**{**KERNEL, "cache": False})
+    def add_scaled(scale, numbers):
+        for k in range(len(numbers)):
+            numbers[k] += scale
+
+    add_scaled.compile("void(float64, float64[::1])")
+    add_scaled.disable_compile()
+    stages = TracedStages(True, lambda: add_scaled(1, numbers))
+    for _ in range(5):
+        stages.run(0)
+    np.testing.assert_array_equal(numbers, 5.0)
     assert driven[0] == 0
 
 

@@ -12,8 +12,8 @@ from scipy.linalg.blas import dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.traced_stage import clear
 from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
+from softrobot_twin.traced_stage import clear
 
 
 @njit(**KERNEL)

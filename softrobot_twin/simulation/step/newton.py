@@ -16,7 +16,6 @@ import math
 
 import numpy as np
 
-from softrobot_twin.traced_stage import TracedStages, clear
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step import apparent_stiffness
 from softrobot_twin.simulation.step.actuation import Actuation
@@ -27,6 +26,7 @@ from softrobot_twin.simulation.step.move import Move
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
+from softrobot_twin.traced_stage import TracedStages, clear
 
 # Where no merit tells how far a linearization holds (in motion, with friction, with slender parts), no
 # node moves further than this share of the body's size in one linearization, seen from slides that carry it.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.traced_stage import TracedStages, clear
 from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
 from softrobot_twin.solvers.multifrontal import condensation
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
@@ -14,6 +13,7 @@ from softrobot_twin.solvers.multifrontal.numeric_factorization import SUCCESS, f
 from softrobot_twin.solvers.multifrontal.ordering import best_elimination
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, node_graph, renumbered
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
+from softrobot_twin.traced_stage import TracedStages, clear
 
 # W is given by its factor where its rank is at most this share of its rows.
 LOW_RANK = 0.5
