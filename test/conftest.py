@@ -32,6 +32,9 @@ LIBRARIES = {
     "": (
         "layering::test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib",
         "library_names", "package::test_every_library_that_is_imported_is_declared",
+        "traced_stage::test_the_second_of_two_equal_traces_is_run_by_the_driver",
+        "traced_stage::test_a_kernel_that_returns_something_else_sends_the_stage_back_to_python",
+        "traced_stage::test_a_kernel_whose_arguments_numba_converts_stays_in_python",
     ),
     "command_line": ("command_line::test_bash_completes_commands_options_and_files",),
     "constraints": (
