@@ -329,7 +329,7 @@ def _command(name: str, command: str, parser: argparse.ArgumentParser) -> str:
     parts = [f"## {command}", _without_angles(_plain(parser.description))]
     examples = parser.get_default("examples") or ()
     lines = [f"{name} {command} {' '.join(needed)} [options]".replace("  ", " "), ""]
-    lines += [f"{name} {command} {example}".replace("%%", "%").rstrip() for example in examples]
+    lines += [f"{name} {command} {example}".rstrip() for example in examples]
     parts.append("```sh\n" + "\n".join(lines).rstrip() + "\n```")
     if shown:
         rows = ["| argument | default | meaning |", "|---|---|---|"]

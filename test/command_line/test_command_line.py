@@ -21,7 +21,7 @@ def parsers() -> dict:
 
 
 COMMANDS = tuple(parsers())
-EXAMPLES = [(name, example.replace("%%", "%").replace("\\\n", "")) for name, parser in parsers().items()
+EXAMPLES = [(name, example.replace("\\\n", "")) for name, parser in parsers().items()
             for example in parser.get_default("examples")]
 
 
