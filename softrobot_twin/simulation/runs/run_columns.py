@@ -7,7 +7,7 @@ bodies. Names are those of `table_columns`, so that a run's file can be given ba
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -73,6 +73,18 @@ class RunRow(NamedTuple):
     observed: tuple[float, ...] = ()
 
 
+class Cells(NamedTuple):
+    """Columns that stand beside each other, and their values.
+
+    Attributes:
+        names: Their names.
+        values: Gives the value of each in a row.
+    """
+
+    names: Sequence[str]
+    values: Callable[[RunRow], Iterable]
+
+
 def actuator_columns(actuators: Actuators) -> list[tuple[str, Quantity]]:
     """Name and quantity of each column about actuators, in the order of `actuator_cells`.
 
@@ -87,19 +99,22 @@ def actuator_columns(actuators: Actuators) -> list[tuple[str, Quantity]]:
     """
     return [
         (name, quantity) for name, kind in actuators.kind_of.items()
-        for quantity in _quantities(kind)
+        for quantity in _readings(kind)
     ] + [(name, quantity) for name in actuators.pulleys.names for quantity in (ANGLE, TORQUE)]
 
 
-def _quantities(kind: ActuatorKind) -> tuple[Quantity, ...]:
-    """Quantities of an actuator in a file."""
+def _readings(kind: ActuatorKind) -> dict[Quantity, str]:
+    """Quantities of an actuator in a file, and which values of a result each of them has."""
     if kind.is_effort_driven:  # The setpoint is the effort, and 0 at rest.
-        return kind.setpoint, kind.displacement, kind.extent
-    if kind.displacement == kind.setpoint:  # It is 0 at rest.
-        return kind.setpoint, kind.effort
-    rest = Quantity(f"rest_{kind.setpoint.word}", kind.setpoint.unit)
-    quantities = kind.setpoint, kind.effort, kind.displacement, rest
-    return (*quantities, PATH) if kind.one_sided else quantities
+        return {kind.setpoint: "setpoints", kind.displacement: "displacements",
+                kind.extent: "extents"}  # fmt: skip
+    readings = {kind.setpoint: "setpoints", kind.effort: "efforts"}
+    if kind.displacement != kind.setpoint:  # Else it is 0 at rest.
+        rest = Quantity(f"rest_{kind.setpoint.word}", kind.setpoint.unit)
+        readings |= {kind.displacement: "displacements", rest: "rest"}
+        if kind.one_sided:
+            readings[PATH] = "paths"
+    return readings
 
 
 def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
@@ -109,24 +124,18 @@ def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
         result: Result of a step.
         actuators: The actuators of the scene.
     """
-    extents = actuators.extents(result.displacements)
     paths = actuators.path_lengths(result.state.positions)
-    cells = []
-    for index, kind in enumerate(actuators.kinds):
-        setpoint, displacement = result.setpoints[index], result.displacements[index]
-        if kind.displacement == kind.setpoint:
-            cells += [setpoint, result.efforts[index]]
-        elif kind.is_effort_driven:
-            cells += [setpoint, displacement, extents[index]]
-        else:
-            cells += [setpoint, result.efforts[index], displacement,
-                      actuators.rest_setpoints[index]]
-            if kind.one_sided:
-                cells.append(paths[actuators.names[index]])
+    values = {
+        "setpoints": result.setpoints, "efforts": result.efforts,
+        "displacements": result.displacements, "rest": actuators.rest_setpoints,
+        "extents": actuators.extents(result.displacements),
+        "paths": [paths.get(name, math.nan) for name in actuators.names],
+    }  # fmt: skip
+    cells = [values[reading][index] for index, kind in enumerate(actuators.kinds)
+             for reading in _readings(kind).values()]  # fmt: skip
     pulleys = actuators.pulleys
-    for pair in zip(pulleys.angles(result.setpoints), pulleys.torques(result.efforts), strict=True):
-        cells += pair
-    return cells
+    turned = np.stack([pulleys.angles(result.setpoints), pulleys.torques(result.efforts)], axis=1)
+    return [*cells, *turned.ravel()]
 
 
 def rigid_poses(simulation: Simulation, positions: np.ndarray | None = None) -> np.ndarray:
@@ -178,75 +187,89 @@ class RunColumns:
             with_reduction_errors: Whether the error of each reduced body is estimated in each row,
                 which takes the time of a step with the spare modes.
         """
-        self._simulation = simulation
-        self._pairs, model = pair_names(simulation), simulation.model
+        self._simulation, model = simulation, simulation.model
+        self._pairs = pair_names(simulation)
         self.actuators = actuator_columns(simulation.actuators)
-        self._effectors = simulation.effector_names
-        count = len(self._effectors)
-        nothing = (np.zeros(count, bool), np.zeros(count, bool), np.zeros((count, 3), bool))
-        self._aimed, self._turned, self._stiffened = nothing
-        if isinstance(followed, FollowTargets):
-            self._aimed, self._turned, self._stiffened = _given(followed, count)
-        self._oriented = np.array(simulation.oriented_effectors, bool)
-        self._stiff = np.array(simulation.stiff_effectors, bool)
-        self._has_ranges = simulation.has_reduced_bodies or bool(model.superelements)
         self._judged: tuple[str, ...] = ()
         if with_reduction_errors and not simulation.falls_back:
             spare = reduced_bodies(model) if has_spare_modes(model) else ()
             self._judged = (*model.superelements, *(body.name for body in spare))
-        self.names: tuple[str, ...] = (STEP, TIME, *(
-            one for index in range(count) for one in self._of_effector(index)
-        ), *(column(*one) for one in self.actuators), *self._of_bodies(), *observed,
-            *self._of_contacts(), *self._of_steps())  # fmt: skip
+        self._parts = [
+            Cells((STEP, TIME), lambda row: (row.step, row.time)), *self._of_effectors(followed),
+            Cells([column(*one) for one in self.actuators],
+                  lambda row: actuator_cells(row.result, simulation.actuators)),
+            *self._of_bodies(), Cells(observed, lambda row: map(float, row.observed)),
+            *self._of_contacts(), *self._of_steps(),
+        ]  # fmt: skip
+        self.names = tuple(name for part in self._parts for name in part.names)
 
-    def _of_effector(self, index: int) -> list[str]:
-        """Columns of an effector: its place, what was wanted, and how far off it is."""
-        name = self._effectors[index]
-        wanted = target_name(name)
-        parts = [*position_columns(name)]
-        if self._oriented[index]:
-            parts += quaternion_columns(name)
-        if self._stiff[index]:
-            parts += stiffness_columns(name)
-        if self._aimed[index]:
-            parts += position_columns(wanted)
-        if self._turned[index]:
-            parts += quaternion_columns(wanted)
-        parts += [one for one, asked in zip(stiffness_columns(wanted), self._stiffened[index])
-                  if asked]
-        if self._aimed[index]:
-            parts.append(f"{name}_error_m")
-        if self._turned[index]:
-            parts.append(f"{name}_orientation_error_rad")
-        return parts
+    def _of_effectors(self, followed: Command | None) -> Iterator[Cells]:
+        """Place of each effector, what was wanted, and how far off it is."""
+        names = self._simulation.effector_names
+        given = zip(
+            self._simulation.oriented_effectors, self._simulation.stiff_effectors,
+            *_given(followed, len(names)), strict=True,
+        )  # fmt: skip
+        for i, (name, (oriented, stiff, aimed, turned, stiffened)) in enumerate(
+            zip(names, given, strict=True)
+        ):
+            of_name, of_target = (
+                [made(one) for made in (position_columns, quaternion_columns, stiffness_columns)]
+                for one in (name, target_name(name))
+            )
+            yield Cells(of_name[0], lambda row, i=i: row.result.effector_positions[i])
+            if oriented:
+                yield Cells(of_name[1], lambda row, i=i: row.result.effector_orientations[i])
+            if stiff:
+                yield Cells(of_name[2], lambda row, i=i: _stiffness(row.result, i))
+            if aimed:
+                yield Cells(of_target[0], lambda row, i=i: np.asarray(_asked(row).targets, float)[i])
+            if turned:
+                yield Cells(of_target[1], lambda row, i=i: _asked(row).orientations[i])
+            for axis in np.flatnonzero(stiffened):
+                yield Cells(of_target[2][axis : axis + 1],
+                            lambda row, at=(i, axis): [_asked(row).stiffness[at]])  # fmt: skip
+            if aimed:
+                yield Cells([f"{name}_error_m"], lambda row, i=i: [row.result.effector_errors[i]])
+            if turned:
+                yield Cells([f"{name}_orientation_error_rad"],
+                            lambda row, i=i: [row.result.orientation_errors[i]])  # fmt: skip
 
-    def _of_bodies(self) -> list[str]:
-        """Columns of rigid bodies and touches."""
-        parts = []
-        for body in self._simulation.model.rigid:
-            name = body_name(body.name, self._effectors)
-            parts += [*position_columns(name), *quaternion_columns(name)]
-        for name in self._simulation.touch_names:
-            parts += [*force_columns(name), *displacement_columns(name)]
-        return parts
+    def _of_bodies(self) -> Iterator[Cells]:
+        """Poses of rigid bodies, forces and displacements of touches."""
+        simulation = self._simulation
+        names = [body_name(name, simulation.effector_names) for name in simulation.rigid_names]
+        poses = [(*position_columns(name), *quaternion_columns(name)) for name in names]
+        yield Cells(sum(poses, ()), lambda row: row.rigid_poses.ravel())
+        touches = [(*force_columns(name), *displacement_columns(name))
+                   for name in simulation.touch_names]  # fmt: skip
+        if touches:
+            yield Cells(sum(touches, ()), lambda row: np.hstack(
+                [row.result.touches.forces, row.result.touches.displacements]).ravel())  # fmt: skip
 
-    def _of_contacts(self) -> list[str]:
+    def _of_contacts(self) -> Iterator[Cells]:
         if not self._pairs:
-            return []
-        parts = ["contact_count"]
-        for pair in self._pairs:
-            parts += [f"force_on_{pair[0]}_by_{pair[1]}_{axis}_N" for axis in "xyz"]
-            parts.append(magnitude_column(pair))
-        return [*parts, "contact_residual_m"]
+            return
+        yield Cells(["contact_count"], lambda row: [row.result.report.contact_count])
+        for k, pair in enumerate(self._pairs):
+            forces = [f"force_on_{pair[0]}_by_{pair[1]}_{axis}_N" for axis in "xyz"]
+            yield Cells([*forces, magnitude_column(pair)],
+                        lambda row, k=k: (*row.pair_resultants[k], row.pair_magnitude_sums[k]))  # fmt: skip
+        yield _reported("contact_residual_m", "contact_residual")
 
-    def _of_steps(self) -> list[str]:
-        parts = ["residual_N"]
-        if self._effectors:
-            parts.append("linearization_error_m")
-        if self._has_ranges:
-            parts.append("sampled_range")
-        parts += [f"{name}_reduction_error_m" for name in self._judged]
-        return [*parts, "iterations", COMPUTE_TIME, *TEXT_COLUMNS]
+    def _of_steps(self) -> Iterator[Cells]:
+        yield _reported("residual_N", "residual")
+        if self._simulation.effector_names:
+            yield _reported("linearization_error_m", "linearization_error")
+        if self._simulation.has_reduced_bodies or self._simulation.model.superelements:
+            yield _reported("sampled_range", "sampled_range")
+        yield Cells([f"{name}_reduction_error_m" for name in self._judged],
+                    lambda row: map(float, row.reduction_errors))  # fmt: skip
+        yield Cells(["iterations"], lambda row: [row.result.report.iterations])
+        yield _reported(COMPUTE_TIME, "compute_time")
+        yield Cells(TEXT_COLUMNS, lambda row: (
+            " ".join(row.result.report.active_limits), row.result.report.driven_by,
+            row.result.status.value))  # fmt: skip
 
     def row(
         self, step: int, time: float, result: StepResult, command: Command | None = None,
@@ -274,66 +297,45 @@ class RunColumns:
 
     def cells(self, row: RunRow) -> list[int | float | str]:
         """Values of the columns, in their order."""
-        result, report = row.result, row.result.report
-        numbers = [one for index in range(len(self._effectors))
-                   for one in self._effector_cells(row, index)]
-        numbers += actuator_cells(result, self._simulation.actuators)
-        numbers += row.rigid_poses.ravel().tolist()
-        if result.touches is not None:
-            touches = result.touches
-            numbers += np.hstack([touches.forces, touches.displacements]).ravel().tolist()
-        numbers += row.observed
-        cells: list[int | float | str] = [row.step, row.time, *map(float, numbers)]
-        if self._pairs:
-            forces = np.column_stack([row.pair_resultants, row.pair_magnitude_sums])
-            cells += [report.contact_count, *forces.ravel().tolist()]
-            cells.append(float(report.contact_residual))
-        cells.append(float(report.residual))
-        if self._effectors:
-            cells.append(float(report.linearization_error))
-        if self._has_ranges:
-            cells.append(float(report.sampled_range))
-        return [*cells, *map(float, row.reduction_errors), report.iterations,
-                float(report.compute_time), " ".join(report.active_limits), report.driven_by,
-                result.status.value]
-
-    def _effector_cells(self, row: RunRow, index: int) -> list[float]:
-        """Values of the columns of an effector."""
-        result, command = row.result, row.command
-        cells = [*result.effector_positions[index]]
-        if self._oriented[index]:
-            cells += [*result.effector_orientations[index]]
-        if self._stiff[index]:
-            own = result.effector_stiffness
-            cells += [math.nan] * 3 if own is None else [*own[index]]
-        if not self._aimed[index]:
-            return cells
-        assert isinstance(command, FollowTargets), "a run that follows targets tells each of them"
-        cells += [*np.asarray(command.targets)[index]]
-        if self._turned[index]:
-            cells += [*command.orientations[index]]
-        if self._stiffened[index].any():
-            cells += [*command.stiffness[index][self._stiffened[index]]]
-        cells.append(result.effector_errors[index])
-        if self._turned[index]:
-            cells.append(result.orientation_errors[index])
-        return cells
+        cells = (cell for part in self._parts for cell in part.values(row))
+        return [cell.item() if isinstance(cell, np.generic) else cell for cell in cells]
 
     def texts(self, row: RunRow) -> list[str]:
         """Cells of a row of a file; numbers are given to the last bit."""
         return [repr(cell) if isinstance(cell, float) else str(cell) for cell in self.cells(row)]
 
 
-def _given(followed: FollowTargets, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _reported(name: str, field: str) -> Cells:
+    """A column of a number of the report of a step."""
+    return Cells([name], lambda row: [float(getattr(row.result.report, field))])
+
+
+def _asked(row: RunRow) -> FollowTargets:
+    """The targets of a row."""
+    assert isinstance(row.command, FollowTargets), "a run that follows targets tells each of them"
+    return row.command
+
+
+def _stiffness(result: StepResult, index: int) -> Iterable[float]:
+    """Stiffness of an effector along the axes [N/m]; NaN where a step does not tell it."""
+    stiffness = result.effector_stiffness
+    return [math.nan] * 3 if stiffness is None else stiffness[index]
+
+
+def _given(
+    followed: Command | None, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which effectors have a target, which an orientation, and which axes a stiffness.
 
     Returns:
         Shapes (effector_count,), (effector_count,) and (effector_count, 3).
     """
-    aimed = np.isfinite(followed.targets).all(axis=1)
-    turned, stiffened = np.zeros(count, bool), np.zeros((count, 3), bool)
-    if followed.orientations is not None:
-        turned = np.isfinite(followed.orientations).all(axis=1) & aimed
-    if followed.stiffness is not None:
-        stiffened = np.isfinite(followed.stiffness) & aimed[:, None]
+    aimed = turned = np.zeros(count, bool)
+    stiffened = np.zeros((count, 3), bool)
+    if isinstance(followed, FollowTargets):
+        aimed = np.isfinite(followed.targets).all(axis=1)
+        if followed.orientations is not None:
+            turned = np.isfinite(followed.orientations).all(axis=1) & aimed
+        if followed.stiffness is not None:
+            stiffened = np.isfinite(followed.stiffness) & aimed[:, None]
     return aimed, turned, stiffened
