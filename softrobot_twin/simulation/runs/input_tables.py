@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -225,15 +226,46 @@ class Columns:
 
     def _number(self, name: str, line: int, cell) -> float:
         try:
-            number = float(cell)
+            number, fault = float(cell), "must be finite"
         except (TypeError, ValueError):
-            raise TableFileError(
-                self.source, "must be a number", line, self.given(name), cell, unit_of(name)
-            ) from None
+            number, fault = math.nan, "must be a number"
         if not math.isfinite(number):
-            raise TableFileError(
-                self.source, "must be finite", line, self.given(name), cell, unit_of(name))
+            raise TableFileError(self.source, fault, line, self.given(name), cell, unit_of(name))
         return number
+
+    def error(
+        self, name: str, reason: str, row: int | None = None, value: object = None, unit: str = ""
+    ) -> TableFileError:  # fmt: skip
+        """What is wrong with a column.
+
+        Args:
+            name: The column.
+            reason: Why it is refused.
+            row: Index of the row of a wrong value; None where the header is wrong.
+            value: That value.
+            unit: Its unit.
+        """
+        line = 1 if row is None else self.lines[row]
+        return TableFileError(self.source, reason, line, self.given(name) or "''", value, unit)
+
+    def pop_all(self, names: Sequence[str]) -> np.ndarray:
+        """Values of several columns, which are taken, shape (row_count, name_count)."""
+        return np.column_stack([self.pop(name) for name in names])
+
+    def pop_given(self, names: Sequence[str], otherwise: float) -> np.ndarray | None:
+        """Values of those of some columns that are there, which are taken.
+
+        Args:
+            names: The columns.
+            otherwise: Value of those that are missing.
+
+        Returns:
+            Shape (row_count, name_count); None where all are missing.
+        """
+        if not any(name in self for name in names):
+            return None
+        missing = np.full(len(self), otherwise)
+        return np.column_stack([self.pop(name) if name in self else missing for name in names])
 
     def times(self) -> np.ndarray:
         """Takes the times of the rows out [s], shape (row_count,).
@@ -248,9 +280,8 @@ class Columns:
         late = np.flatnonzero(np.diff(times) <= 0.0)
         if late.size:
             row = int(late[0]) + 1
-            raise TableFileError(
-                self.source, f"must be later than {float(times[row - 1])!r} s, the row before",
-                self.lines[row], self.given(TIME), float(times[row]), "s")
+            raise self.error(TIME, f"must be later than {float(times[row - 1])!r} s, the row before",
+                             row, float(times[row]), "s")
         return times
 
 
@@ -278,6 +309,7 @@ def open_columns(source: Path | str | Mapping, example: str) -> Columns:
     return Columns(table, names, range(1, len(columns[0]) + 1), list(zip(*columns, strict=True)))
 
 
+_OF_ACTUATORS = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
 NOT_UNIT = 1.0e-2
 """A quaternion that is off unit length by more is not rounded but a mistake."""
 TARGETS_EXAMPLE = ",".join((TIME, *position_columns("tip")))
@@ -318,8 +350,7 @@ class TargetTable:
             turns = None if self.orientations is None else self.orientations[row]
             stiffness = None if self.stiffness is None else self.stiffness[row]
             return FollowTargets(values, step, None, turns, stiffness)
-        build = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
-        return build[self.kind](values, step)
+        return _OF_ACTUATORS[self.kind](values, step)
 
 
 def read_targets(source: Path | str | Mapping, simulation: Simulation) -> TargetTable:
@@ -383,8 +414,7 @@ def read_path(
     times = columns.times()
     given = {effector: [own for own in _columns_of_targets(effector) if own in columns]}
     if not given[effector]:
-        raise TableFileError(columns.source, "the header lacks this column", 1,
-                             columns.given(position_columns(effector)[0]))
+        raise columns.error(position_columns(effector)[0], "the header lacks this column")
     positions = _target_positions(columns, given)[:, 0]
     return times, positions, _quaternions(columns, effector), columns.notes
 
@@ -463,42 +493,73 @@ def _target_positions(columns: Columns, given: Mapping[str, list[str]]) -> np.nd
     """
     values = np.full((len(columns), len(given), 3), np.nan)
     for place, (name, own) in enumerate(given.items()):
-        if not own:
-            continue
-        needed = position_columns(name)
-        turns = quaternion_columns(name)
-        if any(part in own for part in turns):
-            needed += turns
-        for one in needed:
-            if one not in columns:
-                others = [left for left in columns.left
-                          if not any(left in _columns_of_targets(effector) for effector in given)]
-                raise TableFileError(
-                    columns.source, "the header lacks this column: an effector's target needs x, y "
-                    "and z" + (", an orientation qx, qy, qz and qw too" if one in turns else "")
-                    + nearest(one, others), 1, columns.given(one))
-        for axis, one in enumerate(position_columns(name)):
-            values[:, place, axis] = columns.pop(one)
+        if own:
+            others = [left for left in columns.left
+                      if not any(left in _columns_of_targets(effector) for effector in given)]
+            _refuse_missing(columns, name, "an effector's target needs x, y and z",
+                            ", an orientation qx, qy, qz and qw too", others)  # fmt: skip
+            values[:, place] = columns.pop_all(position_columns(name))
     return values
+
+
+def _refuse_missing(
+    columns: Columns, name: str, rule: str, rule_of_turns: str, others: Sequence[str] = ()
+) -> None:
+    """Refuses a position without all of its columns, or a turn without those or all of its own.
+
+    Args:
+        columns: Those of the file.
+        name: Whose position it is.
+        rule: Which columns a position needs.
+        rule_of_turns: Follows that where a column of the turn is missing.
+        others: Columns that may be meant in place of the missing one.
+    """
+    turns = quaternion_columns(name)
+    needed = position_columns(name) + (turns if any(one in columns for one in turns) else ())
+    for one in needed:
+        if one not in columns:
+            raise columns.error(one, f"the header lacks this column: {rule}"
+                                f"{rule_of_turns if one in turns else ''}{nearest(one, others)}")  # fmt: skip
 
 
 def _target_turns(columns: Columns, simulation: Simulation) -> np.ndarray | None:
     """Wanted turns, shape (row_count, effector_count, 4); None without any."""
-    names = list(simulation.effector_names)
-    asking = [name for name, asks in zip(names, simulation.oriented_effectors) if asks]
-    turns = None
-    for place, name in enumerate(names):
-        first = next((part for part in quaternion_columns(name) if part in columns), None)
-        if first is None:
-            continue
-        if name not in asking:
-            raise TableFileError(
-                columns.source, "the effector has no orientation in the scene; those with one: "
-                f"{', '.join(asking) or 'none'}", 1, columns.given(first))
-        if turns is None:
-            turns = np.full((len(columns), len(names), 4), np.nan)
-        turns[:, place] = _quaternions(columns, name)
-    return turns
+    _refuse_unasked(columns, simulation, quaternion_columns, simulation.oriented_effectors,
+                    "orientation")  # fmt: skip
+    return _of_effectors([_quaternions(columns, name) for name in simulation.effector_names])
+
+
+def _refuse_unasked(
+    columns: Columns, simulation: Simulation, made: Callable, asks: Sequence[bool], what: str
+) -> None:
+    """Refuses columns of effectors of which the scene does not control what they give.
+
+    Args:
+        columns: Those of the file.
+        simulation: The scene.
+        made: Gives the columns of an effector.
+        asks: Whether the scene controls it, for each effector.
+        what: What they give, for errors.
+    """
+    asking = [name for name, asked in zip(simulation.effector_names, asks) if asked]
+    for name in simulation.effector_names:
+        for one in made(name):
+            if one in columns and name not in asking:
+                raise columns.error(one, f"the effector has no {what} in the scene; those with one: "
+                                    f"{', '.join(asking) or 'none'}")  # fmt: skip
+
+
+def _of_effectors(values: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    """Values of all effectors, shape (row_count, effector_count, width); None without any.
+
+    Args:
+        values: Those of each, shape (row_count, width); None for one without, which has NaN.
+    """
+    shape = next((own.shape for own in values if own is not None), None)
+    if shape is None:
+        return None
+    missing = np.full(shape, np.nan)
+    return np.stack([missing if own is None else own for own in values], axis=1)
 
 
 def _quaternions(columns: Columns, name: str) -> np.ndarray | None:
@@ -506,34 +567,23 @@ def _quaternions(columns: Columns, name: str) -> np.ndarray | None:
     parts = quaternion_columns(name)
     if parts[0] not in columns:
         return None
-    quaternions = np.column_stack([columns.pop(part) for part in parts])
+    quaternions = columns.pop_all(parts)
     _refuse_lengths(columns.source, name, quaternions, columns.lines)
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
 def _target_stiffness(columns: Columns, simulation: Simulation) -> np.ndarray | None:
     """Wanted stiffnesses [N/m], shape (row_count, effector_count, 3); None without any."""
-    names = list(simulation.effector_names)
-    asking = [name for name, asks in zip(names, simulation.stiff_effectors) if asks]
-    stiffness = None
-    for place, name in enumerate(names):
-        for axis, part in enumerate(stiffness_columns(name)):
-            if part not in columns:
-                continue
-            if name not in asking:
-                raise TableFileError(
-                    columns.source, "the effector has no stiffness in the scene; those with one: "
-                    f"{', '.join(asking) or 'none'}", 1, columns.given(part))
-            own = columns.pop(part)
-            if (own <= 0.0).any():
-                row = int(np.argmin(own))
-                raise TableFileError(columns.source, "must be positive: it is a stiffness",
-                                     columns.lines[row], columns.given(part), float(own[row]),
-                                     "N/m")
-            if stiffness is None:
-                stiffness = np.full((len(columns), len(names), 3), np.nan)
-            stiffness[:, place, axis] = own
-    return stiffness
+    _refuse_unasked(columns, simulation, stiffness_columns, simulation.stiff_effectors, "stiffness")
+    given = []
+    for name in simulation.effector_names:
+        own = columns.pop_given(stiffness_columns(name), np.nan)
+        if own is not None and (own <= 0.0).any():
+            row, axis = np.unravel_index(np.nanargmin(own), own.shape)
+            raise columns.error(stiffness_columns(name)[axis], "must be positive: it is a stiffness",
+                                row, float(own[row, axis]), "N/m")  # fmt: skip
+        given.append(own)
+    return _of_effectors(given)
 
 
 def _refuse_column(columns: Columns, simulation: Simulation) -> None:
@@ -552,20 +602,17 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
     motors = (*(motor.name for motor in simulation.scene.motors), *actuators.pulleys.names)
     kind = actuators.kind_of.get(owner) if what == "actuator" else None
     if kind is not None and name not in [column(owner, one) for one in _commandable(kind)]:
-        raise TableFileError(
-            columns.source, f"this {kind.noun} is driven by its {kind.setpoint.word}: use "
-            f"{column(owner, kind.setpoint)}", 1, columns.given(name))
+        raise columns.error(name, f"this {kind.noun} is driven by its {kind.setpoint.word}: use "
+                            f"{column(owner, kind.setpoint)}")  # fmt: skip
     if what and owner in (*known[what], *(motors if what == "actuator" else ())):
         others = ", ".join(columns.given(one) for one in columns.taken if one != TIME)
-        raise TableFileError(
-            columns.source, f"cannot be combined with {others}: a file contains effector targets, "
-            "or setpoints of actuators, or their efforts, only one of these"
-            f"{_setpoint_columns(actuators.kind_of)}", 1, columns.given(name))
+        raise columns.error(
+            name, f"cannot be combined with {others}: a file contains effector targets, or "
+            "setpoints of actuators, or their efforts, only one of these"
+            f"{_setpoint_columns(actuators.kind_of)}")
     if what:
         listed = ", ".join(known[what]) or "none"
-        raise TableFileError(
-            columns.source, f"the scene has no {what} {owner!r}; its {what}s: {listed}", 1,
-            columns.given(name))
+        raise columns.error(name, f"the scene has no {what} {owner!r}; its {what}s: {listed}")
     today = name_today(name, quantities)
     near = nearest(name, (TIME, *_columns_of_actuators(simulation),
                           *(one for own in simulation.effector_names
@@ -573,8 +620,7 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
     use = f"use {today}" if today != name else (
         f"valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
         f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}{near}")
-    raise TableFileError(
-        columns.source, f"is not a valid column; {use}", 1, columns.given(name) or "''")
+    raise columns.error(name, f"is not a valid column; {use}")
 
 
 def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[int]) -> None:
@@ -648,36 +694,38 @@ class Pose:
             quaternions: x, y, z, w, shape (row_count, 4); None without rotations.
         """
         self._times, self._positions = times, positions
-        self._turn = None
-        if quaternions is not None:
-            self._turn = Slerp(times, Rotation.from_quat(quaternions))
+        self._turn = None if quaternions is None else Slerp(times, Rotation.from_quat(quaternions))
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
         """Position [m] and quaternion x, y, z, w (None without rotations) at a time [s]."""
-        position = np.array([np.interp(time, self._times, x) for x in self._positions.T])
+        position = _between(time, self._times, self._positions)
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
-class TouchColumns:
+class TouchColumns(NamedTuple):
     """Forces or displacements of a touch over time.
 
     A displacement is counted from where the point is when the touch begins; a force or a
     displacement of zero is no touch.
+
+    Attributes:
+        values: Forces [N] or displacements [m], shape (row_count, 3).
+        are_forces: Which of both.
     """
 
-    def __init__(self, times: np.ndarray, values: np.ndarray, are_forces: bool):
-        """Stores the rows.
+    values: np.ndarray
+    are_forces: bool
 
-        Args:
-            times: Of the rows [s], shape (row_count,).
-            values: Forces [N] or displacements [m], shape (row_count, 3).
-            are_forces: Which of both.
-        """
-        self._times, self._values, self.are_forces = times, values, are_forces
 
-    def at(self, time: float) -> np.ndarray:
-        """Force [N] or displacement [m] at a time [s], shape (3,)."""
-        return np.array([np.interp(time, self._times, column) for column in self._values.T])
+def _between(time: float, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values at a time [s] between rows, shape (column_count,).
+
+    Args:
+        time: The time [s].
+        times: Of the rows [s], shape (row_count,).
+        values: Of the rows, shape (row_count, column_count).
+    """
+    return np.array([np.interp(time, times, column) for column in values.T])
 
 
 @dataclass(frozen=True)
@@ -712,7 +760,7 @@ class CommandTable:
         before, names = simulation.touches, simulation.touch_names
         forces, places = (np.full((len(names), 3), np.nan) for _ in range(2))
         for name, columns in self.touches.items():
-            index, value = names.index(name), columns.at(time)
+            index, value = names.index(name), _between(time, self.times, columns.values)
             if not value.any():
                 continue
             if columns.are_forces:
@@ -727,24 +775,19 @@ class CommandTable:
         """Command of the actuators at a time [s], for a step of a duration [s]."""
         if self.kind == HOLD:
             return Hold(time_step)
-        values = np.array([np.interp(time, self.times, column) for column in self.values.T])
-        kinds = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
-        return kinds[self.kind](values, time_step)
+        return _OF_ACTUATORS[self.kind](_between(time, self.times, self.values), time_step)
 
     @property
     def longest_hold(self) -> tuple[float, float]:
         """Start and end of the longest interval with constant commands [s]; NaN if there is
         none.
         """
-        best, begin = (math.nan, math.nan), None
-        for index, stands in enumerate([*self.is_constant, False]):
-            if stands and begin is None:
-                begin = self.times[index]
-            elif not stands and begin is not None:
-                if not self.times[index] - begin <= best[1] - best[0]:
-                    best = (float(begin), float(self.times[index]))
-                begin = None
-        return best
+        edges = np.flatnonzero(np.diff([False, *self.is_constant, False]))
+        holds = self.times[edges].reshape(-1, 2)
+        if not len(holds):
+            return math.nan, math.nan
+        begin, end = holds[np.argmax(holds[:, 1] - holds[:, 0])]
+        return float(begin), float(end)
 
 
 def read_commands(source: Path | str | Mapping, simulation: Simulation) -> CommandTable:
@@ -771,7 +814,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
     kind, values = _actuator_values(columns, simulation)
     _refuse_undriven(columns, simulation, kind, values)
     poses = _poses(columns, simulation, times)
-    touches = _touches(columns, simulation, times)
+    touches = _touches(columns, simulation)
     if columns.left:
         guided = [entry.name for entry in simulation.scene.rigid_bodies]
         near = nearest(columns.left[0], (
@@ -779,9 +822,8 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
             *(one for own in guided for one in position_columns(own) + quaternion_columns(own)),
             *(one for own in simulation.touch_names
               for one in force_columns(own) + displacement_columns(own))))
-        raise TableFileError(
-            columns.source, f"is not a valid column; valid are {_known(simulation)}{near}", 1,
-            columns.left[0] or "''")
+        raise columns.error(
+            columns.left[0], f"is not a valid column; valid are {_known(simulation)}{near}")
     commanded = [series for name, series in columns.taken.items() if name != TIME]
     changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
     is_constant = (changes == 0.0).all(axis=1)
@@ -807,17 +849,16 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
                 continue
             given, column_values = columns.given(own), columns.pop(own)
             if name not in actuators.names and quantity != kind.displacement:
-                raise TableFileError(path, f"{name} is a motor: it shortens all its cables by the "
-                                     f"same length: use {name}_shortening_m", 1, given)
+                raise columns.error(own, f"{name} is a motor: it shortens all its cables by the "
+                                    f"same length: use {name}_shortening_m")  # fmt: skip
             meanings[given] = meaning
             reason = _impossible(kind, meaning[0], column_values)
             if quantity != kind.displacement and reason:
                 row = int(np.argmin(column_values))
-                raise TableFileError(path, reason, columns.lines[row], given,
-                                     float(column_values[row]), quantity.unit)
+                raise columns.error(own, reason, row, float(column_values[row]), quantity.unit)
             for one in driven:
                 if one in driven_by:
-                    raise TableFileError(path, f"drives {one}, as {driven_by[one]} does", 1, given)
+                    raise columns.error(own, f"drives {one}, as {driven_by[one]} does")
                 driven_by[one] = given
                 index = actuators.names.index(one)
                 values[:, index] = column_values
@@ -850,8 +891,7 @@ def _read_angles(columns: Columns, pulleys: Pulleys) -> None:
         if angle not in columns:
             continue
         if shortening in columns:
-            raise TableFileError(
-                columns.source, f"is given twice, also by {shortening}", 1, angle)
+            raise columns.error(angle, f"is given twice, also by {shortening}")
         columns.put(shortening, wound * columns.pop(angle))
 
 
@@ -870,10 +910,8 @@ def _refuse_what_follows(columns: Columns, name: str, kind: ActuatorKind) -> Non
     for quantity in (kind.displacement, kind.extent):
         own = column(name, quantity)
         if own in columns:
-            raise TableFileError(
-                columns.source, f"this {kind.noun} is driven by its {kind.setpoint.word}, its "
-                f"{quantity.word} follows: use {column(name, kind.setpoint)}", 1,
-                columns.given(own))
+            raise columns.error(own, f"this {kind.noun} is driven by its {kind.setpoint.word}, its "
+                                f"{quantity.word} follows: use {column(name, kind.setpoint)}")  # fmt: skip
 
 
 def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], ActuatorKind]]:
@@ -888,44 +926,35 @@ def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[
     """Takes the columns of guided bodies out; gives their poses."""
     poses = {}
     for entry in simulation.scene.rigid_bodies:
-        places, turns = position_columns(entry.name), quaternion_columns(entry.name)
-        given = [one for one in (*places, *turns) if one in columns]
-        if not given:
+        own = position_columns(entry.name) + quaternion_columns(entry.name)
+        given = next((one for one in own if one in columns), None)
+        if given is None:
             continue
         if entry.motion != "guided":
-            raise TableFileError(columns.source, f"{entry.name} is a free body; only guided bodies "
-                                 "are driven", 1, given[0])
-        needed = places + (turns if any(one in columns for one in turns) else ())
-        for one in needed:
-            if one not in columns:
-                raise TableFileError(columns.source, "the header lacks this column: a position "
-                                     "needs x, y and z, a rotation qx, qy, qz and qw", 1, one)
-        series = np.column_stack([columns.pop(one) for one in needed])
-        quaternions = series[:, 3:] if len(needed) > 3 else None
-        if quaternions is not None:
-            _refuse_lengths(columns.source, entry.name, quaternions, columns.lines)
-        poses[entry.name] = Pose(times, series[:, :3], quaternions)
+            raise columns.error(
+                given, f"{entry.name} is a free body; only guided bodies are driven")
+        _refuse_missing(columns, entry.name,
+                        "a position needs x, y and z, a rotation qx, qy, qz and qw", "")  # fmt: skip
+        positions, turns = columns.pop_all(own[:3]), None
+        if own[3] in columns:
+            turns = columns.pop_all(own[3:])
+            _refuse_lengths(columns.source, entry.name, turns, columns.lines)
+        poses[entry.name] = Pose(times, positions, turns)
     return poses
 
 
-def _touches(
-    columns: Columns, simulation: Simulation, times: np.ndarray
-) -> dict[str, TouchColumns]:
+def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns]:
     """Takes the columns of touches out."""
-    touches = {}
+    touches: dict[str, TouchColumns] = {}
     for name in simulation.touch_names:
         for own, are_forces in ((force_columns(name), True), (displacement_columns(name), False)):
-            given = {axis: one for axis, one in enumerate(own) if one in columns}
-            if not given:
-                continue
-            if name in touches:
-                raise TableFileError(
-                    columns.source, f"{name} is touched by forces or by displacements, not by both",
-                    1, next(iter(given.values())))
-            values = np.zeros((len(times), 3))
-            for axis, one in given.items():
-                values[:, axis] = columns.pop(one)
-            touches[name] = TouchColumns(times, values, are_forces)
+            given = next((one for one in own if one in columns), None)
+            if given is not None and name in touches:
+                raise columns.error(
+                    given, f"{name} is touched by forces or by displacements, not by both")
+            values = columns.pop_given(own, 0.0)
+            if values is not None:
+                touches[name] = TouchColumns(values, are_forces)
     return touches
 
 
