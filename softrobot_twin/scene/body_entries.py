@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -15,11 +15,7 @@ from softrobot_twin.geometry.box_mesh import cells_of_size
 from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES
 from softrobot_twin.mechanics.element_kinds import element_named, element_names
 from softrobot_twin.mechanics.laws import law_named, law_names
-from softrobot_twin.mechanics.material import (
-    bulk_modulus_of_shear,
-    moduli_of_shear_and_bulk,
-    poisson_ratio_of_bulk,
-)
+from softrobot_twin.mechanics.material import poisson_ratio_of_bulk
 from softrobot_twin.mechanics.point_law import OwnConstants, can_divide, has_bulk_modulus
 from softrobot_twin.scene.entry import (
     LARGEST,
@@ -156,20 +152,6 @@ class Softening(Entry):
     """β: greater ones soften less after great stretches."""
 
 
-class AtRest(NamedTuple):
-    """A law with its constants.
-
-    Attributes:
-        parameters: Parameters of the law.
-        young_modulus: E at rest [Pa].
-        poisson_ratio: ν at rest.
-    """
-
-    parameters: tuple
-    young_modulus: float
-    poisson_ratio: float
-
-
 def with_preset(entry: Mapping) -> Mapping:
     """An entry with what its preset gives.
 
@@ -280,8 +262,20 @@ class ElasticEntry(Entry):
             )  # fmt: skip
         return self
 
-    def elasticity(self, law: str, otherwise: ElasticEntry | None = None) -> AtRest:
-        """The law with these constants.
+    def volume_constants(
+        self, otherwise: ElasticEntry | None = None
+    ) -> tuple[float | None, float | None]:
+        """Poisson's ratio and bulk modulus at rest [Pa], of which one is given, or none.
+
+        Args:
+            otherwise: An entry whose constant holds where this has none.
+        """
+        if self.poisson_ratio is None and self.bulk_modulus is None and otherwise is not None:
+            return otherwise.volume_constants()
+        return self.poisson_ratio, self.bulk_modulus
+
+    def check_law(self, law: str, otherwise: ElasticEntry | None = None) -> None:
+        """Check that these are the constants of a law.
 
         Args:
             law: Its name.
@@ -290,9 +284,7 @@ class ElasticEntry(Entry):
         Raises:
             PydanticCustomError: A constant is missing, is none of the law's, or does not fit.
         """
-        nu, kappa = self.poisson_ratio, self.bulk_modulus
-        if nu is None and kappa is None and otherwise is not None:
-            nu, kappa = otherwise.poisson_ratio, otherwise.bulk_modulus
+        nu, kappa = self.volume_constants(otherwise)
         if nu is None and kappa is None:
             raise refusal(
                 "poisson_ratio", "(nothing)", "is required, or bulk_modulus [Pa] in its place"
@@ -305,7 +297,8 @@ class ElasticEntry(Entry):
             )  # fmt: skip
         own = law_named(law).own
         if own is not None:
-            return self._of_constants(law, own, nu, kappa)
+            self._check_own_constants(law, own)
+            return
         if self.constants is not None:
             raise refusal(
                 "constants", self.constants, f"the law {law} has no constants of its own; it takes "
@@ -313,20 +306,12 @@ class ElasticEntry(Entry):
             )  # fmt: skip
         if self.young_modulus is None:
             raise refusal("young_modulus", "(nothing)", f"is required by the law {law}")
-        if nu is None:
-            assert kappa is not None, "one of both is given"
-            nu = poisson_ratio_of_bulk(self.young_modulus, kappa)
-            if not nu > -1.0:
-                least = self.young_modulus / 9.0
-                raise refusal("bulk_modulus", kappa, f"must be above young_modulus / 9, {least:g} Pa")
-        of_moduli = law_named(law).of_moduli
-        assert of_moduli is not None, "a law has moduli or constants of its own"
-        return AtRest(of_moduli(self.young_modulus, nu), self.young_modulus, nu)
+        if kappa is not None and not poisson_ratio_of_bulk(self.young_modulus, kappa) > -1.0:
+            least = self.young_modulus / 9.0
+            raise refusal("bulk_modulus", kappa, f"must be above young_modulus / 9, {least:g} Pa")
 
-    def _of_constants(
-        self, law: str, own: OwnConstants, nu: float | None, kappa: float | None
-    ) -> AtRest:
-        """The law with constants of its own."""
+    def _check_own_constants(self, law: str, own: OwnConstants) -> None:
+        """Check the constants of a law with constants of its own."""
         takes = f"the law {law} takes constants: {{{_described(own)}}}"
         if self.young_modulus is not None:
             raise refusal("young_modulus", self.young_modulus, f"{takes}, not young_modulus")
@@ -342,11 +327,6 @@ class ElasticEntry(Entry):
                 "constants", self.constants,
                 f"give the shear modulus {mu:g} Pa at rest, which must be above 0 Pa", unit="Pa",
             )  # fmt: skip
-        if kappa is None:
-            assert nu is not None, "one of both is given"
-            parameters = own.parameters(self.constants, bulk_modulus_of_shear(mu, nu))
-            return AtRest(parameters, 2.0 * mu * (1.0 + nu), nu)
-        return AtRest(own.parameters(self.constants, kappa), *moduli_of_shear_and_bulk(mu, kappa))
 
 
 def _described(own: OwnConstants) -> str:
@@ -406,13 +386,8 @@ class Material(ElasticEntry):
 
     @model_validator(mode="after")
     def _fits_its_law(self):
-        self.elasticity(self.law)
+        self.check_law(self.law)
         return self
-
-    @property
-    def at_rest(self) -> AtRest:
-        """Its law with its constants."""
-        return self.elasticity(self.law)
 
 
 class BoxRegion(Entry):
@@ -685,9 +660,9 @@ class Body(Entry):
 
     @model_validator(mode="after")
     def _fits_the_laws_of_parts(self):
-        for index in range(len(self.materials)):
+        for index, part in enumerate(self.materials):
             try:
-                self.part_at_rest(index)
+                part.check_law(part.law or self.material.law, self.material)
             except PydanticCustomError as error:
                 inner = error.context or {}
                 raise refusal(
@@ -695,11 +670,6 @@ class Body(Entry):
                     unit=inner["unit"],
                 ) from None  # fmt: skip
         return self
-
-    def part_at_rest(self, index: int) -> AtRest:
-        """The law of an entry of `materials`, with its constants."""
-        part = self.materials[index]
-        return part.elasticity(part.law or self.material.law, self.material)
 
     @property
     def has_patches(self) -> bool:

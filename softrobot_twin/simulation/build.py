@@ -8,6 +8,7 @@ import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.actuators import Actuators, build_actuators
@@ -109,7 +110,8 @@ class _Terms(NamedTuple):
 
 def _terms(layout: Layout, notes: list[str]) -> _Terms:
     """Build all terms of a scene."""
-    scene, forces = layout.scene, tuple(force_terms(layout, notes))
+    scene, carried = layout.scene, layout.nodes.carried
+    forces = tuple(on_unknowns(term, carried) for term in force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
     return _Terms(
         forces + actuators.held_forces, actuators,

@@ -41,6 +41,7 @@ from softrobot_twin.simulation import (
     State,
 )
 from softrobot_twin.simulation.building.actuators import build_groups
+from softrobot_twin.simulation.building.body_materials import law_at_rest
 from softrobot_twin.simulation.building.deformable_body import Body, build_body
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.simulation.mesh_error import (
@@ -159,7 +160,7 @@ def _constants_of(material: Material, law: str) -> dict:
     """The keys of a material with another law, which has no constants of its own."""
     if material.constants is None:
         return {"law": law}
-    at_rest = material.at_rest
+    at_rest = law_at_rest(material, material.law)
     return {"law": law, "constants": None, "bulk_modulus": None,
             "young_modulus": at_rest.young_modulus, "poisson_ratio": at_rest.poisson_ratio}  # fmt: skip
 
@@ -722,9 +723,10 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
     # The size is that of the corners: linear tetrahedra have no other nodes.
     by_corners = scene if scene.body.element == HEXAHEDRAL else with_element(scene, "linear")
     size = only_body(by_corners).size
-    tolerance = _RELATIVE_TOLERANCE * scene.body.material.at_rest.young_modulus * size**2
+    material = scene.body.material
+    stiffness = law_at_rest(material, material.law).young_modulus * size**2
     free = without_effort_limits(without_rate_limits(with_volumes(scene)))
-    return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
+    return Simulation(with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness), **parts)
 
 
 def solve_for_displacements(scene: Scene, poses: np.ndarray) -> Poses:

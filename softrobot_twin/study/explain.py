@@ -16,12 +16,12 @@ from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part_o
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import AtRest, Fibre, RegionMaterial
+from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
-from softrobot_twin.simulation.building.body_materials import MaterialPart
+from softrobot_twin.simulation.building.body_materials import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.building.cavity_actuator import wall_details
 from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.full_model_error import FullModelError
@@ -81,7 +81,7 @@ def describe_material(material) -> str:
     """A material entry."""
     weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
                else f"{number(material.total_mass)} kg in total")
-    law = _describe_law(material.law, material.at_rest, material.constants)
+    law = _describe_law(material.law, law_at_rest(material, material.law), material.constants)
     return ", ".join([law, weighed, *_describe_memory(material), *_describe_range(material)])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,10 @@ from softrobot_twin.mechanics.material import (
     INCOMPRESSIBLE,
     LameParameters,
     bulk_modulus,
+    bulk_modulus_of_shear,
     lame_parameters,
+    moduli_of_shear_and_bulk,
+    poisson_ratio_of_bulk,
     shear_modulus,
 )
 from softrobot_twin.mechanics.point_law import can_divide
@@ -24,7 +28,13 @@ from softrobot_twin.mechanics.softening import SofteningConstants
 from softrobot_twin.mechanics.viscosity import ViscousTerm
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
-from softrobot_twin.scene.body_entries import Material, RegionMaterial, Softening, ViscosityTerm
+from softrobot_twin.scene.body_entries import (
+    ElasticEntry,
+    Material,
+    RegionMaterial,
+    Softening,
+    ViscosityTerm,
+)
 
 # A cell with corners on both sides of a face of a box, farther from it than this share of the
 # body's size, is reported: it belongs to the side of its centre.
@@ -100,10 +110,67 @@ def material_parts(
         SceneError: A region is not known, a box is empty, two entries claim a cell, or a law does
             not offer what the body asks for.
     """
-    made = _parts_of_cells(entry, key, mesh, parts, scene, notes)
-    for part in made:
-        _check_volume(part, entry, key, scene, notes)
-    return made
+    base, owner = entry.material, np.full(mesh.cell_count, -1)
+    claims: list[tuple[str, Material | RegionMaterial, np.ndarray | None]] = []
+    for index, other in enumerate(entry.materials):
+        place = f"{key}.materials[{index}]"
+        cells = _claimed(other, place, entry, mesh, parts, scene, notes)
+        _refuse_claimed_twice(cells, owner, index, other, key, scene)
+        owner[cells] = index
+        claims.append((place, other, cells))
+    rest = np.flatnonzero(owner < 0)
+    if len(rest):
+        claims.insert(0, (f"{key}.material", base, rest if claims else None))
+    else:
+        notes.append(f"{key}.material is not used: {key}.materials claims every cell")
+    made = []
+    for place, own, cells in claims:
+        law, volume = own.law or base.law, float(mesh.volume)
+        if cells is not None:
+            volume = float(mesh.volumes[cells].sum())
+        density = _or(own.density, base.density)
+        made.append(MaterialPart(
+            place, law, *law_at_rest(own, law, base),
+            base.total_mass / volume if density is None else density, cells, volume,
+            *_memory(_or(own.viscosity, base.viscosity), _or(own.softening, base.softening)),
+            _strain_range(own, base),
+        ))  # fmt: skip
+        _check_volume(made[-1], entry, key, scene, notes)
+    return tuple(made)
+
+
+class AtRest(NamedTuple):
+    """A law with its constants.
+
+    Attributes:
+        parameters: Parameters of the law.
+        young_modulus: E at rest [Pa].
+        poisson_ratio: ν at rest.
+    """
+
+    parameters: tuple
+    young_modulus: float
+    poisson_ratio: float
+
+
+def law_at_rest(entry: ElasticEntry, law: str, otherwise: ElasticEntry | None = None) -> AtRest:
+    """The law with the constants of an entry.
+
+    Args:
+        entry: Constants that fit the law, as scenes are checked.
+        law: Its name.
+        otherwise: An entry whose Poisson's ratio or bulk modulus holds where that one has none.
+    """
+    (nu, kappa), own = entry.volume_constants(otherwise), law_named(law).own
+    if own is None:
+        nu = poisson_ratio_of_bulk(entry.young_modulus, kappa) if nu is None else nu
+        parameters = law_named(law).of_moduli(entry.young_modulus, nu)
+        return AtRest(parameters, entry.young_modulus, nu)
+    mu = own.shear_modulus(entry.constants)
+    if kappa is None:
+        parameters = own.parameters(entry.constants, bulk_modulus_of_shear(mu, nu))
+        return AtRest(parameters, 2.0 * mu * (1.0 + nu), nu)
+    return AtRest(own.parameters(entry.constants, kappa), *moduli_of_shear_and_bulk(mu, kappa))
 
 
 def _check_volume(
@@ -130,39 +197,6 @@ def _check_volume(
             scene.path, f"{key}.volume", entry.volume, "",
             "superelements of vertebrae are not built with patches: omit volume or vertebrae",
         )  # fmt: skip
-
-
-def _parts_of_cells(
-    entry: BodyEntry, key: str, mesh: CellMesh, parts: MeshParts, scene: Scene, notes: list[str]
-) -> tuple[MaterialPart, ...]:
-    """See `material_parts`."""
-    base = entry.material
-    memory = (*_memory(base.viscosity, base.softening), base.strain_range)
-    if not entry.materials:
-        volume = float(mesh.volume)
-        density = base.total_mass / volume if base.density is None else base.density
-        return (MaterialPart(f"{key}.material", base.law, *base.at_rest, density, None, volume,
-                             *memory),)  # fmt: skip
-    owner = np.full(mesh.cell_count, -1)
-    made = []
-    for index, other in enumerate(entry.materials):
-        place = f"{key}.materials[{index}]"
-        cells = _claimed(other, place, entry, mesh, parts, scene, notes)
-        _refuse_claimed_twice(cells, owner, index, other, key, scene)
-        owner[cells] = index
-        made.append(MaterialPart(
-            place, _or(other.law, base.law), *entry.part_at_rest(index),
-            _or(other.density, base.density), cells, float(mesh.volumes[cells].sum()),
-            *_memory(_or(other.viscosity, base.viscosity), _or(other.softening, base.softening)),
-            _strain_range(other, base),
-        ))  # fmt: skip
-    rest = np.flatnonzero(owner < 0)
-    if not len(rest):
-        notes.append(f"{key}.material is not used: {key}.materials claims every cell")
-        return tuple(made)
-    own = MaterialPart(f"{key}.material", base.law, *base.at_rest, base.density, rest,
-                       float(mesh.volumes[rest].sum()), *memory)  # fmt: skip
-    return (own, *made)
 
 
 def cell_values(parts: tuple[MaterialPart, ...], name: str, cell_count: int):
@@ -196,7 +230,7 @@ def _memory(
     return terms, SofteningConstants(softening.r, softening.m, softening.beta)
 
 
-def _strain_range(part: RegionMaterial, base: Material) -> tuple[float, float] | None:
+def _strain_range(part: ElasticEntry, base: Material) -> tuple[float, float] | None:
     """Range of a part: its own, or that of the body where it has the body's law and constants."""
     is_other = part.law not in (None, base.law) or part.constants not in (None, base.constants)
     return part.strain_range if part.strain_range or is_other else base.strain_range

@@ -60,7 +60,7 @@ HELD_STIFFNESS = 10.0
 
 
 def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
-    """All force terms of a scene.
+    """All force terms of a scene, on nodes and carried points.
 
     Args:
         layout: The bodies.
@@ -72,11 +72,6 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     Raises:
         SceneError: An entry does not fit.
     """
-    for term in _terms_on_points(layout, notes):
-        yield on_unknowns(term, layout.nodes.carried)
-
-
-def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     scene = layout.scene
     for body in layout.bodies:
         if body.vertebrae is None:
