@@ -14,7 +14,8 @@ from pathlib import Path
 # The script also runs from a checkout that is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh, block_mesh  # noqa: E402
+from softrobot_twin.geometry.box_mesh import read_box  # noqa: E402
+from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh  # noqa: E402
 
 SIZE = (0.02, 0.02, 0.1)
 """Edges of the bar [m]."""
@@ -30,9 +31,11 @@ def main(arguments: list[str] | None = None) -> int:
                         help="folder of the meshes (default: beside the script)")
     options = parser.parse_args(arguments)
     for corners, counts in HEXAHEDRA.items():
-        write(options.output / f"bar_hexa_{corners}.msh", block_mesh(SIZE, counts), whole=True)
+        block = read_box(SIZE, counts, of_hexahedra=True).mesh
+        write(options.output / f"bar_hexa_{corners}.msh", block, whole=True)
     for corners, counts in TETRAHEDRA.items():
-        write(options.output / f"bar_{corners}.msh", block_mesh(SIZE, counts), whole=False)
+        block = read_box(SIZE, counts, of_hexahedra=True).mesh
+        write(options.output / f"bar_{corners}.msh", block, whole=False)
     return 0
 
 

@@ -25,7 +25,7 @@ from meshes.mesh_making import (  # noqa: E402
     mirror,
     pneumatic_faults,
 )
-from softrobot_twin.geometry.hexahedral_mesh import block_mesh  # noqa: E402
+from softrobot_twin.geometry.box_mesh import read_box  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
 LOWEST_RADIUS_RATIO = 0.25
@@ -93,9 +93,8 @@ def make_finger(refinement: Refinement, shape: FingerShape = FingerShape()) -> P
         The mesh [m], all of it the region ``finger``.
     """
     along = refinement.along + refinement.tip
-    block = block_mesh(
-        (1.0, 1.0, 1.0), (along, refinement.half_width, refinement.half_height)
-    )
+    counts = (along, refinement.half_width, refinement.half_height)
+    block = read_box((1.0, 1.0, 1.0), counts, of_hexahedra=True).mesh
     share, across, up = (block.node_positions - block.node_positions.min(axis=0)).T
     sections = np.append(
         np.linspace(0.0, shape.length - shape.tip, refinement.along + 1),

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, block_mesh, enhance
+from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.smoothed_mesh import smooth
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -295,7 +296,7 @@ def mapped_mesh(kind: str, counts: tuple[int, int, int], place) -> object:
     Returns:
         The mesh; nodes at the middle of edges are placed too, so that edges may be curved.
     """
-    return mesh_of(kind, [block_mesh((1.0, 1.0, 1.0), counts)], place)
+    return mesh_of(kind, [read_box((1.0, 1.0, 1.0), counts, of_hexahedra=True).mesh], place)
 
 
 def mesh_of(kind: str, grids: list[HexahedralMesh], place, between=None) -> object:

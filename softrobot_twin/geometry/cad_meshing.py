@@ -20,14 +20,13 @@ from typing import NamedTuple
 
 import meshio
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry import gmsh_mesher
 from softrobot_twin.geometry.gmsh_mesher import Refused, refuse_size
-from softrobot_twin.geometry.mesh_repair import drop_unused_nodes, orient_tets
-from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.geometry.mesh_file_checks import check_file
+from softrobot_twin.geometry.mesh_repair import connected_labels, drop_unused_nodes, orient_tets
+from softrobot_twin.geometry.surface import boundary_triangles, half_edges
 from softrobot_twin.geometry.surface_reading import SolidSurface, read_surface, repair_surface
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
@@ -163,11 +162,7 @@ def part_size(path: Path, scale: float = 1.0) -> PartSize:
 
 
 def _check_file(path: Path) -> None:
-    if path.suffix.lower() not in CAD_SUFFIXES:
-        raise MeshError(path, f"CAD files end in {', '.join(CAD_SUFFIXES)}, not in '{path.suffix}'")
-    if not path.is_file():
-        found = "is a folder, not a file" if path.is_dir() else "there is no such file"
-        raise MeshError(path, found)
+    check_file(path, CAD_SUFFIXES, "CAD")
     byte_count = path.stat().st_size
     if byte_count == 0:
         raise MeshError(path, "is empty")
@@ -245,9 +240,7 @@ def _at(place: np.ndarray) -> str:
 
 def _refuse_open(path: Path, points: np.ndarray, triangles: np.ndarray) -> None:
     """Refuse edges that do not belong to two triangles of opposite direction."""
-    halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    edges, place, counts = np.unique(np.sort(halves, axis=1), axis=0, return_inverse=True,
-                                     return_counts=True)  # fmt: skip
+    halves, edges, place, counts = half_edges(triangles)
     for wrong, what in (
         (counts == 1, "is open: {} of its edges belong to one triangle only"),
         (counts > 2, "meets itself: {} of its edges belong to more than two triangles"),
@@ -256,7 +249,7 @@ def _refuse_open(path: Path, points: np.ndarray, triangles: np.ndarray) -> None:
             middle = points[edges[np.argmax(wrong)]].mean(axis=0)
             raise MeshError(path, f"its surface {what.format(int(wrong.sum()))}, the first at "
                             f"{_at(middle)}; repair it in the CAD program")  # fmt: skip
-    balance = np.bincount(place.ravel(), np.where(halves[:, 0] < halves[:, 1], 1, -1))
+    balance = np.bincount(place, np.where(halves[:, 0] < halves[:, 1], 1, -1))
     if balance.any():
         middle = points[edges[np.argmax(balance != 0)]].mean(axis=0)
         raise MeshError(path, "its triangles cannot be oriented: the surface has one side only, as "
@@ -267,9 +260,7 @@ def _shells(triangles: np.ndarray) -> np.ndarray:
     """Connected component of each triangle, shape (triangle_count,)."""
     count = int(triangles.max()) + 1
     edges = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
-    links = coo_array((np.ones(len(edges)), edges.T), shape=(count, count))
-    _, labels = connected_components(links, directed=False)
-    return np.unique(labels[triangles[:, 0]], return_inverse=True)[1]
+    return np.unique(connected_labels(edges, count)[triangles[:, 0]], return_inverse=True)[1]
 
 
 def _nested(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> list[list[int]]:

@@ -31,7 +31,7 @@ from softrobot_twin.geometry.shape_functions import (
     enhanced_points,
     with_modes,
 )
-from softrobot_twin.geometry.surface import boundary_faces
+from softrobot_twin.geometry.surface import boundary_faces, single_rows
 from softrobot_twin.geometry.tet_mesh import tet_volumes
 
 # Faces of a hexahedron, counter-clockwise seen from outside.
@@ -253,10 +253,7 @@ def free_faces(positions: np.ndarray, tets: np.ndarray, hexahedra: np.ndarray) -
 def _single_quads(hexahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Faces of one hexahedron only, and the number of each: 6 times its cell plus its own."""
     faces = hexahedra[:, HEXAHEDRON_FACES].reshape(-1, 4)
-    _, first, counts = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    single = np.sort(first[counts == 1])
+    single = single_rows(faces)
     return faces[single], single
 
 
@@ -460,24 +457,3 @@ def enhance(mesh: HexahedralMesh) -> EnhancedMesh:
         np.hstack([mesh.hexahedra, inner]),
         np.repeat(mesh.hexahedra, MODE_COUNT, axis=0),
     )
-
-
-def block_mesh(size: tuple, counts: tuple) -> HexahedralMesh:
-    """A block of equal hexahedra with a corner at the origin.
-
-    Args:
-        size: Its edges [m], shape (3,).
-        counts: Cells along each edge, shape (3,).
-
-    Returns:
-        The mesh.
-    """
-    axes = [np.linspace(0.0, length, count + 1) for length, count in zip(size, counts, strict=True)]
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(nodes)).reshape([count + 1 for count in counts])
-    steps = ((HEXAHEDRON_CORNERS + 1.0) / 2.0).astype(int)
-    hexahedra = np.stack(
-        [number[i : i + counts[0], j : j + counts[1], k : k + counts[2]].ravel()
-         for i, j, k in steps], axis=1,
-    )  # fmt: skip
-    return HexahedralMesh(nodes, np.empty((0, 4), np.int64), hexahedra)

@@ -20,6 +20,24 @@ _COUNTS = re.compile(
 )
 
 
+def check_file(path: Path, suffixes: tuple[str, ...], what: str) -> None:
+    """Checks a file's name, and that there is such a file.
+
+    Args:
+        path: The file.
+        suffixes: What its name may end in, in small letters.
+        what: Noun for such files, for messages.
+
+    Raises:
+        MeshError: The name ends in something else; or there is no such file.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise MeshError(path, f"{what} files end in {', '.join(suffixes)}, not in '{path.suffix}'")
+    if not path.is_file():
+        found = "is a folder, not a file" if path.is_dir() else "there is no such file"
+        raise MeshError(path, found)
+
+
 def check_size(path: Path) -> None:
     """Checks a file before it is read.
 

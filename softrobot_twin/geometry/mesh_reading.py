@@ -15,13 +15,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.cell_mesh import SomeCells
 from softrobot_twin.geometry.hexahedral_mesh import (
     INTO_TETS,
     HexahedralMesh,
     corner_determinants,
     scaled_jacobians,
 )
-from softrobot_twin.geometry.mesh_file_checks import check_positions, check_size
+from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
 from softrobot_twin.geometry.mesh_parts import (
     NO_PARTS,
     FileParts,
@@ -45,10 +46,10 @@ from softrobot_twin.geometry.mesh_repair import (
 )
 from softrobot_twin.geometry.quadratic_mesh import place_mid_edge_nodes
 from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.shape_functions import LINEAR_TETRAHEDRON
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.vtu_reading import read_vtu
 
-_SUFFIXES = (".msh", ".vtk", ".vtu", ".inp")
 # Number of nodes of each kind of cell that is read.
 _NODES_OF = {"tetra": 4, "tetra10": 10, "hexahedron": 8}
 _READERS = {
@@ -104,12 +105,7 @@ def read_mesh_file(path: Path) -> MeshFile:
         MeshError: The file is missing, of another format, damaged, or contains solid cells other
             than tetrahedra of four or ten nodes and hexahedra of eight.
     """
-    suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise MeshError(path, f"mesh files end in {', '.join(_SUFFIXES)}, not in '{suffix}'")
-    if not path.is_file():
-        found = "is a folder, not a file" if path.is_dir() else "there is no such file"
-        raise MeshError(path, found)
+    check_file(path, tuple(_FORMAT_OF_SUFFIX), "mesh")
     check_size(path)
     format_name = _format_of_content(path)
     # The reader prints to the terminal; the relevant part becomes the error message.
@@ -122,7 +118,7 @@ def read_mesh_file(path: Path) -> MeshFile:
             raise MeshError(
                 path, f"cannot be read as {format_name} ({type(error).__name__}: {detail})"
             ) from error
-    return _solids(path, content, parts, format_name, _FORMAT_OF_SUFFIX[suffix])
+    return _solids(path, content, parts, format_name, _FORMAT_OF_SUFFIX[path.suffix.lower()])
 
 
 def _format_of_content(path: Path) -> str:
@@ -232,39 +228,6 @@ class MeshReading(NamedTuple):
     parts: MeshParts = NO_PARTS
 
 
-def read_tet_mesh(
-    path: str | Path,
-    *,
-    scale: float = 1.0,
-    translation: Sequence[float] = (0.0, 0.0, 0.0),
-    rotation: Sequence[float] = (0.0, 0.0, 0.0),
-    merge_tolerance: float | None = None,
-) -> MeshReading:
-    """Reads a mesh of tetrahedra and places it: x = translation + Rz Ry Rx (scale · x_file).
-
-    Args:
-        path: File to read: .msh, .vtk, .vtu or .inp; its content decides the format.
-        scale: Metres in one unit of the file, 0.001 for millimetres.
-        translation: Shift after scale and rotation [m], shape (3,).
-        rotation: Angles about the fixed x, then y, then z axis [rad], shape (3,).
-        merge_tolerance: Distance within which nodes become one [m], 0 merges none; None merges
-            only coincident nodes of separate parts.
-
-    Returns:
-        The mesh, the notes, and the mapping between node indices.
-
-    Raises:
-        MeshError: As `read_solid_mesh`; or the file contains hexahedra.
-    """
-    reading = read_solid_mesh(
-        path, scale=scale, translation=translation, rotation=rotation,
-        merge_tolerance=merge_tolerance,
-    )  # fmt: skip
-    if isinstance(reading.mesh, HexahedralMesh):
-        raise MeshError(Path(path), "has hexahedra; only tetrahedra are of use here")
-    return reading
-
-
 def read_solid_mesh(
     path: str | Path,
     *,
@@ -273,15 +236,17 @@ def read_solid_mesh(
     rotation: Sequence[float] = (0.0, 0.0, 0.0),
     merge_tolerance: float | None = None,
 ) -> MeshReading:
-    """Reads a mesh of tetrahedra and hexahedra and places it; see `read_tet_mesh`.
+    """Reads a mesh of tetrahedra and hexahedra, places and repairs it.
+
+    It is placed at x = translation + Rz Ry Rx (scale · x_file).
 
     Args:
         path: File to read: .msh, .vtk, .vtu or .inp; its content decides the format.
-        scale: Metres in one unit of the file.
+        scale: Metres in one unit of the file, 0.001 for millimetres.
         translation: Shift after scale and rotation [m], shape (3,).
         rotation: Angles about the fixed x, then y, then z axis [rad], shape (3,).
-        merge_tolerance: Distance within which nodes become one [m]; None merges only coincident
-            nodes of separate parts.
+        merge_tolerance: Distance within which nodes become one [m], 0 merges none; None merges
+            only coincident nodes of separate parts.
 
     Returns:
         The mesh: a `HexahedralMesh` if there are hexahedra, else a `TetMesh`.
@@ -294,20 +259,19 @@ def read_solid_mesh(
     _check_placement(path, scale, translation, rotation, merge_tolerance)
     file = read_mesh_file(path)
     _check_nodes(path, file, scale)
-    notes = _content_notes(path, file)
-    notes += _rotation_notes(rotation)
-
+    notes = _content_notes(path, file, rotation)
     turn = Rotation.from_euler("xyz", np.asarray(rotation, dtype=float))
     positions = turn.apply(scale * file.node_positions) + np.asarray(translation, dtype=float)
-    representatives = np.arange(len(positions))
+    representatives, why = np.arange(len(positions)), ""
     if merge_tolerance is None:
-        representatives = first_of_touching_parts(
-            positions, np.concatenate([file.tets, _as_tets(file.hexahedra)])
-        )
-        notes += _joined_notes(representatives)
+        tets = np.concatenate([file.tets, file.hexahedra[:, INTO_TETS].reshape(-1, 4)])
+        representatives = first_of_touching_parts(positions, tets)
+        why = ": they cut the mesh into separate parts (merge_distance: 0 keeps the cut)"
     elif merge_tolerance > 0.0:
         representatives = first_of_duplicates(positions, merge_tolerance)
-        notes += _merge_notes(representatives)
+    merged = np.flatnonzero(representatives != np.arange(len(positions)))
+    if len(merged):
+        notes.append(f"Merged {_counted(merged, 'node')} with coincident ones{why}.")
 
     kept = drop_degenerate_tets(positions, representatives[file.tets])
     if len(kept.degenerate):
@@ -349,11 +313,6 @@ def read_solid_mesh(
         cells = np.concatenate([cells, of_hexahedra + len(once)])
         parts = placed_parts(path, file.parts, cells, mesh_node_indices)
     return MeshReading(mesh, tuple(notes), nodes.old_indices, mesh_node_indices, mids, parts)
-
-
-def _as_tets(hexahedra: np.ndarray) -> np.ndarray:
-    """Tetrahedra with the nodes of hexahedra, which connects the same nodes."""
-    return hexahedra[:, INTO_TETS].reshape(-1, 4)
 
 
 def _upright_hexahedra(
@@ -437,61 +396,33 @@ def _check_placement(
 
 def _check_nodes(path: Path, file: MeshFile, scale: float) -> None:
     node_count = len(file.node_positions)
-    outside = np.flatnonzero(((file.tets < 0) | (file.tets >= node_count)).any(axis=1))
-    if len(outside):
-        raise MeshError(
-            path,
-            f"tetrahedron {outside[0]} has the nodes {file.tets[outside[0]].tolist()}, "
-            f"but there are only {node_count}",
-        )
-    beyond = np.flatnonzero(((file.hexahedra < 0) | (file.hexahedra >= node_count)).any(axis=1))
-    if len(beyond):
-        raise MeshError(
-            path,
-            f"hexahedron {beyond[0]} has the nodes {file.hexahedra[beyond[0]].tolist()}, "
-            f"but there are only {node_count}",
-        )
-    if file.mid_nodes is not None and file.mid_nodes.max() >= node_count:
-        tet = int(np.argmax((file.mid_nodes >= node_count).any(axis=1)))
-        raise MeshError(
-            path, f"tetrahedron {tet} has the nodes {file.mid_nodes[tet].tolist()} on its edges, "
-            f"but there are only {node_count}",
-        )  # fmt: skip
+    mid_nodes = np.empty((0, 6)) if file.mid_nodes is None else file.mid_nodes
+    for cell, nodes, least, where in (
+        ("tetrahedron", file.tets, 0, ""), ("hexahedron", file.hexahedra, 0, ""),
+        ("tetrahedron", mid_nodes, -1, " on its edges"),
+    ):  # fmt: skip
+        wrong = np.flatnonzero(((nodes < least) | (nodes >= node_count)).any(axis=1))
+        if len(wrong):
+            raise MeshError(
+                path, f"{cell} {wrong[0]} has the nodes {nodes[wrong[0]].tolist()}{where}, "
+                f"but there are only {node_count}",
+            )  # fmt: skip
     check_positions(path, file.node_positions, scale, "node")
 
 
-def _content_notes(path: Path, file: MeshFile) -> list[str]:
+def _content_notes(path: Path, file: MeshFile, rotation: Sequence[float]) -> list[str]:
+    """Warnings on how the file is read and placed."""
     notes = []
     if file.format_name != file.expected_format:
         notes.append(f"Read as {file.format_name} in spite of the suffix '{path.suffix}'.")
     if file.dropped_cells:
         kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(file.dropped_cells.items()))
         notes.append(f"Dropped the cells that are not solid ({kinds}).")
-    return notes
-
-
-def _rotation_notes(rotation: Sequence[float]) -> list[str]:
     largest = max(abs(float(angle)) for angle in rotation)
-    if largest <= 2.0 * math.pi:
-        return []
-    return [f"The rotation contains {largest:g} rad, more than a turn: are the angles in degrees?"]
-
-
-def _joined_notes(representatives: np.ndarray) -> list[str]:
-    merged = np.flatnonzero(representatives != np.arange(len(representatives)))
-    if len(merged) == 0:
-        return []
-    return [
-        f"Merged {_counted(merged, 'node')} with coincident ones: they cut the mesh into separate "
-        "parts (merge_distance: 0 keeps the cut)."
-    ]
-
-
-def _merge_notes(representatives: np.ndarray) -> list[str]:
-    merged = np.flatnonzero(representatives != np.arange(len(representatives)))
-    if len(merged) == 0:
-        return []
-    return [f"Merged {_counted(merged, 'node')} with coincident ones."]
+    if largest > 2.0 * math.pi:
+        notes.append(f"The rotation contains {largest:g} rad, more than a turn: are the angles in "
+                     "degrees?")  # fmt: skip
+    return notes
 
 
 def _oddity_notes(
@@ -512,19 +443,23 @@ def _oddity_notes(
         notes.append(
             f"Another node coincides with {_counted(doubled, 'node')}: {CUT}."
         )
-    hexahedral = isinstance(mesh, HexahedralMesh)
-    hinged = hinged_part_count(
-        mesh.tets if hexahedral else mesh.cells, mesh.node_count,
-        mesh.hexahedra if hexahedral else None,
-    )  # fmt: skip
+    tets, hexahedra = mesh.cells, np.empty((0, 8), np.int64)
+    if isinstance(mesh, HexahedralMesh):
+        tets, hexahedra = mesh.tets, mesh.hexahedra
+    hinged = hinged_part_count(tets, hexahedra, mesh.node_count)
     if hinged:
         notes.append(
             f"Parts of the mesh are connected by edges or single nodes only, in at least {hinged} "
             "places: they can rotate there."
         )
-    if hexahedral:
-        return notes + _skewed_notes(mesh)
-    ratios = radius_ratios(mesh)
+    scaled = scaled_jacobians(mesh.node_positions[hexahedra])
+    skewed = np.flatnonzero(scaled < SKEWED_JACOBIAN)
+    if len(skewed):
+        notes.append(
+            f"Kept {_counted(skewed, 'hexahedron')} with a scaled Jacobian below "
+            f"{SKEWED_JACOBIAN:g} (lowest {scaled.min():.2g}): expect less accuracy there."
+        )
+    ratios = radius_ratios(SomeCells(mesh.node_positions, tets, LINEAR_TETRAHEDRON))
     slivers = np.flatnonzero(ratios < SLIVER_RATIO)
     if len(slivers):
         worst = int(ratios.argmin())
@@ -533,27 +468,6 @@ def _oddity_notes(
             f"Kept {named} with a radius ratio below {SLIVER_RATIO:g} (lowest {ratios[worst]:.2g}, "
             f"tetrahedron {file_tet_indices[worst]}): expect less accuracy there."
         )
-    return notes
-
-
-def _skewed_notes(mesh: HexahedralMesh) -> list[str]:
-    """A warning of skewed hexahedra and of slivers beside them."""
-    notes = []
-    scaled = scaled_jacobians(mesh.node_positions[mesh.hexahedra])
-    skewed = np.flatnonzero(scaled < SKEWED_JACOBIAN)
-    if len(skewed):
-        notes.append(
-            f"Kept {_counted(skewed, 'hexahedron')} with a scaled Jacobian below "
-            f"{SKEWED_JACOBIAN:g} (lowest {scaled.min():.2g}): expect less accuracy there."
-        )
-    if len(mesh.tets):
-        ratios = radius_ratios(TetMesh(mesh.node_positions, mesh.tets))
-        slivers = np.flatnonzero(ratios < SLIVER_RATIO)
-        if len(slivers):
-            notes.append(
-                f"Kept {_counted(slivers, 'tetrahedron')} with a radius ratio below "
-                f"{SLIVER_RATIO:g} (lowest {ratios.min():.2g}): expect less accuracy there."
-            )
     return notes
 
 

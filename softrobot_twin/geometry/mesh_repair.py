@@ -148,11 +148,7 @@ def first_of_duplicates(node_positions: np.ndarray, tolerance: float) -> np.ndar
         Index of the first node of the group of each node, its own if it is alone, int64, shape
         (node_count,).
     """
-    node_count = len(node_positions)
-    labels = _labels(coincident_pairs(node_positions, tolerance), node_count)
-    first = np.full(labels.max() + 1, node_count, dtype=np.int64)
-    np.minimum.at(first, labels, np.arange(node_count))
-    return first[labels]
+    return _first_of_groups(coincident_pairs(node_positions, tolerance), len(node_positions))
 
 
 def first_of_touching_parts(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -169,21 +165,25 @@ def first_of_touching_parts(node_positions: np.ndarray, tets: np.ndarray) -> np.
         (node_count,).
     """
     node_count = len(node_positions)
-    own = np.arange(node_count)
     part = component_labels(tets, node_count)
     used = np.unique(tets)
     if len(np.unique(part[used])) == 1:
-        return own
+        return np.arange(node_count)
     corners = node_positions[tets]
     edges = np.linalg.norm(corners[:, [1, 2, 3, 2, 3, 3]] - corners[:, [0, 0, 0, 1, 1, 2]], axis=2)
     size = float(np.linalg.norm(np.ptp(node_positions[used], axis=0)))
     shortest = float(edges[edges > 0.0].min(initial=size))
     pairs = used[coincident_pairs(node_positions[used], min(_TOUCHING * size, 0.01 * shortest))]
     pairs = pairs[part[pairs[:, 0]] != part[pairs[:, 1]]].reshape(-1, 2)
-    labels = _labels(pairs, node_count)
-    first = np.full(labels.max() + 1, node_count, dtype=np.int64)
-    np.minimum.at(first, labels, own)
-    return first[labels]
+    return _first_of_groups(pairs, node_count)
+
+
+def _first_of_groups(pairs: np.ndarray, node_count: int) -> np.ndarray:
+    """First node of the group that pairs connect each node to, shape (node_count,)."""
+    _, first, group = np.unique(
+        connected_labels(pairs, node_count), return_index=True, return_inverse=True
+    )
+    return first[group]
 
 
 def coincident_pairs(node_positions: np.ndarray, tolerance: float) -> np.ndarray:
@@ -210,41 +210,46 @@ def component_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
         Number of the component of each node, from 0, shape (node_count,).
     """
     edges = np.concatenate([tets[:, [0, corner]] for corner in (1, 2, 3)])
-    return _labels(edges, node_count)
+    return connected_labels(edges, node_count)
 
 
-def hinged_part_count(
-    tets: np.ndarray, node_count: int, hexahedra: np.ndarray | None = None
-) -> int:
+def hinged_part_count(tets: np.ndarray, hexahedra: np.ndarray, node_count: int) -> int:
     """Counts the hinges of a mesh: parts connected by edges or single nodes only can rotate.
 
     Args:
         tets: Node indices, shape (tet_count, 4), each tetrahedron once.
+        hexahedra: Those of hexahedra, shape (hexahedron_count, 8). Here each of their faces counts
+            as the triangles along both of its diagonals.
         node_count: Number of nodes.
-        hexahedra: Those of hexahedra, shape (hexahedron_count, 8); None without any. Here each of
-            their faces counts as the triangles along both of its diagonals.
 
     Returns:
         Number of parts connected by faces minus number of connected components; 0 without hinges.
     """
     faces = np.sort(tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
-    owners, linked = np.arange(len(faces)) // 4, tets
-    if hexahedra is not None:
-        halves = np.sort(hexahedra[:, HEXAHEDRON_FACES[:, DIAGONAL_HALVES]], axis=-1)
-        faces = np.concatenate([faces, halves.reshape(-1, 3)])
-        owners = np.concatenate([owners, len(tets) + np.arange(24 * len(hexahedra)) // 24])
-        linked = np.concatenate([tets, hexahedra[:, INTO_TETS].reshape(-1, 4)])
+    halves = np.sort(hexahedra[:, HEXAHEDRON_FACES[:, DIAGONAL_HALVES]], axis=-1)
+    faces = np.concatenate([faces, halves.reshape(-1, 3)])
+    cell_count = len(tets) + len(hexahedra)
+    owners = np.repeat(np.arange(cell_count), [4] * len(tets) + [24] * len(hexahedra))
+    linked = np.concatenate([tets, hexahedra[:, INTO_TETS].reshape(-1, 4)])
     _, place = np.unique(faces, axis=0, return_inverse=True)
     order = np.argsort(place.ravel(), kind="stable")
     place, owner = place.ravel()[order], owners[order]
     joined = np.flatnonzero(place[1:] == place[:-1])
-    cell_count = len(tets) if hexahedra is None else len(tets) + len(hexahedra)
-    parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), cell_count)
+    parts = connected_labels(np.stack([owner[joined], owner[joined + 1]], axis=1), cell_count)
     components = component_labels(linked, node_count)[np.unique(linked)]
     return int(parts.max()) + 1 - len(np.unique(components))
 
 
-def _labels(edges: np.ndarray, node_count: int) -> np.ndarray:
+def connected_labels(edges: np.ndarray, node_count: int) -> np.ndarray:
+    """Component of each node of a graph.
+
+    Args:
+        edges: Pairs of nodes, shape (edge_count, 2).
+        node_count: Number of nodes.
+
+    Returns:
+        Shape (node_count,), from 0.
+    """
     graph = coo_matrix(
         (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])),
         shape=(node_count, node_count),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.geometry.cell_mesh import SomeCells
+from softrobot_twin.geometry.tet_mesh import TetMesh, tet_volumes
 
 
-def radius_ratios(mesh: TetMesh) -> np.ndarray:
+def radius_ratios(mesh: TetMesh | SomeCells) -> np.ndarray:
     """Three times the ratio of the radii of the inscribed and the circumscribed sphere.
 
     With V the volume, S the area of the four faces, and p, q, r the products of the lengths of
@@ -15,7 +16,7 @@ def radius_ratios(mesh: TetMesh) -> np.ndarray:
     √((p+q+r)(−p+q+r)(p−q+r)(p+q−r)) / (24 V).
 
     Args:
-        mesh: The mesh.
+        mesh: The tetrahedra.
 
     Returns:
         Ratio of each tetrahedron, from 0 (flat) to 1 (regular), shape (tet_count,).
@@ -37,5 +38,5 @@ def radius_ratios(mesh: TetMesh) -> np.ndarray:
     product = np.maximum((p + q + r) * (-p + q + r) * (p - q + r) * (p + q - r), 0.0)
     denominator = area * np.sqrt(product)
     flat = denominator <= 0.0
-    ratios = 216.0 * mesh.volumes**2 / np.where(flat, 1.0, denominator)
+    ratios = 216.0 * tet_volumes(mesh.node_positions, mesh.cells) ** 2 / np.where(flat, 1.0, denominator)
     return np.clip(np.where(flat, 0.0, ratios), 0.0, 1.0)

@@ -22,6 +22,39 @@ class BoundaryFaces(NamedTuple):
     tets: np.ndarray
 
 
+class HalfEdges(NamedTuple):
+    """Edges of triangles.
+
+    Attributes:
+        halves: Begin and end of the edges of each triangle in turn, shape (3 · triangle_count, 2).
+        edges: Each edge once, the lower point first, shape (edge_count, 2).
+        place: Edge of each half, shape (3 · triangle_count,).
+        counts: Number of halves of each edge, shape (edge_count,).
+    """
+
+    halves: np.ndarray
+    edges: np.ndarray
+    place: np.ndarray
+    counts: np.ndarray
+
+
+def half_edges(triangles: np.ndarray) -> HalfEdges:
+    """The edges of triangles, of shape (triangle_count, 3)."""
+    halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+    edges, place, counts = np.unique(
+        np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return HalfEdges(halves, edges, place.ravel(), counts)
+
+
+def single_rows(faces: np.ndarray) -> np.ndarray:
+    """Indices of the faces whose nodes no other face has, of faces of shape (face_count, width)."""
+    _, first, counts = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    return np.sort(first[counts == 1])
+
+
 def boundary_faces(tets: np.ndarray) -> BoundaryFaces:
     """Finds the surface of a tetrahedral mesh, and the tetrahedron of each triangle.
 
@@ -33,10 +66,7 @@ def boundary_faces(tets: np.ndarray) -> BoundaryFaces:
     """
     tets = np.asarray(tets, dtype=np.int64)
     faces = tets[:, _FACES].reshape(-1, 3)
-    _, first, counts = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    single = np.sort(first[counts == 1])
+    single = single_rows(faces)
     return BoundaryFaces(faces[single], single // 4)
 
 

@@ -19,9 +19,10 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.closed_surface import closed_surface, flatten_regions
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
-from softrobot_twin.geometry.mesh_file_checks import check_positions, check_size
+from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 from softrobot_twin.geometry.point_location import closest_on_triangles
+from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.geometry.vtu_reading import read_vtu
 
 
@@ -152,11 +153,8 @@ def _heights(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def _open_halves(triangles: np.ndarray) -> np.ndarray:
     """Triangle and corner of each edge that belongs to one triangle only, shape (count, 2)."""
-    halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    _, place, counts = np.unique(
-        np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    single = np.flatnonzero(counts[place.ravel()] == 1)
+    _, _, place, counts = half_edges(triangles)
+    single = np.flatnonzero(counts[place] == 1)
     return np.column_stack([single // 3, single % 3])
 
 
@@ -199,11 +197,8 @@ def _first_between(points, border, tree, i: int, j: int, tolerance: float) -> in
 
 def _with_consistent_orientation(triangles: np.ndarray) -> np.ndarray:
     """Gives all triangles of each connected component the orientation of most of them."""
-    halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    _, place, counts = np.unique(
-        np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    order = np.argsort(place.ravel(), kind="stable")
+    halves, _, place, counts = half_edges(triangles)
+    order = np.argsort(place, kind="stable")
     pairs = order[np.repeat(counts == 2, counts)].reshape(-1, 2)
     same = (halves[pairs[:, 0]] == halves[pairs[:, 1]]).all(axis=1)
     if not same.any():
@@ -258,10 +253,7 @@ def read_surface(
         MeshError: The file cannot be read, or contains no triangles.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise MeshError(path, f"surface files end in {', '.join(SUFFIXES)}, not '{path.suffix}'")
-    if not path.is_file():
-        raise MeshError(path, "there is no such file")
+    check_file(path, SUFFIXES, "surface")
     check_size(path)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:

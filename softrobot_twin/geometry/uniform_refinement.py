@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.geometry.mesh_repair import orient_tets
 from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh, add_mid_edge_nodes
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
@@ -27,8 +28,8 @@ def refine(mesh: TetMesh) -> tuple[TetMesh, np.ndarray]:
     """
     quadratic = add_mid_edge_nodes(mesh)
     tets = np.concatenate([quadratic.cells[:, _CORNERS].reshape(-1, 4), _octahedra(quadratic)])
-    return TetMesh(quadratic.node_positions, _oriented(quadratic.node_positions, tets)), (
-        quadratic.mid_edge_ends)
+    upright = orient_tets(quadratic.node_positions, tets).tets
+    return TetMesh(quadratic.node_positions, upright), quadratic.mid_edge_ends
 
 
 def _octahedra(quadratic: QuadraticMesh) -> np.ndarray:
@@ -42,12 +43,3 @@ def _octahedra(quadratic: QuadraticMesh) -> np.ndarray:
         local = np.array([[a, b, around[k], around[(k + 1) % 4]] for k in range(4)])
         parts.append(nodes[shortest == number][:, local].reshape(-1, 4))
     return np.concatenate(parts)
-
-
-def _oriented(positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Reorders nodes so that all volumes are positive."""
-    a, b, c = (positions[tets[:, k]] - positions[tets[:, 0]] for k in (1, 2, 3))
-    negative = np.einsum("ti,ti->t", np.cross(a, b), c) < 0.0
-    tets = tets.copy()
-    tets[negative] = tets[negative][:, [0, 1, 3, 2]]
-    return tets

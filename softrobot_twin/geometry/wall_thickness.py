@@ -8,7 +8,6 @@ import numpy as np
 
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.point_location import locate_points
-from softrobot_twin.geometry.surface import boundary_faces
 
 # Rays that a thickness is measured by, at most.
 _MOST_RAYS = 400
@@ -40,38 +39,17 @@ class ThinnestPart(NamedTuple):
     elements: float
 
 
-def thinnest_part(positions: np.ndarray, tets: np.ndarray) -> ThinnestPart:
+def thinnest_part(mesh: CellMesh) -> ThinnestPart:
     """Measures the thickness of a body by rays from its surface, along its normals into it.
 
     Args:
-        positions: Nodes [m], shape (node_count, 3).
-        tets: Tetrahedra, or hexahedra as tetrahedra, shape (tet_count, 4).
+        mesh: Its mesh, of any cells; what elements have inside of their edges is left out.
 
     Returns:
         Its thinnest part; corners are left out.
     """
-    faces = boundary_faces(tets)
-
-    def cells_at(starts, normals, depths, chosen):
-        return tets[faces.tets[chosen]]
-
-    return _thinnest(positions, faces.triangles, cells_at)
-
-
-def thinnest_part_of(mesh: CellMesh) -> ThinnestPart:
-    """The same of a mesh of any cells; what its elements have inside of their edges is left out."""
-    corners = mesh.corner_mesh
-
-    def cells_at(starts, normals, depths, chosen):
-        inside = starts - _INSIDE * depths[:, None] * normals
-        return corners.cells[locate_points(corners, inside).cells]
-
-    return _thinnest(corners.node_positions, corners.surface_triangles, cells_at)
-
-
-def _thinnest(positions: np.ndarray, triangles: np.ndarray, cells_at) -> ThinnestPart:
-    """The thinnest part; `cells_at` tells the nodes of the cells in which rays begin, of their
-    starts [m], outward normals, lengths [m] and triangles."""
+    mesh = mesh.corner_mesh
+    positions, triangles = mesh.node_positions, mesh.surface_triangles
     corners = positions[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -90,7 +68,8 @@ def _thinnest(positions: np.ndarray, triangles: np.ndarray, cells_at) -> Thinnes
     ray = ranked[first]
     thin = ranked[first:][lengths[ranked[first:]] <= _NEARLY * lengths[ray]]
     across = normals[chosen[thin]]
-    cells = cells_at(starts[thin], across, lengths[thin], chosen[thin])
+    inside = starts[thin] - _INSIDE * lengths[thin, None] * across
+    cells = mesh.cells[locate_points(mesh, inside).cells]
     extents = np.ptp(np.einsum("rni,ri->rn", positions[cells], across), axis=1)
     place = starts[ray] - 0.5 * lengths[ray] * normals[chosen[ray]]
     return ThinnestPart(float(lengths[ray]), place, float(np.median(lengths[thin] / extents)))

@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part_of
+from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
@@ -782,7 +782,7 @@ def thinnest_parts(simulation: Simulation) -> list[ThinnestPart]:
     for body in simulation.model.bodies:
         key = (str(body.entry.mesh.file), body.entry.mesh.scale, body.mesh.cell_count)
         if key[0] == "None" or key not in found:
-            found[key] = thinnest_part_of(body.mesh)
+            found[key] = thinnest_part(body.mesh)
         parts.append(found[key])
     return parts
 

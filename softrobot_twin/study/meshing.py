@@ -279,7 +279,7 @@ def _print(path: Path, trial: Trial, element: str) -> None:
     """Prints the quality of a mesh."""
     mesh, made = trial.made.mesh, trial.made
     ratios = radius_ratios(mesh)
-    thin = thinnest_part(mesh.node_positions, mesh.cells)
+    thin = thinnest_part(mesh)
     extents = 1e3 * np.ptp(mesh.node_positions, axis=0)
     shown = table(f"{path.name} with tetrahedra of {1e3 * trial.size:.4g} mm", "what", "value")
     shown.add_row("extents", " × ".join(f"{extent:.4g}" for extent in extents) + " mm")

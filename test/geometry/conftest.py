@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 # What the scripts share is no part of the package.
@@ -20,7 +20,7 @@ def kept_mesh():
 
     @cache
     def read(name):
-        reading = read_tet_mesh(MESHES / f"{name}.vtk")
+        reading = read_solid_mesh(MESHES / f"{name}.vtk")
         # The fingers of a hand are separate parts.
         assert all("separate parts" in note and "hand" in name for note in reading.notes)
         return reading.mesh

@@ -3,7 +3,7 @@ import sys
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.regions import nodes_in_box
 
@@ -70,7 +70,7 @@ def test_the_script_writes_the_same_mesh_twice(script, tmp_path, capsys):
     for path in paths:
         assert script.main(["--size", "400", "--output", str(path)]) == 0
     assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert read_tet_mesh(paths[0]).notes == ()
+    assert read_solid_mesh(paths[0]).notes == ()
     assert "nodes" in capsys.readouterr().out
 
 

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.hexahedral_mesh import (
     INTO_TETS,
     HexahedralMesh,
-    block_mesh,
     scaled_jacobians,
 )
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
-from softrobot_twin.geometry.mesh_reading import read_solid_mesh, read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.point_location import extrapolated_weights, locate_points
 
 FORMATS = {
@@ -23,7 +23,7 @@ FORMATS = {
 
 def shaken(seed=0, cells=(4, 2, 2), mixed=False):
     """A block of 10 mm cells whose nodes are moved about; half of it may be tetrahedra."""
-    grid = block_mesh(0.01 * np.array(cells), cells)
+    grid = read_box(0.01 * np.array(cells), cells, of_hexahedra=True).mesh
     shift = 0.0015 * np.random.default_rng(seed).uniform(-1, 1, grid.node_positions.shape)
     cut = np.zeros(len(grid.hexahedra), bool)
     if mixed:
@@ -54,7 +54,7 @@ def test_the_surface_is_closed_and_points_outwards(mixed):
 
 
 def test_equal_diagonals_are_chosen_by_the_lowest_node_and_others_by_length():
-    cube = block_mesh((1.0, 1.0, 1.0), (1, 1, 1))
+    cube = read_box((1.0, 1.0, 1.0), (1, 1, 1), of_hexahedra=True).mesh
     for triangle in cube.surface_triangles.reshape(-1, 2, 3):
         assert all(np.unique(triangle).min() in half for half in triangle)
     x = cube.node_positions.copy()
@@ -109,7 +109,7 @@ def test_points_outside_follow_the_nearest_cell(mixed):
 
 
 def test_the_scaled_jacobian_of_a_box_is_one():
-    boxes = block_mesh((1.0, 3.0, 0.2), (2, 2, 2))
+    boxes = read_box((1.0, 3.0, 0.2), (2, 2, 2), of_hexahedra=True).mesh
     assert scaled_jacobians(boxes.node_positions[boxes.hexahedra]) == pytest.approx(1.0)
     assert (scaled_jacobians(shaken().node_positions[shaken().hexahedra]) < 0.95).any()
 
@@ -152,14 +152,14 @@ def test_parts_that_touch_are_joined(tmp_path):
 
 
 def test_cells_that_share_only_an_edge_are_reported(tmp_path):
-    grid = block_mesh((2.0, 2.0, 1.0), (2, 2, 1))
+    grid = read_box((2.0, 2.0, 1.0), (2, 2, 1), of_hexahedra=True).mesh
     hinge = HexahedralMesh(grid.node_positions, grid.tets, grid.hexahedra[[0, 3]])
     notes = read_solid_mesh(written(tmp_path / "body.vtk", hinge)).notes
     assert any("connected by edges or single nodes only" in note for note in notes)
 
 
 def test_skewed_hexahedra_are_reported(tmp_path):
-    cube = block_mesh((1.0, 1.0, 1.0), (1, 1, 1))
+    cube = read_box((1.0, 1.0, 1.0), (1, 1, 1), of_hexahedra=True).mesh
     x = cube.node_positions.copy()
     x[:, 0] += 20.0 * x[:, 2]
     path = written(tmp_path / "body.vtk", HexahedralMesh(x, cube.tets, cube.hexahedra))
@@ -200,7 +200,7 @@ def test_abaqus_names_of_hexahedra_are_known(tmp_path):
         np.testing.assert_array_equal(read_solid_mesh(other).mesh.hexahedra, mesh.hexahedra)
 
 
-CUBE = block_mesh((1.0, 1.0, 1.0), (1, 1, 1))
+CUBE = read_box((1.0, 1.0, 1.0), (1, 1, 1), of_hexahedra=True).mesh
 
 
 def _wedge():
@@ -284,8 +284,3 @@ def test_half_a_face_may_be_covered_by_a_tetrahedron(tmp_path):
     closed_surface(mesh.surface_triangles, mesh.node_count)
     assert len(mesh.surface_triangles) == 5 * 2 + 1 + 3
     assert mesh.volume == pytest.approx(1.0 + 1.0 / 6.0)
-
-
-def test_who_asks_for_tetrahedra_is_told_of_hexahedra(tmp_path):
-    with pytest.raises(MeshError, match="has hexahedra; only tetrahedra are of use here"):
-        read_tet_mesh(written(tmp_path / "body.vtk", shaken()))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
 
@@ -67,7 +67,7 @@ def test_the_script_makes_the_committed_mesh(name, mesh, mesh_script, tmp_path, 
     robot, _, size = name.rpartition("_")
     script = mesh_script(SCRIPTS[robot])
     assert script.main(["--size", size, "--output", str(tmp_path)]) == 0
-    made = read_tet_mesh(tmp_path / f"{name}.vtk").mesh
+    made = read_solid_mesh(tmp_path / f"{name}.vtk").mesh
     np.testing.assert_array_equal(made.cells, mesh.cells)
     np.testing.assert_allclose(made.node_positions, mesh.node_positions, rtol=0, atol=1e-12)
     assert f"{name}.vtk: {mesh.node_count} nodes" in capsys.readouterr().out

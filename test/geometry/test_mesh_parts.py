@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.surface import boundary_triangles
 
@@ -98,7 +98,7 @@ def test_every_format_gives_the_same_parts(name, seed, block, tmp_path, capfd):
         body.shuffled(seed)
     path = body.write(tmp_path / f"body{suffix}", **options)
     capfd.readouterr()
-    reading = read_tet_mesh(path)
+    reading = read_solid_mesh(path)
     assert_same_parts(reading, body)
     assert reading.notes == ()
     assert capfd.readouterr() == ("", "")
@@ -117,7 +117,7 @@ def test_repairs_keep_the_parts(name, block, tmp_path):
     body.soft = np.concatenate([[len(body.tets) - 2], body.soft])
     body.stiff = np.append(body.stiff, len(body.tets) - 1)
     path = body.write(tmp_path / f"body{suffix}", more_points=[9.0, 9.0, 9.0], **options)
-    reading = read_tet_mesh(path)
+    reading = read_solid_mesh(path)
     # The repeated tetrahedron is now one cell of both regions.
     expected.stiff = np.append(expected.stiff, expected.soft[1])
     assert_same_parts(reading, expected)
@@ -134,7 +134,7 @@ def test_parts_follow_merged_nodes(block, tmp_path):
     body.tets[stiff] += count
     body.foot, body.rim = body.foot + count, body.rim + count
     body.points = np.vstack([body.points, body.points])
-    reading = read_tet_mesh(body.write(tmp_path / f"body{suffix}", **options))
+    reading = read_solid_mesh(body.write(tmp_path / f"body{suffix}", **options))
     assert reading.mesh.node_count == count
     assert_same_parts(reading, expected)
 
@@ -143,7 +143,7 @@ def test_a_triangle_whose_corners_are_merged_is_dropped(block, tmp_path):
     body = Body(block(shake=0.0))
     body.foot = np.vstack([body.foot, [0, len(body.points), 1]])
     path = body.write(tmp_path / "b.msh", more_points=body.points[0], **FORMATS["msh 2.2 ascii"][1])
-    reading = read_tet_mesh(path, merge_tolerance=1e-9)
+    reading = read_solid_mesh(path, merge_tolerance=1e-9)
     assert len(reading.parts.surface("foot")) == len(body.foot) - 1
 
 
@@ -151,7 +151,7 @@ def test_a_surface_beside_the_body_is_refused_by_file_and_name(block, tmp_path):
     body = Body(block())
     body.foot = np.vstack([body.foot, [0, 1, len(body.points)]])
     path = body.write(tmp_path / "body.inp", more_points=[9, 9, 9], **FORMATS["inp"][1])
-    reading = read_tet_mesh(path)
+    reading = read_solid_mesh(path)
     with pytest.raises(MeshError) as caught:
         reading.parts.surface("foot")
     assert caught.value.path == path
@@ -160,7 +160,7 @@ def test_a_surface_beside_the_body_is_refused_by_file_and_name(block, tmp_path):
 
 
 def test_an_unknown_part_is_refused_with_the_names_that_are_known(block, tmp_path):
-    reading = read_tet_mesh(Body(block()).write(tmp_path / "b.msh", **FORMATS["msh 4.1 ascii"][1]))
+    reading = read_solid_mesh(Body(block()).write(tmp_path / "b.msh", **FORMATS["msh 4.1 ascii"][1]))
     with pytest.raises(MeshError, match="no volume region named hard; of this kind it names soft, "):
         reading.parts.region("hard")
     with pytest.raises(MeshError, match="has no surface named stiff; of this kind it names foot"):
@@ -173,7 +173,7 @@ def test_a_vtk_file_is_told_to_have_no_names(suffix, block, tmp_path):
     path = tmp_path / f"body{suffix}"
     data = {"material": [np.arange(mesh.cell_count) % 2], "heat": [np.ones(mesh.cell_count)]}
     meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)], cell_data=data).write(path)
-    reading = read_tet_mesh(path)
+    reading = read_solid_mesh(path)
     with pytest.raises(MeshError, match=r"do not name parts \(it has the numbers material of"):
         reading.parts.region("stiff")
 
@@ -186,7 +186,7 @@ def test_physical_groups_without_names_are_told(block, tmp_path):
                "gmsh:geometrical": [np.full(len(body.tets), 7)]}  # fmt: skip
     meshio.Mesh(body.points, cells, cell_data=numbers).write(path, "gmsh22", binary=False)
     with pytest.raises(MeshError, match="its physical groups have numbers but no names"):
-        read_tet_mesh(path).parts.region("stiff")
+        read_solid_mesh(path).parts.region("stiff")
 
 
 def test_quadratic_elements_have_surfaces_of_corners(block, tmp_path):
@@ -204,7 +204,7 @@ def test_quadratic_elements_have_surfaces_of_corners(block, tmp_path):
         points, cells, field_data={"foot": np.array([1, 2]), "all": np.array([2, 3])},
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": [t.copy() for t in tags]},
     ).write(tmp_path / "body.msh", "gmsh22", binary=False)  # fmt: skip
-    reading = read_tet_mesh(tmp_path / "body.msh")
+    reading = read_solid_mesh(tmp_path / "body.msh")
     np.testing.assert_allclose(
         reading.mesh.node_positions[reading.parts.surface("foot")], mesh.node_positions[foot]
     )
@@ -258,7 +258,7 @@ $EndElements
 def test_a_wall_between_two_gmsh_groups_has_the_orientation_of_each(tmp_path):
     path = tmp_path / "body.msh"
     path.write_text(GMSH)
-    reading = read_tet_mesh(path)
+    reading = read_solid_mesh(path)
     parts = reading.parts
     assert {name: cells.tolist() for name, cells in parts.regions.items()} == {
         "first": [0], "both": [0, 1],
@@ -272,13 +272,13 @@ def test_a_wall_between_two_gmsh_groups_has_the_orientation_of_each(tmp_path):
 def test_a_gmsh_file_may_name_only_some_of_its_entities(tmp_path):
     path = tmp_path / "body.msh"
     path.write_text(GMSH.replace("1 0 0 0 1 1 1 2 1 2 0", "1 0 0 0 1 1 1 0 0"))
-    parts = read_tet_mesh(path).parts
+    parts = read_solid_mesh(path).parts
     assert {name: cells.tolist() for name, cells in parts.regions.items()} == {"both": [1]}
     assert parts.surface("second skin").tolist() == [[2, 1, 0]]
     names = GMSH[GMSH.index("$PhysicalNames") : GMSH.index("$Entities")]
     path.write_text(path.read_text().replace(names, ""))
     with pytest.raises(MeshError, match="its physical groups have numbers but no names"):
-        read_tet_mesh(path).parts.region("both")
+        read_solid_mesh(path).parts.region("both")
 
 
 ABAQUS = """*HEADING
@@ -311,7 +311,7 @@ lower, LID
 def test_abaqus_sets_of_several_blocks_ranges_and_sets_are_read(tmp_path):
     path = tmp_path / "body.inp"
     path.write_text(ABAQUS)
-    parts = read_tet_mesh(path).parts
+    parts = read_solid_mesh(path).parts
     assert {name: cells.tolist() for name, cells in parts.regions.items()} == {
         "All": [0, 1], "later": [0, 1], "both": [1], "lower": [1],
     }  # fmt: skip
@@ -325,11 +325,11 @@ def test_an_abaqus_set_of_unknown_members_is_refused(row, tmp_path):
     path = tmp_path / "body.inp"
     path.write_text(ABAQUS.replace("lower, LID", row))
     with pytest.raises(MeshError, match="cannot be read as Abaqus"):
-        read_tet_mesh(path)
+        read_solid_mesh(path)
 
 
 def test_a_set_of_quadrilaterals_is_refused_when_it_is_asked_for(tmp_path):
     path = tmp_path / "body.inp"
     path.write_text(f"{ABAQUS}*ELEMENT, TYPE=S4, ELSET=plate\n8, 10, 20, 30, 40\n")
     with pytest.raises(MeshError, match=r"plate has cells other than triangles \(1 quad\)"):
-        read_tet_mesh(path).parts.surface("plate")
+        read_solid_mesh(path).parts.surface("plate")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
@@ -38,7 +38,7 @@ def test_every_format_gives_the_same_mesh_without_output(name, block, tmp_path, 
     mesh = block()
     path = write(tmp_path / f"body{suffix}", mesh.node_positions, [("tetra", mesh.cells)], **options)
     capfd.readouterr()
-    reading = read_tet_mesh(path)
+    reading = read_solid_mesh(path)
     np.testing.assert_allclose(reading.mesh.node_positions, mesh.node_positions, rtol=1e-10)
     np.testing.assert_array_equal(reading.mesh.cells, mesh.cells)
     np.testing.assert_array_equal(reading.file_node_indices, np.arange(mesh.node_count))
@@ -56,7 +56,7 @@ def test_surface_cells_are_dropped_and_counted(suffix, tmp_path):
         ("tetra", np.array([[0, 1, 2, 3]])),
         ("line", np.array([[0, 1]])),
     ]
-    reading = read_tet_mesh(write(tmp_path / f"body{suffix}", CORNERS, cells))
+    reading = read_solid_mesh(write(tmp_path / f"body{suffix}", CORNERS, cells))
     assert reading.mesh.cell_count == 1
     assert reading.notes == ("Dropped the cells that are not solid (1 line, 2 triangle).",)
 
@@ -68,14 +68,14 @@ def test_tets_of_several_blocks_are_one_body(tmp_path):
         ("tetra", np.array([[0, 2, 1, 4]])),
     ]
     points = np.vstack([CORNERS, [0, 0, -1]])
-    reading = read_tet_mesh(write(tmp_path / "body.msh", points, cells))
+    reading = read_solid_mesh(write(tmp_path / "body.msh", points, cells))
     assert reading.mesh.cells.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
 
 
 def test_placement_scales_then_turns_about_x_y_z_then_shifts(tmp_path):
     points = [[1000, 0, 0], [0, 1000, 0], [0, 0, 1000], [2000, 2000, 2000]]
     path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[0, 1, 2, 3]]))])
-    placed = read_tet_mesh(
+    placed = read_solid_mesh(
         path, scale=1e-3, rotation=(math.pi / 2, math.pi / 2, 0), translation=(1, 2, 3)
     )
     # About x: y → z, z → −y; then about y: z → x, x → −z.
@@ -86,14 +86,14 @@ def test_placement_scales_then_turns_about_x_y_z_then_shifts(tmp_path):
 
 def test_a_rotation_of_ninety_radians_is_warned_of(tmp_path):
     path = write(tmp_path / "body.vtk", CORNERS, [("tetra", np.array([[0, 1, 2, 3]]))])
-    assert "are the angles in degrees?" in read_tet_mesh(path, rotation=(0, 0, 90)).notes[0]
+    assert "are the angles in degrees?" in read_solid_mesh(path, rotation=(0, 0, 90)).notes[0]
 
 
 def test_inverted_tets_are_repaired_and_reported_by_index(block, tmp_path):
     mesh = block()
     tets = mesh.cells.copy()
     tets[[4, 20]] = tets[[4, 20]][:, [0, 2, 1, 3]]
-    reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", tets)]))
+    reading = read_solid_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", tets)]))
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
     assert reading.notes == ("Reoriented 2 inverted tetrahedra (4, 20).",)
 
@@ -101,7 +101,7 @@ def test_inverted_tets_are_repaired_and_reported_by_index(block, tmp_path):
 def test_flat_tets_are_dropped_and_reported_by_their_number_in_the_file(tmp_path):
     points = np.vstack([CORNERS, [1, 1, 0]])
     tets = np.array([[0, 1, 2, 4], [0, 2, 1, 3]])
-    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert reading.mesh.cell_count == 1
     assert reading.notes == (
         "Dropped 1 tetrahedron (0) without volume.",
@@ -113,7 +113,7 @@ def test_flat_tets_are_dropped_and_reported_by_their_number_in_the_file(tmp_path
 def test_unused_nodes_are_dropped_and_the_numbers_of_the_file_keep_their_meaning(tmp_path):
     points = np.vstack([[9.0, 9, 9], CORNERS[:2], [8.0, 8, 8], CORNERS[2:]])
     path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[1, 2, 4, 5]]))])
-    reading = read_tet_mesh(path, scale=0.5)
+    reading = read_solid_mesh(path, scale=0.5)
     assert reading.notes == ("Dropped 2 nodes (0, 3) that no tetrahedron uses.",)
     assert reading.file_node_indices.tolist() == [1, 2, 4, 5]
     assert reading.mesh_node_indices.tolist() == [-1, 0, 1, -1, 2, 3]
@@ -123,7 +123,7 @@ def test_unused_nodes_are_dropped_and_the_numbers_of_the_file_keep_their_meaning
 def test_long_lists_of_indices_are_abbreviated(tmp_path):
     points = np.vstack([CORNERS, np.ones((8, 3))])
     path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[0, 1, 2, 3]]))])
-    assert "8 nodes (4, 5, 6, 7, 8, …)" in read_tet_mesh(path).notes[0]
+    assert "8 nodes (4, 5, 6, 7, 8, …)" in read_solid_mesh(path).notes[0]
 
 
 TWO_PIECES = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
@@ -132,7 +132,7 @@ TWO_TETS = np.array([[0, 1, 2, 3], [4, 6, 5, 7]])
 
 def test_touching_parts_are_joined_and_reported(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
-    joined = read_tet_mesh(path)
+    joined = read_solid_mesh(path)
     assert joined.notes == (
         "Merged 3 nodes (4, 5, 6) with coincident ones: they cut the mesh into separate parts "
         "(merge_distance: 0 keeps the cut).",
@@ -143,13 +143,13 @@ def test_touching_parts_are_joined_and_reported(tmp_path):
 
 def test_parts_stay_separate_on_request_and_the_cut_is_reported(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
-    apart = read_tet_mesh(path, merge_tolerance=0.0)
+    apart = read_solid_mesh(path, merge_tolerance=0.0)
     assert apart.mesh.node_count == 8
     assert apart.notes == (
         "The mesh consists of 2 separate parts, of 4, 4 nodes.",
         "Another node coincides with 3 nodes (4, 5, 6): the body is cut there.",
     )
-    joined = read_tet_mesh(path, merge_tolerance=1e-9)
+    joined = read_solid_mesh(path, merge_tolerance=1e-9)
     assert joined.notes == ("Merged 3 nodes (4, 5, 6) with coincident ones.",)
 
 
@@ -160,7 +160,7 @@ def test_a_mesh_whose_elements_share_no_node_is_merged_into_the_original_mesh(
     mesh = block()
     points = scale * mesh.node_positions[mesh.cells].reshape(-1, 3).astype(np.float32)
     tets = np.arange(len(points)).reshape(-1, 4)
-    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert reading.mesh.node_count == mesh.node_count
     np.testing.assert_allclose(reading.mesh.volumes, scale**3 * mesh.volumes, rtol=1e-5)
     assert len(reading.notes) == 1 and reading.notes[0].startswith("Merged")
@@ -173,7 +173,7 @@ def test_a_cut_within_one_part_is_kept_and_reported(block, tmp_path):
     waist = int(np.flatnonzero((points == [0.1, 0.0, 0.0]).all(axis=1))[0])
     right = points[tets].mean(axis=1)[:, 0] > 0.1
     tets[right] = np.where(tets[right] == waist, len(points), tets[right])
-    reading = read_tet_mesh(
+    reading = read_solid_mesh(
         write(tmp_path / "body.vtk", np.vstack([points, points[waist]]), [("tetra", tets)])
     )
     assert reading.mesh.node_count == len(points) + 1
@@ -184,14 +184,14 @@ def test_a_cut_within_one_part_is_kept_and_reported(block, tmp_path):
 def test_parts_joined_only_at_an_edge_or_a_node_are_reported(shared, tmp_path):
     points = np.vstack([CORNERS, -1.0 - CORNERS[shared:]])
     tets = np.array([[0, 1, 2, 3], [*range(shared), *range(4, 8 - shared)]])
-    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert any("at least 1 places" in note and "can rotate" in note for note in reading.notes)
 
 
 def test_duplicate_tets_are_dropped_and_reported(block, tmp_path):
     mesh = block()
     twice = np.vstack([mesh.cells, mesh.cells[[3, 7]][:, [2, 0, 3, 1]]])
-    reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", twice)]))
+    reading = read_solid_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", twice)]))
     count = mesh.cell_count
     assert reading.notes == (
         f"Dropped 2 tetrahedra ({count}, {count + 1}) that the file contains more than once.",
@@ -203,7 +203,7 @@ def test_a_mesh_given_twice_is_one_mesh(block, tmp_path):
     mesh = block()
     points = np.vstack([mesh.node_positions, mesh.node_positions])
     tets = np.vstack([mesh.cells, mesh.cells + mesh.node_count])
-    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert reading.mesh.volume == pytest.approx(mesh.volume)
     assert reading.mesh.node_count == mesh.node_count
 
@@ -212,7 +212,7 @@ def test_a_sliver_is_reported_with_its_quality(tmp_path):
     height = 0.002 / 1.5
     sliver = np.array([[6, 0, 0], [4, 0, 0], [5, 1, height], [5, -1, height]])
     points, tets = np.vstack([CORNERS, sliver]), np.array([[0, 1, 2, 3], [4, 5, 7, 6]])
-    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert reading.mesh.cell_count == 2
     assert reading.notes[-1] == (
         "Kept 1 tetrahedron (1) with a radius ratio below 0.05 (lowest 0.002, tetrahedron 1): "
@@ -237,7 +237,7 @@ def test_an_invalid_mesh_file_is_refused_by_name(name, content, told, tmp_path, 
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(MeshError) as caught:
-        read_tet_mesh(path)
+        read_solid_mesh(path)
     assert told in str(caught.value)
     assert caught.value.path == path
     assert capfd.readouterr() == ("", "")
@@ -245,7 +245,7 @@ def test_an_invalid_mesh_file_is_refused_by_name(name, content, told, tmp_path, 
 
 def test_a_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(MeshError, match=r"nowhere\.vtk: there is no such file"):
-        read_tet_mesh(tmp_path / "nowhere.vtk")
+        read_solid_mesh(tmp_path / "nowhere.vtk")
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_cells_that_form_no_body_are_refused(cells, told, tmp_path):
     points = np.random.default_rng(6).uniform(size=(10, 3))
     path = write(tmp_path / "body.vtk", points, [(kind, np.array(data)) for kind, data in cells])
     with pytest.raises(MeshError) as caught:
-        read_tet_mesh(path)
+        read_solid_mesh(path)
     assert told in str(caught.value)
     assert caught.value.path == path
 
@@ -273,7 +273,7 @@ def test_a_node_that_is_not_finite_is_named(tmp_path):
     points[2, 1] = np.nan
     path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[0, 1, 2, 3]]))])
     with pytest.raises(MeshError, match="node 2 is at"):
-        read_tet_mesh(path)
+        read_solid_mesh(path)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def test_a_node_that_is_not_finite_is_named(tmp_path):
 def test_an_impossible_placement_is_refused(placement, told, tmp_path):
     path = write(tmp_path / "body.vtk", CORNERS, [("tetra", np.array([[0, 1, 2, 3]]))])
     with pytest.raises(MeshError) as caught:
-        read_tet_mesh(path, **placement)
+        read_solid_mesh(path, **placement)
     assert told in str(caught.value)
 
 
@@ -330,7 +330,7 @@ def test_a_truncated_file_is_read_or_refused_by_name(suffix, nodes, block, tmp_p
     for _ in range(60):
         file.write_bytes(torn(content, chance))
         try:
-            reading = read_tet_mesh(file)
+            reading = read_solid_mesh(file)
         except MeshError as error:
             assert error.path == file and str(error).startswith(f"{file}: ")
             assert "\n" not in str(error) and len(str(error)) < 600

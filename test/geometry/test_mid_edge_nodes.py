@@ -4,7 +4,7 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import EDGES
 
@@ -27,7 +27,7 @@ def shuffled(block):
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_ten_nodes_are_four_corners_and_six_on_straight_edges(suffix, shuffled, tmp_path):
     points, cells, mesh = shuffled
-    reading = read_tet_mesh(written(tmp_path / f"body{suffix}", points, cells))
+    reading = read_solid_mesh(written(tmp_path / f"body{suffix}", points, cells))
     assert reading.notes == ()
     assert reading.mesh.node_count == mesh.corner_mesh.node_count
     assert reading.mesh.volume == pytest.approx(mesh.volume)
@@ -41,7 +41,7 @@ def test_ten_nodes_are_four_corners_and_six_on_straight_edges(suffix, shuffled, 
 def test_the_node_order_of_another_program_is_recognized(shuffled, tmp_path):
     points, cells, _ = shuffled
     cells = cells[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]]
-    reading = read_tet_mesh(written(tmp_path / "body.vtk", points, cells))
+    reading = read_solid_mesh(written(tmp_path / "body.vtk", points, cells))
     assert reading.notes == ()
     mids = reading.mid_edge_nodes
     np.testing.assert_allclose(
@@ -55,7 +55,7 @@ def test_curved_edges_are_straightened_and_reported(block, tmp_path):
     node = mesh.cells[5, 4]
     length = np.linalg.norm(np.subtract(*points[mesh.cells[5, EDGES[0]]]))
     points[node] += [0.0, 0.0, 0.1 * length]
-    reading = read_tet_mesh(written(tmp_path / "body.vtk", points, mesh.cells))
+    reading = read_solid_mesh(written(tmp_path / "body.vtk", points, mesh.cells))
     (note,) = reading.notes
     assert f"1 curved edges (the node furthest off, {node}, by {100 * length:.3g} mm)" in note
 
@@ -67,6 +67,6 @@ def test_tetrahedra_of_four_and_ten_nodes_are_read_together(block, tmp_path):
     meshio.Mesh(
         mesh.node_positions, [("tetra", mesh.cells[:half, :4]), ("tetra10", mesh.cells[half:])]
     ).write(path, file_format="vtk42")
-    reading = read_tet_mesh(path)
+    reading = read_solid_mesh(path)
     assert reading.mesh.cell_count == mesh.cell_count
     assert reading.mesh.volume == pytest.approx(mesh.volume)

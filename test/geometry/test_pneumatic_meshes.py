@@ -17,7 +17,7 @@ from meshes.mesh_making import (
 )
 from meshes.swept_body import UNCOLOURED, Section, chequered, joined, polar_section, swept
 from softrobot_twin.geometry.closed_surface import closed_surface
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
@@ -118,7 +118,7 @@ def test_each_refinement_has_its_size_and_no_flat_element(name, made):
 
 
 def test_the_package_reads_the_same_body_and_has_nothing_else_to_note(name, made):
-    reading = read_tet_mesh(MESHES / f"{name}.msh")
+    reading = read_solid_mesh(MESHES / f"{name}.msh")
     np.testing.assert_array_equal(reading.mesh.cells, made.mesh.cells)
     np.testing.assert_array_equal(reading.mesh.node_positions, made.mesh.node_positions)
     assert all("triangle" in note for note in reading.notes)

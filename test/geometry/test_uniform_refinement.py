@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.uniform_refinement import refine
@@ -13,7 +13,7 @@ MESH = Path(__file__).resolve().parents[2] / "meshes" / "diamond_400.vtk"
 
 @pytest.fixture(scope="module")
 def coarse():
-    return read_tet_mesh(MESH).mesh
+    return read_solid_mesh(MESH).mesh
 
 
 def test_refining_makes_eight_of_one_and_keeps_the_volume(coarse):

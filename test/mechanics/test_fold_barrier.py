@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.cell_mesh import points_of
-from softrobot_twin.geometry.hexahedral_mesh import block_mesh, enhance
+from softrobot_twin.geometry.hexahedral_mesh import enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import (
     HEXAHEDRON_CORNERS,
@@ -63,7 +64,7 @@ def cube(bind, parameters_of):
     """Binds one hexahedron of a law; its first two nodes are held."""
 
     def make(law="corotational"):
-        mesh, parameters = enhance(block_mesh(np.ones(3), (1, 1, 1))), parameters_of(law, 2e5, 0.3)
+        mesh, parameters = enhance(read_box(np.ones(3), (1, 1, 1), of_hexahedra=True).mesh), parameters_of(law, 2e5, 0.3)
         (block,) = mesh.blocks()
         bound = bind(
             (lambda mesh, free, _: Elements(mesh, free, parameters), block.mesh, 1.0, 0.0),

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.hexahedral_mesh import (
     INTO_TETS,
     HexahedralMesh,
-    block_mesh,
     enhance,
 )
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
@@ -37,7 +37,7 @@ def bind_blocks(bind, parameters_of):
 
 def distorted(seed, cells=(3, 2, 2), amount=0.2, mixed=False):
     """A block whose nodes are all moved about; of one half of it each cell may be six tetrahedra."""
-    grid = block_mesh(np.array(cells, float), cells)
+    grid = read_box(np.array(cells, float), cells, of_hexahedra=True).mesh
     rng = np.random.default_rng(seed)
     x = 0.01 * (grid.node_positions + rng.uniform(-amount, amount, grid.node_positions.shape))
     if not mixed:
@@ -144,7 +144,7 @@ def test_the_projected_stiffness_of_a_crushed_cell_is_positive_semidefinite(bind
 
 
 def test_an_inverted_cell_is_counted(bind_blocks):
-    mesh = enhance(block_mesh((0.03, 0.01, 0.01), (3, 1, 1)))
+    mesh = enhance(read_box((0.03, 0.01, 0.01), (3, 1, 1), of_hexahedra=True).mesh)
     bound = bind_blocks(mesh)
     x = mesh.node_positions.copy()
     assert bound.forces(x)[1] == 0
@@ -170,7 +170,7 @@ def deflection(bind_blocks):
     """Deflection of a cantilever's end under a shear load, over beam theory's."""
 
     def solve(depth, cells, poisson):
-        mesh = enhance(block_mesh((LENGTH, depth, depth), cells))
+        mesh = enhance(read_box((LENGTH, depth, depth), cells, of_hexahedra=True).mesh)
         x = mesh.node_positions
         bound = bind_blocks(mesh, "linear", poisson, fixed=np.flatnonzero(x[:, 0] < 1e-9))
         forces = np.zeros_like(x)
@@ -215,7 +215,7 @@ def cooks_membrane(bind, bind_blocks):
                 [48 * p[:, 0], 44 * p[:, 0] + p[:, 1] * (44 - 28 * p[:, 0]), p[:, 2]], axis=1
             )
 
-        grid = block_mesh((1, 1, 1), (cells, cells, 1))
+        grid = read_box((1, 1, 1), (cells, cells, 1), of_hexahedra=True).mesh
         corners = HexahedralMesh(shape(grid.node_positions), grid.tets, grid.hexahedra)
         mesh = enhance(corners)
         if of_tets:
@@ -270,7 +270,7 @@ def test_displacements_converge_quadratically_on_distorted_meshes(bind_blocks):
 
     errors = []
     for count in (3, 6):
-        grid = block_mesh((1, 1, 1), (count, count, count))
+        grid = read_box((1, 1, 1), (count, count, count), of_hexahedra=True).mesh
         x = grid.node_positions
         bend = 0.08 * np.prod(np.sin(np.pi * x), axis=1)[:, None] * [1.0, -1.0, 0.5]
         mesh = enhance(HexahedralMesh(x + bend, grid.tets, grid.hexahedra))

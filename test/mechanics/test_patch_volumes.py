@@ -5,7 +5,8 @@ import pytest
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.hexahedral_mesh import block_mesh, enhance
+from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.geometry.hexahedral_mesh import enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
@@ -27,7 +28,7 @@ def meshes(block):
 
     def make(kind, cells=(3, 2, 2), size=SIZE, shake=0.2):
         if kind == "hexahedral":
-            return enhance(block_mesh(size, cells)).blocks()[0].mesh
+            return enhance(read_box(size, cells, of_hexahedra=True).mesh).blocks()[0].mesh
         linear = block(size, cells, shake)
         return linear if kind == "linear" else add_mid_edge_nodes(linear)
 

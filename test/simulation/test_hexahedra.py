@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, block_mesh
+from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
@@ -17,7 +18,7 @@ FOOT = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 
 def mixed_block(size, cells):
     """A block whose upper half is of tetrahedra."""
-    grid = block_mesh(size, cells)
+    grid = read_box(size, cells, of_hexahedra=True).mesh
     cut = grid.node_positions[grid.hexahedra].mean(axis=1)[:, 2] > 0.5 * size[2]
     tets = grid.hexahedra[cut][:, INTO_TETS].reshape(-1, 4)
     return HexahedralMesh(grid.node_positions, tets, grid.hexahedra[~cut])
@@ -45,7 +46,7 @@ def bar(simulate, body_of_hexahedra):
     """Makes an upright bar, held at its foot, with two cables; its tip is the effector."""
 
     def make(change=None, mesh=None, **entries) -> Simulation:
-        mesh = block_mesh((0.02, 0.02, 0.1), (2, 2, 5)) if mesh is None else mesh
+        mesh = read_box((0.02, 0.02, 0.1), (2, 2, 5), of_hexahedra=True).mesh if mesh is None else mesh
 
         def cable(name, x):
             points = [[x, 0.01, z] for z in (0.02, 0.04, 0.06, 0.08, 0.095)]
@@ -99,8 +100,8 @@ def test_a_coarse_bar_bends_as_a_fine_one(bar, poisson):
         assert result.status is Status.OK
         return result.effector_positions[0] - rest[0]
 
-    coarse = tip(block_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
-    fine = tip(block_mesh((0.02, 0.02, 0.1), (3, 3, 15)))
+    coarse = tip(read_box((0.02, 0.02, 0.1), (1, 1, 5), of_hexahedra=True).mesh)
+    fine = tip(read_box((0.02, 0.02, 0.1), (3, 3, 15), of_hexahedra=True).mesh)
     mixed = tip(mixed_block((0.02, 0.02, 0.1), (3, 3, 15)))
     assert np.linalg.norm(fine) > 0.005
     assert np.linalg.norm(coarse - fine) < 0.06 * np.linalg.norm(fine)
@@ -154,7 +155,7 @@ def test_a_free_block_falls_undeformed(simulate, body_of_hexahedra, mass):
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_a_free_plate_on_a_block_falls_with_it(simulate, body_of_hexahedra, mass):
     top = {"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 0.0201]}}
-    block = body_of_hexahedra(block_mesh((0.02, 0.02, 0.02), (2, 2, 2)), mass=mass, attached=[top])
+    block = body_of_hexahedra(read_box((0.02, 0.02, 0.02), (2, 2, 2), of_hexahedra=True).mesh, mass=mass, attached=[top])
     plate = {"name": "plate", "mass": 0.01, "position": [0.01, 0.01, 0.025],
              "box": {"size": [0.02, 0.02, 0.01]}}  # fmt: skip
     simulation = simulate(
@@ -169,7 +170,7 @@ def test_a_free_plate_on_a_block_falls_with_it(simulate, body_of_hexahedra, mass
 
 def test_a_carried_surface_moves_with_hexahedra(tmp_path, bar):
     """A skin 1 mm outside the bar turns with it."""
-    grid = block_mesh((0.022, 0.022, 0.101), (3, 3, 6))
+    grid = read_box((0.022, 0.022, 0.101), (3, 3, 6), of_hexahedra=True).mesh
     points = grid.node_positions - [0.001, 0.001, 0.0]
     meshio.write(tmp_path / "skin.vtk", meshio.Mesh(points, [("triangle", grid.surface_triangles)]))
     simulation = bar(lambda mapping: mapping["body"].update(visual={"file": "skin.vtk"}))
@@ -185,7 +186,7 @@ def test_a_carried_surface_moves_with_hexahedra(tmp_path, bar):
 def test_a_clamped_bar_vibrates_at_the_frequency_of_beam_theory(simulate, body_of_hexahedra, mass):
     """First bending mode: f = 1.875² √(EI/ρA) / 2πL²; shear lowers it by about 1 %."""
     length, depth = 0.1, 0.01
-    mesh = block_mesh((depth, depth, length), (1, 1, 10))
+    mesh = read_box((depth, depth, length), (1, 1, 10), of_hexahedra=True).mesh
     body = body_of_hexahedra(mesh, fixed=FOOT, mass=mass, poisson_ratio=0.3)
     still = simulate(gravity=[0.02, 0.0, 0.0], body=body)
     still.step(Hold())
@@ -221,7 +222,7 @@ def test_strain_rate_damping_ends_the_motion_of_a_bar(bar):
 
 
 def test_a_block_rests_on_a_plane_with_its_weight(simulate, body_of_hexahedra):
-    mesh = block_mesh((0.03, 0.03, 0.02), (3, 3, 2))
+    mesh = read_box((0.03, 0.03, 0.02), (3, 3, 2), of_hexahedra=True).mesh
     block = body_of_hexahedra(mesh)
     block["mesh"]["translation"] = [0.0, 0.0, 0.0005]
     simulation = simulate(
@@ -244,7 +245,7 @@ def chamber(tmp_path, simulate, body_of_hexahedra):
 
     def make(cells=(4, 4, 6), poisson_ratio=0.45) -> Simulation:
         size = (0.02, 0.02, 0.03)
-        grid = block_mesh(size, cells)
+        grid = read_box(size, cells, of_hexahedra=True).mesh
         middle = grid.node_positions[grid.hexahedra].mean(axis=1) / np.array(size)
         inside = (np.abs(middle - 0.5) < 0.26).all(axis=1)
         hole = HexahedralMesh(grid.node_positions, grid.tets, grid.hexahedra[inside])
@@ -288,7 +289,7 @@ def test_a_collapsed_bar_comes_back_or_says_that_it_is_inside_out(bar, recovers,
 
 
 def test_a_bar_that_is_crushed_never_calls_an_inverted_cell_converged(simulate, body_of_hexahedra):
-    body = body_of_hexahedra(block_mesh((0.02, 0.02, 0.04), (2, 2, 4)), fixed=FOOT)
+    body = body_of_hexahedra(read_box((0.02, 0.02, 0.04), (2, 2, 4), of_hexahedra=True).mesh, fixed=FOOT)
     simulation = simulate(gravity=[0.0, 0.0, -9.81e3], body=body)
     for _ in range(10):
         result = simulation.step(Hold())
@@ -304,7 +305,7 @@ def test_an_element_of_tetrahedra_is_refused_for_hexahedra(bar, element):
 
 
 def test_the_hexahedral_element_is_refused_for_tetrahedra(simulate, body_of_hexahedra):
-    mesh = block_mesh((0.02, 0.02, 0.04), (2, 2, 4))
+    mesh = read_box((0.02, 0.02, 0.04), (2, 2, 4), of_hexahedra=True).mesh
     tets = HexahedralMesh(mesh.node_positions, mesh.as_tets, np.empty((0, 8)))
     with pytest.raises(SceneError, match="soft.vtk has tetrahedra only: omit element, or name"):
         simulate(body=body_of_hexahedra(tets, fixed=FOOT, element="hexahedral"))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.geometry.hexahedral_mesh import block_mesh
+from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.scene import load_scene
 from softrobot_twin.study import choice
 from softrobot_twin.study.accuracy import draw_accuracy
@@ -33,12 +33,12 @@ def bar(tmp_path_factory):
         meshio.write(folder / name, meshio.Mesh(mesh.node_positions, [(kind, cells)]))
 
     for number, counts in TETS.items():
-        mesh = block_mesh(SIZE, counts)
+        mesh = read_box(SIZE, counts, of_hexahedra=True).mesh
         write(f"bar_{number}.vtk", mesh, "tetra", mesh.as_tets)
     for number, counts in HEXAHEDRA.items():
-        mesh = block_mesh(SIZE, counts)
+        mesh = read_box(SIZE, counts, of_hexahedra=True).mesh
         write(f"bar_hexa_{number}.vtk", mesh, "hexahedron", mesh.hexahedra)
-    other = block_mesh((0.02, 0.03, 0.1), (1, 1, 5))
+    other = read_box((0.02, 0.03, 0.1), (1, 1, 5), of_hexahedra=True).mesh
     write("bar_hexa_99.vtk", other, "hexahedron", other.hexahedra)
     cables = [{"name": name, "pull_point": [x, 0.01, -0.02],
                "points": [[x, 0.01, 0.05], [x, 0.01, 0.09]], "shortening": [0.0, 0.02],

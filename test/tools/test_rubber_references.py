@@ -14,7 +14,8 @@ from specimens import (
     traction_loads,
 )
 
-from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh, block_mesh
+from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.smoothed_mesh import edge_rings
 from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
 
@@ -88,7 +89,7 @@ def test_a_block_is_compressed(compressed_block, level, shortening):
 
 def shell_octant(kind, count, layers):
     """An eighth of a spherical shell, radii 1 and 2, of three blocks."""
-    grid = block_mesh((1.0, 1.0, 1.0), (count, count, layers))
+    grid = read_box((1.0, 1.0, 1.0), (count, count, layers), of_hexahedra=True).mesh
 
     def place(points):
         face = np.floor(0.5 * points[:, 0] + 1e-9).astype(int)
@@ -203,7 +204,7 @@ def test_a_thin_balloon():
 def disc(kind, count, layers):
     """A cylinder of radius and length one: a square inside, and four blocks around it."""
     half = 0.5
-    inside, ring = (block_mesh((1.0, 1.0, 1.0), (count, n, layers)) for n in (count, count // 2))
+    inside, ring = (read_box((1.0, 1.0, 1.0), (count, n, layers), of_hexahedra=True).mesh for n in (count, count // 2))
 
     def place(points):
         number = np.floor(0.5 * points[:, 0] + 1e-9).astype(int)
