@@ -11,16 +11,20 @@ import math
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from softrobot_twin.scene.entry import (
+    ClosedRange,
+    Direction,
     Entry,
     Name,
     OpenNumber,
     OpenPull,
     OpenRange,
     Vector,
-    check_range,
+    allows_zero,
+    not_below_zero,
+    not_zero,
     refusal,
     unit,
 )
@@ -28,6 +32,8 @@ from softrobot_twin.scene.references import check_carrier, check_known, check_pa
 
 # Greatest range of the angle of a hinge [rad]: less than a whole turn.
 MOST_TURN = 6.0
+NO_LIMITS, POSITIVE = (-math.inf, math.inf), (0.0, math.inf)
+_CANNOT_PUSH = "a cable cannot push: the least tension must not be negative"
 
 
 class ActuatorEntry(Entry):
@@ -68,18 +74,10 @@ class Pulley(Entry):
     """From the axis to the middle of the cable."""
     winds: Literal["positive", "negative"] = "positive"
     """Sense of rotation that winds the cable up, and shortens it."""
-    angle: Annotated[OpenRange, unit("rad")] = (-math.inf, math.inf)
+    angle: Annotated[OpenRange, unit("rad"), allows_zero("the angle at rest")] = NO_LIMITS
     """Limits of the angle, which is 0 at rest; infinite for no limit."""
     rate: Annotated[OpenNumber | None, unit("rad/s", gt=0.0)] = None
     """Greatest speed; by default no limit."""
-
-    @model_validator(mode="after")
-    def _can_rest(self):
-        if not math.isfinite(self.radius):
-            raise refusal("radius", self.radius, "a pulley has a finite radius")
-        if not self.angle[0] <= 0.0 <= self.angle[1]:
-            raise refusal("angle", self.angle, "the angle at rest, 0, must lie within its limits")
-        return self
 
     @property
     def wound(self) -> float:
@@ -110,12 +108,12 @@ class Cable(ActuatorEntry):
     """At each point the force acts on the material around it, as with a washer of this radius; it
     ends smoothly at 1.37 times that, so that results have derivatives by radius and points. With 0
     it acts on one point, whose displacement grows without bound as the mesh is refined."""
-    shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
+    shortening: Annotated[OpenRange, unit("m"), allows_zero("the shortening at rest")] = NO_LIMITS
     """Limits of the shortening against the length at rest; infinite for no limit. The length of a
     cable cannot become negative."""
     rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
     """Greatest change of length per second; by default no limit."""
-    tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
+    tension: Annotated[OpenPull, unit("N"), not_below_zero(_CANNOT_PUSH)] = POSITIVE
     """Limits of the tension; a cable cannot push, so the lower limit is not negative."""
     pulley: Pulley | None = None
     """Pulley that winds it: commands and measurements by angle beside those by length."""
@@ -130,15 +128,7 @@ class Cable(ActuatorEntry):
     thousandth of its length at rest."""
 
     @model_validator(mode="after")
-    def _pulls(self):
-        if self.tension[0] < 0.0:
-            raise refusal("tension", self.tension,
-                          "a cable cannot push: the least tension must not be negative")
-        if not self.shortening[0] <= 0.0 <= self.shortening[1]:
-            raise refusal("shortening", self.shortening,
-                          "the shortening at rest, 0, must lie within its limits")
-        if not math.isfinite(self.friction):
-            raise refusal("friction", self.friction, "a coefficient of friction is finite")
+    def _has_friction_to_build_up(self):
         if self.presliding is not None and not self.friction:
             raise refusal("presliding", self.presliding,
                           "is how friction builds up, but the cable has none: give friction")
@@ -183,22 +173,48 @@ class CavityWall(Entry):
         return self
 
 
-class Cavity(ActuatorEntry):
+class WalledEntry(Entry):
+    """A cavity: what its walls enclose."""
+
+    placed: ClassVar[dict[str, str]] = {}
+
+    name: Name
+    """Its name, in topics and columns."""
+    walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
+    """Its closed surfaces. They have one pressure, as if one valve connected them, and their volumes
+    sum up."""
+
+    def check_references(self, scene, key: str) -> None:
+        """Refuse walls on bodies that the scene does not have.
+
+        Args:
+            scene: The scene.
+            key: Key of the entry.
+
+        Raises:
+            PydanticCustomError: A body does not exist, or has to be named.
+        """
+        deformable = [body.name for body in scene.deformables]
+        for index, wall in enumerate(self.walls):
+            check_carrier(f"{key}.walls[{index}].body", self.name, wall.body, deformable, [])
+            for place, name in enumerate(wall.also_on):
+                check_known(f"{key}.walls[{index}].also_on[{place}]", f"{self.name} is on", name,
+                            deformable)  # fmt: skip
+
+
+class Cavity(WalledEntry, ActuatorEntry):
     """A cavity that is inflated: by a pressure, or by a volume."""
 
     noun: ClassVar[str] = "cavity"
     placed: ClassVar[dict[str, str]] = {}
 
-    walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
-    """Its closed surfaces. One valve connects them: they have one pressure, and their volumes sum
-    up."""
     control: Literal["pressure", "volume"] = "pressure"
     """What is commanded: a pressure by a regulator, or a volume by a syringe."""
-    pressure: Annotated[OpenRange, unit("Pa")] = (0.0, math.inf)
+    pressure: Annotated[OpenRange, unit("Pa"), allows_zero("the gauge pressure at rest")] = POSITIVE
     """Limits of the gauge pressure; a negative lower limit allows a vacuum."""
-    volume: Annotated[OpenRange, unit("m³")] = (0.0, math.inf)
+    volume: Annotated[OpenRange, unit("m³"), not_below_zero("a volume is not negative")] = POSITIVE
     """Limits of the volume."""
-    growth: Annotated[OpenRange, unit("m³")] = (-math.inf, math.inf)
+    growth: Annotated[OpenRange, unit("m³"), allows_zero("the growth at rest")] = NO_LIMITS
     """Limits of the volume less that at rest. Without an upper limit it is the volume of a sphere with
     nine times the area of the walls, so that a body that bursts is stopped."""
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
@@ -212,53 +228,16 @@ class Cavity(ActuatorEntry):
     """
 
     @model_validator(mode="after")
-    def _can_rest(self):
-        if not self.growth[0] <= 0.0 <= self.growth[1]:
-            raise refusal("growth", self.growth,
-                          "the growth at rest, 0, must lie within its limits")
-        if not self.pressure[0] <= 0.0 <= self.pressure[1]:
-            raise refusal("pressure", self.pressure,
-                          "the gauge pressure at rest, 0, must lie within its limits")
-        if self.volume[0] < 0.0:
-            raise refusal("volume", self.volume, "a volume is not negative")
+    def _commands_what_flow_does_not(self):
         if self.flow is not None and self.control == "volume":
             raise refusal("flow", self.flow,
                           "the volume is commanded: give its greatest change per second as rate")
         return self
 
-    def check_references(self, scene, key: str) -> None:
-        """See `ActuatorEntry`."""
-        check_walls(self, scene, key)
 
-
-def check_walls(cavity, scene, key: str) -> None:
-    """Refuse walls on bodies that the scene does not have.
-
-    Args:
-        cavity: Entry of a cavity.
-        scene: The scene.
-        key: Key of the entry.
-
-    Raises:
-        PydanticCustomError: A body does not exist, or has to be named.
-    """
-    deformable = [body.name for body in scene.deformables]
-    for index, wall in enumerate(cavity.walls):
-        check_carrier(f"{key}.walls[{index}].body", cavity.name, wall.body, deformable, [])
-        for place, name in enumerate(wall.also_on):
-            check_known(f"{key}.walls[{index}].also_on[{place}]", f"{cavity.name} is on", name,
-                        deformable)  # fmt: skip
-
-
-class SealedCavity(Entry):
+class SealedCavity(WalledEntry):
     """A cavity without a valve: the gas in it is compressed and expands, at constant temperature."""
 
-    placed: ClassVar[dict[str, str]] = {}
-
-    name: Name
-    """Its name, in topics and columns."""
-    walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
-    """Its closed surfaces."""
     pressure: Annotated[float, unit("Pa")] = 0.0
     """Gauge pressure at rest."""
     ambient_pressure: Annotated[float, unit("Pa", ge=0.0)] = 101_325.0
@@ -270,10 +249,6 @@ class SealedCavity(Entry):
             raise refusal("pressure", self.pressure,
                           "the absolute pressure of a gas is above zero")
         return self
-
-    def check_references(self, scene, key: str) -> None:
-        """See `ActuatorEntry`."""
-        check_walls(self, scene, key)
 
 
 class Motor(Entry):
@@ -297,20 +272,12 @@ class Slide(ActuatorEntry):
 
     body: Name
     """The guided rigid body that it moves."""
-    axis: Annotated[tuple[float, float, float], unit("")]
+    axis: Annotated[Direction, not_zero("the axis of a slide must not be zero")]
     """Direction of positive positions, in the world."""
-    travel: Annotated[tuple[float, float], AfterValidator(check_range), unit("m")]
+    travel: Annotated[ClosedRange, unit("m"), allows_zero("the position at rest", "its travel")]
     """Limits of its position; at rest it is at 0."""
     rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
     """Greatest speed; by default no limit."""
-
-    @model_validator(mode="after")
-    def _can_rest(self):
-        if not any(self.axis):
-            raise ValueError("the axis of a slide must not be zero")
-        if not self.travel[0] <= 0.0 <= self.travel[1]:
-            raise ValueError("the position at rest, 0, must lie within its travel")
-        return self
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
@@ -328,26 +295,20 @@ class HingeMotor(ActuatorEntry):
     """The beam that it turns."""
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """The point of the beam that is joined by the hinge."""
-    angle: Annotated[tuple[float, float], AfterValidator(check_range), unit("rad")]
+    angle: Annotated[ClosedRange, unit("rad"), allows_zero("the angle at rest")]
     """Limits of its angle, less than a turn apart; at rest it is 0. It grows as the beam turns about
     the axis of the hinge by the right-hand rule, against what the hinge is joined to."""
     rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
     """Greatest speed; by default no limit."""
-    torque: Annotated[OpenRange, unit("N m")] = (-math.inf, math.inf)
+    torque: Annotated[OpenRange, unit("N m"), allows_zero("no torque")] = NO_LIMITS
     """Limits of the torque that it exerts on the beam; by default none."""
 
     @model_validator(mode="after")
-    def _can_rest(self):
-        if not self.angle[0] <= 0.0 <= self.angle[1]:
-            raise refusal("angle", self.angle,
-                          "the angle at rest, 0, must lie within its limits")
+    def _turns_less_than_once(self):
         if self.angle[1] - self.angle[0] > MOST_TURN:
             raise refusal("angle", self.angle,
                           f"the limits must be at most {MOST_TURN:g} rad apart: an angle is known "
                           "up to whole turns")
-        if not self.torque[0] <= 0.0 <= self.torque[1]:
-            raise refusal("torque", self.torque,
-                          "no torque, 0, must lie within its limits")
         return self
 
     def check_references(self, scene, key: str) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from softrobot_twin.geometry.box_mesh import cells_of_size
@@ -20,9 +20,11 @@ from softrobot_twin.mechanics.point_law import OwnConstants, can_divide, has_bul
 from softrobot_twin.scene.entry import (
     LARGEST,
     Angles,
+    Direction,
     Entry,
     Name,
     Vector,
+    not_zero,
     refusal,
     registered,
     unit,
@@ -37,6 +39,7 @@ MOST_BOX_CELLS = 1_000_000
 """A box of more cells than this is refused."""
 _Edge = Annotated[float, unit("m", gt=0.0)]
 _CellCount = Annotated[int, Field(ge=1)]
+UP = (0.0, 0.0, 1.0)
 
 PATCHES_NOT_REDUCED = "are not built for reduced bodies: name volume: per_element"
 """Why a reduced body has no patches."""
@@ -44,6 +47,8 @@ PATCHES_NOT_REDUCED = "are not built for reduced bodies: name volume: per_elemen
 
 class BoxMesh(Entry):
     """A box that is meshed without a file, from the origin of the mesh to its `size`."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("cell_size", "cells")
 
     size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
     """Its edges along x, y, z."""
@@ -55,8 +60,6 @@ class BoxMesh(Entry):
 
     @model_validator(mode="after")
     def _can_be_meshed(self):
-        if (self.cells is None) == (self.cell_size is None):
-            raise ValueError("has exactly one of cell_size, cells")
         count = math.prod(self.cell_counts)
         if count > MOST_BOX_CELLS:
             key = "cells" if self.cell_size is None else "cell_size"
@@ -409,6 +412,7 @@ class RegionMaterial(ElasticEntry):
     """The material of some cells of a body: of a named region of its mesh file, or of a box."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box"}
+    one_of: ClassVar[tuple[str, ...]] = ("region", "box")
 
     region: str | None = None
     """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
@@ -422,12 +426,6 @@ class RegionMaterial(ElasticEntry):
     viscosity: tuple[ViscosityTerm, ...] | None = None
     """By default, as the softening, that of the body's material; [] for none."""
     softening: Softening | None = None
-
-    @model_validator(mode="after")
-    def _one_place(self):
-        if (self.region is None) == (self.box is None):
-            raise ValueError("has exactly one of region, box")
-        return self
 
 
 class SphereRegion(Entry):
@@ -445,6 +443,8 @@ class Region(Entry):
     """Exactly one of: a box, a sphere, nodes by their index in the mesh file."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box", "sphere": "inside"}
+    one_of: ClassVar[tuple[str, ...]] = ("box", "sphere", "nodes")
+    one_of_words: ClassVar[str] = "a region has exactly one of {}"
 
     frame: Literal["world", "mesh"] = "world"
     """Coordinates of the world, or of the mesh before its placement."""
@@ -452,13 +452,6 @@ class Region(Entry):
     sphere: SphereRegion | None = None
     nodes: tuple[Annotated[int, Field(ge=0)], ...] | None = None
     """Nodes, by their index in the mesh file."""
-
-    @model_validator(mode="after")
-    def _one_kind(self):
-        given = [kind for kind in ("box", "sphere", "nodes") if getattr(self, kind) is not None]
-        if len(given) != 1:
-            raise ValueError("a region has exactly one of box, sphere, nodes")
-        return self
 
 
 class Attachment(Region):
@@ -472,6 +465,7 @@ class Vertebra(Entry):
     """A part of a body that is taken as rigid: the nodes of a region of its mesh, or in a box."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box"}
+    one_of: ClassVar[tuple[str, ...]] = ("region", "box")
 
     name: Name
     """Its name."""
@@ -481,12 +475,6 @@ class Vertebra(Entry):
     """The nodes in it."""
     frame: Literal["world", "mesh"] = "mesh"
     """Coordinates of the box: of the mesh before its placement, or of the world."""
-
-    @model_validator(mode="after")
-    def _one_place(self):
-        if (self.region is None) == (self.box is None):
-            raise ValueError("has exactly one of region, box")
-        return self
 
 
 class Vertebrae(Entry):
@@ -549,13 +537,8 @@ class Visual(Entry):
     """Metres in a unit of the file."""
 
 
-class ContactSurface(Entry):
+class ContactSurface(Visual):
     """A closed surface that moves with the body, for contact in place of the mesh's surface."""
-
-    file: Path
-    """Surface mesh, relative to the scene file; placed like the body's own mesh."""
-    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file."""
 
 
 class Body(Entry):
@@ -745,17 +728,13 @@ class GivenSection(Entry):
 class CrossSection(Entry):
     """Exactly one of: a rectangle, a circle, a tube, given constants."""
 
+    one_of: ClassVar[tuple[str, ...]] = ("rectangle", "circle", "tube", "constants")
+    one_of_words: ClassVar[str] = "a section has exactly one of {}"
+
     rectangle: RectangleSection | None = None
     circle: CircleSection | None = None
     tube: TubeSection | None = None
     constants: GivenSection | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self):
-        kinds = ("rectangle", "circle", "tube", "constants")
-        if len([kind for kind in kinds if getattr(self, kind) is not None]) != 1:
-            raise ValueError("a section has exactly one of rectangle, circle, tube, constants")
-        return self
 
     @property
     def is_round(self) -> bool:
@@ -786,7 +765,7 @@ class BeamJoint(Entry):
     joint. A pattern such as ``hub_*``: of what matches that whose position, or node, is nearest."""
     by: Literal["rigid", "hinge", "ball"] = "rigid"
     """Rigidly, by a hinge that turns about `axis`, or by a ball joint."""
-    axis: Annotated[tuple[float, float, float] | None, unit("")] = None
+    axis: Direction | None = None
     """Axis of a hinge, through the point that is joined, in the world at rest."""
 
     @model_validator(mode="after")
@@ -815,7 +794,7 @@ class Beam(Entry):
     elements: Annotated[int, Field(ge=1, le=100_000)]
     """Number of elements of the whole beam, at least one between two points."""
     section: CrossSection
-    thickness_direction: Annotated[tuple[float, float, float] | None, unit("")] = None
+    thickness_direction: Annotated[Direction | None, not_zero("must not be zero")] = None
     """Direction y of the cross-section; only the part at right angles to the axis counts. A round
     section needs none."""
     material: BeamMaterial
@@ -837,8 +816,6 @@ class Beam(Entry):
             )
         if self.thickness_direction is None and not self.section.is_round:
             raise ValueError("thickness_direction is required for a section that is not round")
-        if self.thickness_direction is not None and not any(self.thickness_direction):
-            raise ValueError("thickness_direction must not be zero")
         for joint in self.joined:
             if isinstance(joint.at, int) and joint.at > spans:
                 raise ValueError(f"joins point {joint.at}, but has the points 0 to {spans}")
@@ -852,19 +829,22 @@ class Beam(Entry):
 Radius = Annotated[float, unit("m", gt=0.0)]
 
 
+def _apart(ends: tuple) -> tuple:
+    if ends[0] == ends[1]:
+        raise ValueError("the two ends are the same point")
+    return ends
+
+
+_Ends = Annotated[tuple[Vector, Vector], AfterValidator(_apart)]
+
+
 class PlaneShape(Entry):
     """A half space; its normal points to the free side."""
 
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the plane."""
-    normal: Annotated[tuple[float, float, float], unit("")] = (0.0, 0.0, 1.0)
+    normal: Annotated[Direction, not_zero("the normal of a plane must not be zero")] = UP
     """Direction to the free side."""
-
-    @model_validator(mode="after")
-    def _has_direction(self):
-        if not any(self.normal):
-            raise ValueError("the normal of a plane must not be zero")
-        return self
 
 
 class SphereShape(Entry):
@@ -879,27 +859,19 @@ class SphereShape(Entry):
 class CapsuleShape(Entry):
     """A cylinder with hemispheres at its ends."""
 
-    ends: tuple[Vector, Vector]
+    ends: _Ends
     """Centres of the hemispheres."""
     radius: Radius
     """Radius."""
-
-    @model_validator(mode="after")
-    def _has_length(self):
-        return _with_length(self)
 
 
 class CylinderShape(Entry):
     """A cylinder with flat ends."""
 
-    ends: tuple[Vector, Vector]
+    ends: _Ends
     """Centres of the two flat ends."""
     radius: Radius
     """Radius."""
-
-    @model_validator(mode="after")
-    def _has_length(self):
-        return _with_length(self)
 
 
 class BoxShape(Entry):
@@ -907,14 +879,7 @@ class BoxShape(Entry):
 
     centre: Vector = (0.0, 0.0, 0.0)
     """Centre."""
-    size: Annotated[
-        tuple[
-            Annotated[float, unit("m", gt=0.0)],
-            Annotated[float, unit("m", gt=0.0)],
-            Annotated[float, unit("m", gt=0.0)],
-        ],
-        unit("m"),
-    ]
+    size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
     """Lengths of its edges."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the x, y and z axes, in this order."""
@@ -940,6 +905,8 @@ class Shaped(Entry):
     """Base of entries with exactly one shape, placed in the world."""
 
     placed: ClassVar[dict[str, str]] = {"position": "point", "rotation": "angles"}
+    one_of: ClassVar[tuple[str, ...]] = SHAPES
+    one_of_words: ClassVar[str] = "must have exactly one of the shapes {}"
 
     position: Vector = (0.0, 0.0, 0.0)
     """Where the origin of the shape is."""
@@ -952,25 +919,10 @@ class Shaped(Entry):
     box: BoxShape | None = None
     surface: SurfaceShape | None = None
 
-    @model_validator(mode="after")
-    def _one_shape(self):
-        if len(self._given()) != 1:
-            raise ValueError(f"must have exactly one of the shapes {', '.join(SHAPES)}")
-        return self
-
-    def _given(self) -> list[str]:
-        return [kind for kind in SHAPES if getattr(self, kind) is not None]
-
     @property
     def shape(self) -> Entry:
         """The one shape."""
-        return getattr(self, self._given()[0])
-
-
-def _with_length(entry):
-    if entry.ends[0] == entry.ends[1]:
-        raise ValueError("the two ends are the same point")
-    return entry
+        return getattr(self, self.given(SHAPES)[0])
 
 
 # --- rigid bodies, springs and point masses ------------------------------------------------------
@@ -1075,7 +1027,7 @@ class Helix(Entry):
 
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the axis."""
-    direction: Annotated[tuple[float, float, float], unit("")] = (0.0, 0.0, 1.0)
+    direction: Annotated[Direction, not_zero("the direction of a helix must not be zero")] = UP
     """Direction of the axis."""
     radius: Annotated[float, unit("m", gt=0.0)]
     """Distance of the threads from the axis."""
@@ -1096,8 +1048,6 @@ class Helix(Entry):
 
     @model_validator(mode="after")
     def _has_direction_and_length(self):
-        if not any(self.direction):
-            raise ValueError("the direction of a helix must not be zero")
         if not self.reach[0] < self.reach[1]:
             raise ValueError("the first place of a helix along its axis is not before the last")
         turns = (self.reach[1] - self.reach[0]) / self.pitch
@@ -1118,6 +1068,7 @@ class Fibre(Entry):
     """
 
     placed: ClassVar[dict[str, str]] = {"points": "point", "helix": "helix"}
+    one_of: ClassVar[tuple[str, ...]] = ("helix", "points", "edges")
 
     name: Name
     """Its name."""
@@ -1133,13 +1084,6 @@ class Fibre(Entry):
     """EA of one thread: the force that would double its length."""
     tension_only: bool = True
     """Whether the threads are slack when they are shortened, or resist that too."""
-
-    @model_validator(mode="after")
-    def _one_course(self):
-        given = [kind for kind in ("helix", "points", "edges") if getattr(self, kind) is not None]
-        if len(given) != 1:
-            raise ValueError("has exactly one of helix, points, edges")
-        return self
 
 
 class MassSpringBody(Entry):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import UnionType
@@ -27,6 +27,10 @@ class Entry(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    one_of: ClassVar[tuple[str, ...]] = ()
+    """Keys of which exactly one is given."""
+    one_of_words: ClassVar[str] = "has exactly one of {}"
+    """What is said where another number of them is."""
     placed: ClassVar[Mapping[str, str] | None] = None
     """How a copy of an entry in a pattern differs from it, for each key that has a place: it is a
     ``point`` or several, a ``direction``, ``angles``, a ``box``, ``letters`` of directions, a
@@ -47,6 +51,16 @@ class Entry(BaseModel):
                     raise refusal(name, value, f"must not be greater than {LARGEST:g}")
                 if number == value and 0.0 < abs(number) < SMALLEST:
                     raise refusal(name, value, f"must be 0 or at least {SMALLEST:g} in magnitude")
+        return self
+
+    def given(self, keys: Iterable[str]) -> list[str]:
+        """Those of some keys that have a value."""
+        return [key for key in keys if getattr(self, key) is not None]
+
+    @model_validator(mode="after")
+    def _has_one_of_them(self):
+        if self.one_of and len(self.given(self.one_of)) != 1:
+            raise ValueError(self.one_of_words.format(", ".join(self.one_of)))
         return self
 
 
@@ -133,6 +147,7 @@ def registered(kind: str, names: Callable[[], tuple[str, ...]]) -> AfterValidato
 
 Vector = Annotated[tuple[float, float, float], unit("m")]
 Angles = Annotated[tuple[float, float, float], unit("rad")]
+Direction = Annotated[tuple[float, float, float], unit("")]
 Acceleration = Annotated[tuple[float, float, float], unit("m/s²")]
 Range = tuple[float, float]
 OpenNumber = Annotated[float, Field(allow_inf_nan=True)]
@@ -150,6 +165,39 @@ def check_range(bounds: Range) -> Range:
     return bounds
 
 
+def allows_zero(what: str, limits: str = "its limits") -> AfterValidator:
+    """Refuses limits that 0, which is what a quantity is at rest, does not lie within."""
+
+    def check(bounds: Range) -> Range:
+        if not bounds[0] <= 0.0 <= bounds[1]:
+            raise refusal("", bounds, f"{what}, 0, must lie within {limits}")
+        return bounds
+
+    return AfterValidator(check)
+
+
+def not_below_zero(words: str) -> AfterValidator:
+    """Refuses limits of which the lower one is negative, with these words."""
+
+    def check(bounds: Range) -> Range:
+        if bounds[0] < 0.0:
+            raise refusal("", bounds, words)
+        return bounds
+
+    return AfterValidator(check)
+
+
+def not_zero(words: str) -> AfterValidator:
+    """Refuses a vector that is zero, with these words."""
+
+    def check(vector: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if vector is not None and not any(vector):
+            raise refusal("", vector, words)
+        return vector
+
+    return AfterValidator(check)
+
+
 def _ends(low: float, high: float) -> BeforeValidator:
     """Replaces null by these limits."""
 
@@ -162,6 +210,8 @@ def _ends(low: float, high: float) -> BeforeValidator:
     return BeforeValidator(fill)
 
 
+ClosedRange = Annotated[Range, AfterValidator(check_range)]
+"""Limits, both finite."""
 _Open = tuple[OpenNumber, OpenNumber]
 OpenRange = Annotated[_Open, _ends(-math.inf, math.inf), AfterValidator(check_range)]
 """Limits, each of which may be infinite."""

@@ -35,6 +35,7 @@ from softrobot_twin.scene.entry import (
     Name,
     OpenNumber,
     Vector,
+    not_zero,
     refusal,
     unit,
 )
@@ -118,7 +119,7 @@ WantedStiffness = Annotated[float | None, unit("N/m", gt=0.0)]
 class EffectorOrientation(Entry):
     """What an effector asks for beside its position: how its body is turned from rest."""
 
-    pointing: Vector | None = None
+    pointing: Annotated[Vector | None, not_zero("must not be zero: it is a direction")] = None
     """Axis of the body, in the world at rest, that points where the target turns it: its turn about
     the axis itself is left free. Without it the whole rotation is asked for."""
     points: tuple[Vector, ...] = ()
@@ -128,12 +129,6 @@ class EffectorOrientation(Entry):
     """Weight of the error of the orientation."""
     length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
     """Displacement that counts as much as one radian; by default the size of the robot."""
-
-    @model_validator(mode="after")
-    def _has_axis(self):
-        if self.pointing is not None and not any(self.pointing):
-            raise ValueError("pointing must not be zero: it is a direction")
-        return self
 
 
 class EffectorStiffness(Entry):
@@ -149,20 +144,35 @@ class EffectorStiffness(Entry):
     target; by default a tenth of the size of the robot."""
 
 
-class Effector(Entry):
-    """A point that follows a target: the mean of its points."""
+class PointsOnBody(Entry):
+    """The mean of some points of a body."""
 
-    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters",
-                                         "measured_by": "numbers"}  # fmt: skip
+    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
 
     name: Name
     """Its name, in topics and columns."""
     body: Name | None = None
     """The body it is on; optional when there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Their mean is the effector, at rest."""
+    """Their mean, at rest, is what is meant. A single point under a finger yields the more, the finer
+    the mesh is."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
-    """Axes of the world along which a target counts."""
+    """Axes of the world along which a target counts, or a touch acts; along the others a touching
+    finger slides."""
+
+    @model_validator(mode="after")
+    def _directions(self):
+        has_directions = self.directions or getattr(self, "orientation", None) is not None
+        if not has_directions or len(set(self.directions)) != len(self.directions):
+            raise ValueError("directions must be x, y or z, each at most once")
+        return self
+
+
+class Effector(PointsOnBody):
+    """A point that follows a target: the mean of its points."""
+
+    placed: ClassVar[dict[str, str]] = {**PointsOnBody.placed, "measured_by": "numbers"}
+
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
     """Weight of its error against those of other effectors."""
     orientation: EffectorOrientation | None = None
@@ -171,40 +181,16 @@ class Effector(Entry):
     measured_by: tuple[int, ...] = ()
     """Ids of the markers that move with it; in closed loop they measure the effector."""
 
-    @model_validator(mode="after")
-    def _directions(self):
-        if not self.directions and self.orientation is not None:
-            return self
-        if not self.directions or len(set(self.directions)) != len(self.directions):
-            raise ValueError("directions must be x, y or z, each at most once")
-        return self
 
-
-class Touch(Entry):
+class Touch(PointsOnBody):
     """Where a body may be touched, by a measured force or at a measured place: at the mean of some
     points, over which the force is shared."""
 
-    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
-
-    name: Name
-    """Its name, in topics and columns."""
-    body: Name | None = None
-    """The deformable body it is on; optional when there is only one."""
-    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """The points under a finger. A single one yields the more, the finer the mesh is."""
-    directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
-    """Axes along which a touch acts; along the others the touching finger slides."""
     while_touched: Literal["hold_actuators", "follow_targets"] = "hold_actuators"
     """What a robot that follows targets does: wait, so that its stiffness is felt, or go on, and
     counteract the touch."""
     force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
     """A greater measured force is refused; by default none is."""
-
-    @model_validator(mode="after")
-    def _directions(self):
-        if not self.directions or len(set(self.directions)) != len(self.directions):
-            raise ValueError("directions must be x, y or z, each at most once")
-        return self
 
 
 class Solver(Entry):

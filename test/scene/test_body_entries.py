@@ -51,7 +51,7 @@ CABLE = {"name": "c", "pull_point": [0, 0, 0], "points": [[0, 0, 1]], "shortenin
         (lambda m: m["obstacles"][0].__setitem__("name", "ball"),
          "obstacles[0].name", "more than once"),
         (lambda m: m["obstacles"][0]["plane"].__setitem__("normal", [0, 0, 0]),
-         "obstacles[0].plane", "must not be zero"),
+         "obstacles[0].plane.normal", "must not be zero"),
         (lambda m: m.__setitem__("shells", []), "shells", "not available"),
         (lambda m: m["rigid_bodies"][0]["sphere"].__setitem__("radius", -0.01),
          "rigid_bodies[0].sphere.radius", "-0.01 m: "),
