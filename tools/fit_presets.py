@@ -1,7 +1,7 @@
 """Fits the laws of material presets to their published tensile curves, and prints the table.
 
 Run it where a curve was added; then copy constants and errors into
-`softrobot_twin/scene/material_presets.py`. A test compares them.
+`softrobot_twin/scene/material_presets.json`. A test compares them.
 """
 
 from __future__ import annotations

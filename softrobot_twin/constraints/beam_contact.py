@@ -17,7 +17,6 @@ from softrobot_twin.geometry.round_axes import (
     hermite,
     pair_axes,
     pair_axis_with_shape,
-    room_for,
 )
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import row, subtract
@@ -145,6 +144,22 @@ class RoundBeam:
         )  # fmt: skip
 
 
+class _GrowingRows:
+    """Rows that grow until all pairs have room."""
+
+    def __init__(self) -> None:
+        """Begin with room for a few pairs."""
+        self._rows = empty_rows(FIRST_ROOM, 0)
+
+    def filled_by(self, pair) -> Proximities:
+        """All pairs that a function writes into integers and reals; it returns their number."""
+        while True:
+            count = pair(self._rows.integers, self._rows.reals)
+            if count <= len(self._rows.reals):
+                return proximities(self._rows, count)
+            self._rows = empty_rows(2 * count, 0)
+
+
 class BeamAndShape:
     """A round beam and an analytic shape on a rigid body or an obstacle."""
 
@@ -170,7 +185,7 @@ class BeamAndShape:
         origin, axes = shape.frame()
         self._origin, self._axes = np.array(origin, float), np.array(axes, float)
         self._placed = np.empty((4, 3))
-        self._rows = empty_rows(FIRST_ROOM, 0)
+        self._rows = _GrowingRows()
         self._excluded = np.zeros(2 * beam.element_count + 1, np.bool_)
         if len(held_nodes):
             self._exclude(set((self.near(rest, 0.0).keys // 2).tolist()), held_nodes)
@@ -192,14 +207,10 @@ class BeamAndShape:
             self._placed,
         )  # fmt: skip
         axis = self.first.axis(positions)
-        while True:
-            count = pair_axis_with_shape(
-                axis, self._excluded, self._shape.kind, self._extents, self._placed,
-                float(margin), self._rows.integers, self._rows.reals,
-            )  # fmt: skip
-            if count <= len(self._rows.reals):
-                return proximities(self._rows, count)
-            self._rows = room_for(self._rows, count)
+        return self._rows.filled_by(lambda integers, reals: pair_axis_with_shape(
+            axis, self._excluded, self._shape.kind, self._extents, self._placed, float(margin),
+            integers, reals,
+        ))  # fmt: skip
 
 
 class TwoRoundBeams:
@@ -218,19 +229,15 @@ class TwoRoundBeams:
         self.first, self.second = first, second
         self.friction, self.names = friction, names
         self._excluded = np.ascontiguousarray(excluded, np.bool_)
-        self._rows = empty_rows(FIRST_ROOM, 0)
+        self._rows = _GrowingRows()
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m]."""
         first, second = self.first.axis(positions), self.second.axis(positions)
-        while True:
-            count = pair_axes(
-                first, second, self.first is self.second, self._excluded, float(margin),
-                self._rows.integers, self._rows.reals,
-            )  # fmt: skip
-            if count <= len(self._rows.reals):
-                return proximities(self._rows, count)
-            self._rows = room_for(self._rows, count)
+        return self._rows.filled_by(lambda integers, reals: pair_axes(
+            first, second, self.first is self.second, self._excluded, float(margin), integers,
+            reals,
+        ))  # fmt: skip
 
 
 def never_touching(first: RoundBeam, second: RoundBeam, rest: np.ndarray) -> np.ndarray:

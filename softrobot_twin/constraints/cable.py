@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.constraints.constraint_term import ConstantRows
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
@@ -266,8 +266,12 @@ def shorten(rest_lengths, lengths):
         lengths[c] = rest_lengths[c] - lengths[c]
 
 
-class Cables(ConstantRows):
-    """Constraint term of all cables of a scene, and the stiffness of the taut ones."""
+class Cables(ConstraintTerm):
+    """Constraint term of all cables of a scene, and the stiffness of the taut ones.
+
+    Attributes:
+        cable_of_stretch: Cable that each segment is part of, shape (segment_count,).
+    """
 
     name = "cables"
     group = "actuators"
@@ -294,7 +298,7 @@ class Cables(ConstantRows):
             for cable, path in enumerate(paths)
             for segment in _segments(path, width)
         ]
-        self._cable = np.array([cable for cable, _ in segments], dtype=np.int64)
+        self.cable_of_stretch = np.array([cable for cable, _ in segments], dtype=np.int64)
         count = len(segments)
         self._nodes = np.array([s[0] for _, s in segments], np.int64).reshape(count, -1)
         self._coefficients = np.array([s[1] for _, s in segments], float).reshape(count, -1)
@@ -330,13 +334,8 @@ class Cables(ConstantRows):
         self._free = free
         self._entry = np.where(movable, np.cumsum(movable.ravel()).reshape(free.shape) - 1, -1)
         self.entry_nodes = free[movable]
-        self.entry_rows = np.repeat(self._cable, movable.sum(axis=1))
+        self.entry_rows = np.repeat(self.cable_of_stretch, movable.sum(axis=1))
         self.stretch_of_entry = np.repeat(np.arange(len(movable)), movable.sum(axis=1))
-
-    @property
-    def cable_of_stretch(self) -> np.ndarray:
-        """Cable that each segment is part of, shape (segment_count,)."""
-        return self._cable
 
     @property
     def scales(self) -> np.ndarray:
@@ -374,7 +373,7 @@ class Cables(ConstantRows):
     def _evaluate(self, positions, blocks, lengths) -> None:
         evaluate_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, self._cable, self._entry, blocks, lengths,
+            self._rounding, self.cable_of_stretch, self._entry, blocks, lengths,
         )  # fmt: skip
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
@@ -398,13 +397,13 @@ class Cables(ConstantRows):
         if self._folded is None:
             add_stiffness_kernel(
                 positions, self._nodes, self._coefficients, self._constants, self._least,
-                self._rounding, self._cable, tensions, self._bound.offsets, self._bound.strides,
-                storage,
+                self._rounding, self.cable_of_stretch, tensions, self._bound.offsets,
+                self._bound.strides, storage,
             )  # fmt: skip
             return
         write_matrices(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, self._cable, tensions, self._matrices,
+            self._rounding, self.cable_of_stretch, tensions, self._matrices,
         )  # fmt: skip
         pulls = None
         if self._folded.turns and not projected:

@@ -519,8 +519,8 @@ class FrictionCables(ElasticCables):
             paths, free_index, rest_positions, None, materials.axial_stiffness
         )
         self._materials, self._flexibility = materials, 1.0 / materials.axial_stiffness
-        count = len(self._cable)
-        self._firsts = np.searchsorted(self._cable, np.arange(len(paths) + 1))
+        count = len(self.cable_of_stretch)
+        self._firsts = np.searchsorted(self.cable_of_stretch, np.arange(len(paths) + 1))
         widest = int(np.diff(self._firsts).max(initial=0))
         self._base = np.zeros((len(self.entry_rows), 3))
         self._lengths, self.angles = np.zeros(count), np.zeros(count)
@@ -533,7 +533,7 @@ class FrictionCables(ElasticCables):
 
     def memory_at_rest(self) -> dict[str, np.ndarray]:
         """Shares z of the friction that acts, -1 to 1; see `recall`."""
-        return {"shares": np.zeros(len(self._cable))}
+        return {"shares": np.zeros(len(self.cable_of_stretch))}
 
     def recall(
         self, memory: Mapping[str, np.ndarray], positions: np.ndarray, efforts: np.ndarray
@@ -572,7 +572,7 @@ class FrictionCables(ElasticCables):
     def _measure(self, positions: np.ndarray) -> None:
         write_turns(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, self._cable, self._lengths, self.angles,
+            self._rounding, self.cable_of_stretch, self._lengths, self.angles,
         )  # fmt: skip
 
     def solve(self, positions: np.ndarray) -> None:
@@ -630,7 +630,7 @@ class FrictionCables(ElasticCables):
         self.solve(positions)
         add_stiffness_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, np.arange(len(self._cable)), self.tensions, self._bound.offsets,
+            self._rounding, np.arange(len(self.cable_of_stretch)), self.tensions, self._bound.offsets,
             self._bound.strides, storage,
         )  # fmt: skip
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from softrobot_twin.constraints.constraint_term import ConstantRows
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, CavitySurfaces
@@ -21,11 +21,15 @@ from softrobot_twin.mechanics.stencil import bind_stencils
 EMPTY = 0.01
 
 
-class Cavities(ConstantRows):
+class Cavities(ConstraintTerm):
     """Constraint term of cavities that are actuators, and the stiffness of their pressure.
 
     Attributes:
         walls: Their surfaces.
+        surfaces: Surfaces of each cavity.
+        row_count: Number of cavities.
+        rest_areas: Area of the walls of each cavity at rest [m²], shape (row_count,).
+        rest_volumes: Volumes at rest [m³], shape (row_count,).
     """
 
     name = "cavities"
@@ -44,35 +48,13 @@ class Cavities(ConstantRows):
             points: The carried points of the scene; None without any.
         """
         self.walls = CavitySurfaces(surfaces, free_index, rest_positions)
+        self.surfaces, self.row_count = self.walls.surfaces, self.walls.count
+        self.rest_areas, self.rest_volumes = self.walls.rest_areas, self.walls.rest_volumes
+        self.scales = self.rest_volumes
         self.entry_rows, self.entry_nodes = self.walls.entry_cavity, self.walls.entry_nodes
         self._points, self._folded = None, None
         if points is not None and (self.entry_nodes >= points.free_count).any():
             self._points, self._folded = points, FoldedStiffness(points, self.walls.stencils)
-
-    @property
-    def surfaces(self) -> tuple[CavitySurface, ...]:
-        """Surfaces of each cavity."""
-        return self.walls.surfaces
-
-    @property
-    def row_count(self) -> int:
-        """Number of cavities."""
-        return self.walls.count
-
-    @property
-    def rest_areas(self) -> np.ndarray:
-        """Area of the walls of each cavity at rest [m²], shape (row_count,)."""
-        return self.walls.rest_areas
-
-    @property
-    def rest_volumes(self) -> np.ndarray:
-        """Volumes at rest [m³], shape (row_count,)."""
-        return self.walls.rest_volumes
-
-    @property
-    def scales(self) -> np.ndarray:
-        """Volumes at rest [m³], shape (row_count,)."""
-        return self.walls.rest_volumes
 
     def volumes(self, positions: np.ndarray) -> np.ndarray:
         """Volumes [m³], shape (row_count,); see `CavitySurfaces.volumes`."""

@@ -19,6 +19,9 @@ Group = Literal["actuators", "effectors", "contacts"]
 class ConstraintTerm(Protocol):
     """Rows of H and values of δ of all constraints of one kind.
 
+    Terms inherit from this class. What a term does not define keeps the default below: the same rows
+    and entries in all states, for which memory is allocated, and no geometric stiffness.
+
     Attributes:
         name: Name of the term in reports.
         group: Purpose of its rows.
@@ -28,28 +31,42 @@ class ConstraintTerm(Protocol):
         conserves: Whether equilibria at held values of its rows are minima of an energy.
         memory_name: Under which name a state holds what it remembers, see `step_part`; else empty.
         row_count: Number of its rows k.
-        row_capacity: Number of rows that memory is allocated for, at least k.
-        entry_capacity: Number of entries of H that memory is allocated for.
         entry_rows: Row of each entry of H, from 0, shape (entry_count,).
         entry_nodes: Unknown of each entry, shape (entry_count,).
-        reached_nodes: Unknowns with entries in its rows, in any state.
         scales: Natural scale of each row, to which its violation is compared: for instance the
             length of a cable at rest [unit of δ], shape (k,).
     """
 
     name: str
     group: ClassVar[Group]
-    varies: ClassVar[bool]
-    is_traceable: ClassVar[bool]
-    conserves: ClassVar[bool]
-    memory_name: ClassVar[str]
+    varies: ClassVar[bool] = False
+    is_traceable: ClassVar[bool] = False
+    conserves: ClassVar[bool] = True
+    memory_name: ClassVar[str] = ""
     row_count: int
-    row_capacity: int
-    entry_capacity: int
     entry_rows: np.ndarray
     entry_nodes: np.ndarray
-    reached_nodes: np.ndarray
     scales: np.ndarray
+
+    def __init_subclass__(cls, **options) -> None:
+        """Each class says itself whether it is traceable: it may have other methods."""
+        super().__init_subclass__(**options)
+        cls.is_traceable = vars(cls).get("is_traceable", False)
+
+    @property
+    def row_capacity(self) -> int:
+        """Number of rows that memory is allocated for, at least k."""
+        return self.row_count
+
+    @property
+    def entry_capacity(self) -> int:
+        """Number of entries of H that memory is allocated for."""
+        return len(self.entry_rows)
+
+    @property
+    def reached_nodes(self) -> np.ndarray:
+        """Unknowns with entries in its rows, in any state, some of them repeated."""
+        return self.entry_nodes
 
     def stencils(self) -> np.ndarray:
         """Unknowns that its geometric stiffness couples, -1 where none.
@@ -58,6 +75,7 @@ class ConstraintTerm(Protocol):
             One line for each coupled set, shape (stencil_count, width); without lines where the
             term has no stiffness, or none outside the pattern of the force terms.
         """
+        return np.empty((0, 1), np.int64)
 
     def bind(self, elimination_rank: np.ndarray, slots: Callable) -> None:
         """Find the places of the geometric stiffness in the storage; called once, before the first
@@ -100,38 +118,7 @@ class ConstraintTerm(Protocol):
         Returns:
             A share of the move, at most one.
         """
-
-
-class ConstantRows:
-    """Base of terms with the same rows and entries in all states: memory is allocated for these."""
-
-    varies: ClassVar[bool] = False
-    is_traceable: ClassVar[bool] = False
-    conserves: ClassVar[bool] = True
-    memory_name: ClassVar[str] = ""
-    row_count: int
-    entry_rows: np.ndarray
-    entry_nodes: np.ndarray
-
-    def __init_subclass__(cls, **options) -> None:
-        """Each class says itself whether it is traceable: it may have other methods."""
-        super().__init_subclass__(**options)
-        cls.is_traceable = vars(cls).get("is_traceable", False)
-
-    @property
-    def row_capacity(self) -> int:
-        """Number of rows that memory is allocated for."""
-        return self.row_count
-
-    @property
-    def entry_capacity(self) -> int:
-        """Number of entries of H that memory is allocated for."""
-        return len(self.entry_rows)
-
-    @property
-    def reached_nodes(self) -> np.ndarray:
-        """Unknowns with entries in the rows, some of them repeated."""
-        return self.entry_nodes
+        return 1.0
 
 
 class EffortTerm(ConstraintTerm, Protocol):

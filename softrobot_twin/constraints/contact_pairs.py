@@ -321,33 +321,22 @@ class TwoBoxes:
 
 
 class TwoSurfaces:
-    """Two triangle surfaces."""
+    """Two triangle surfaces; or a surface and itself, by search or by triangles known ahead."""
 
     def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
-        """Store the two sides; see `SurfaceAndShape`, the detector is a `SurfacePairDetector`."""
+        """Store the two sides; see `SurfaceAndShape`.
+
+        The detector is a `SurfacePairDetector`; one that needs the points of a surface only, such as
+        a `SelfDetector`, where both sides are the same.
+        """
         self.first, self.second = first, second
         self.friction, self.names = friction, names
         self._detector = detector
+        self._sides = (first,) if first is second else (first, second)
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m]."""
-        return self._detector.detect(
-            self.first.points(positions), self.second.points(positions), margin
-        )
-
-
-class OneSurface:
-    """A surface and itself: by search, or by points and triangles known ahead."""
-
-    def __init__(self, surface, detector, friction: float, names: tuple[str, str]):
-        """Take the surface; see `SurfaceAndShape`, the detector needs only its points."""
-        self.first = self.second = surface
-        self.friction, self.names = friction, names
-        self._detector = detector
-
-    def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
-        return self._detector.detect(self.first.points(positions), margin)
+        return self._detector.detect(*(side.points(positions) for side in self._sides), margin)
 
 
 class BallAndShape:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.constraints.constraint_term import ConstantRows
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector3 import add, add_scaled, divided, row, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 
@@ -79,7 +79,7 @@ class EffectorPoints(NamedTuple):
     weight: float
 
 
-class Effectors(ConstantRows):
+class Effectors(ConstraintTerm):
     """Constraint term of all effectors of a scene. Their H is constant.
 
     Attributes:
@@ -157,22 +157,6 @@ class Effectors(ConstantRows):
             self._effector_ends, self._row_place, self._blocks, blocks, values,
         )  # fmt: skip
 
-    def stencils(self) -> np.ndarray:
-        """Empty: there is no geometric stiffness."""
-        return np.empty((0, 1), np.int64)
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Does nothing: there is no stiffness."""
-
-    def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
-        projected: bool = False,
-    ) -> None:
-        """Adds nothing: the rows are linear in the positions."""
-
-    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
-        """One: the rows are linear in the positions."""
-        return 1.0
 
 
 def along_all_axes(effectors: Effectors, free_index: np.ndarray, size: float) -> Effectors:

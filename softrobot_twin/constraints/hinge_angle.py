@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.constraints.constraint_term import ConstantRows
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.mechanics.hinged_frames import HingedFrames
 
 TURN = 2.0 * np.pi
 
 
-class HingeAngles(ConstantRows):
+class HingeAngles(ConstraintTerm):
     """Constraint term of hinges that motors drive.
 
     Attributes:
@@ -89,12 +89,6 @@ class HingeAngles(ConstantRows):
             storage: The factorization's storage; added to.
         """
         storage[self._offsets] += stiffness
-
-    def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
-        projected: bool = False,
-    ) -> None:
-        """Adds nothing: the rows are constant."""
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """Share of a move in which no hinge turns by more than a quarter turn."""

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.constraints.constraint_term import ConstantRows
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector3 import row
 from softrobot_twin.geometry.vector_arrays import are_same
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
@@ -376,13 +376,14 @@ class BodyVolumes:
             add_pressures(*self._bound, pressures, self.stiffness, self._matrix, storage)
 
 
-class ReducedCavities(ConstantRows):
+class ReducedCavities(ConstraintTerm):
     """Constraint term of cavities that are actuators, on bodies that move in a basis.
 
     As of `Cavities`, the displacement of a cavity is its growth δ = V(q) - V₀, and its multiplier
     is the gauge pressure. A cavity in which nothing moves has no entries.
 
     Attributes:
+        bodies: The volumes of each body by its coordinates.
         surfaces: Walls of each cavity, placed by the nodes of the scene, as pictures show them.
         row_count: Number of cavities.
         rest_volumes: Volume of each at rest [m³], shape (row_count,).
@@ -408,39 +409,26 @@ class ReducedCavities(ConstantRows):
         self.surfaces = surfaces
         names = tuple(names)
         self.row_count = len(names)
-        self._bodies = tuple(BodyVolumes(names, walls, free_index) for walls in bodies)
-        self.rest_volumes = sum((b.rest_volumes for b in self._bodies), np.zeros(len(names)))
+        self.bodies = tuple(BodyVolumes(names, walls, free_index) for walls in bodies)
+        self.rest_volumes = sum((b.rest_volumes for b in self.bodies), np.zeros(len(names)))
         self.rest_areas = np.zeros(len(names))
         for walls in bodies:
             for surface in walls.surfaces:
                 points = surface.vertices.positions(walls.rest_positions)
                 area = surface_area(points, surface.triangles)
                 self.rest_areas[names.index(surface.name)] += area
-        self.sphere_volumes = sphere_volumes(self.rest_areas)
+        self.scales, self.sphere_volumes = self.rest_volumes, sphere_volumes(self.rest_areas)
+        # It answers what pictures and limits ask of `CavitySurfaces`.
+        self.walls = self
         none = [np.empty(0, np.int64)]
-        self.entry_rows = np.concatenate(none + [body.entry_rows for body in self._bodies])
-        self.entry_nodes = np.concatenate(none + [body.entry_nodes for body in self._bodies])
-        ends = np.cumsum([0, *(len(body.entry_rows) for body in self._bodies)])
+        self.entry_rows = np.concatenate(none + [body.entry_rows for body in self.bodies])
+        self.entry_nodes = np.concatenate(none + [body.entry_nodes for body in self.bodies])
+        ends = np.cumsum([0, *(len(body.entry_rows) for body in self.bodies)])
         self._parts = [
             (body, slice(first, last))
-            for body, first, last in zip(self._bodies, ends[:-1], ends[1:], strict=True)
+            for body, first, last in zip(self.bodies, ends[:-1], ends[1:], strict=True)
             if last > first
         ]  # fmt: skip
-
-    @property
-    def bodies(self) -> tuple[BodyVolumes, ...]:
-        """The volumes of each body by its coordinates."""
-        return self._bodies
-
-    @property
-    def walls(self) -> ReducedCavities:
-        """Itself: it answers what pictures and limits ask of `CavitySurfaces`."""
-        return self
-
-    @property
-    def scales(self) -> np.ndarray:
-        """Volumes at rest [m³], shape (row_count,)."""
-        return self.rest_volumes
 
     def volumes(self, positions: np.ndarray) -> np.ndarray:
         """Volumes [m³], shape (row_count,).

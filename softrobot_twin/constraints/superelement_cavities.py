@@ -14,17 +14,17 @@ residual is exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from softrobot_twin.constraints.constraint_term import ConstantRows
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, sphere_volumes
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.traced_stage import clear
 
 
-class SuperelementCavities(ConstantRows):
+class SuperelementCavities(ConstraintTerm):
     """Constraint term of cavities in superelements; see the module.
 
     Attributes:
@@ -52,7 +52,10 @@ class SuperelementCavities(ConstantRows):
             surfaces: Walls of each cavity, carried by the vertebrae.
         """
         self.surfaces = surfaces
+        # It answers what pictures and limits ask of `CavitySurfaces`.
+        self.walls = self
         self.rest_volumes, self.rest_areas = np.array(rest_volumes), np.array(rest_areas)
+        self.scales, self.sphere_volumes = self.rest_volumes, sphere_volumes(self.rest_areas)
         self.row_count = len(self.rest_volumes)
         self.compliance = np.zeros((self.row_count, self.row_count))
         self._parts, first, rows, nodes = [], 0, [], []
@@ -72,21 +75,6 @@ class SuperelementCavities(ConstantRows):
         self.entry_rows = np.concatenate([np.empty(0, np.int64), *rows])
         self.entry_nodes = np.concatenate([np.empty(0, np.int64), *nodes])
 
-    @property
-    def walls(self) -> SuperelementCavities:
-        """Itself: it answers what pictures and limits ask of `CavitySurfaces`."""
-        return self
-
-    @property
-    def sphere_volumes(self) -> np.ndarray:
-        """Volume of a sphere with the area of each cavity's walls [m³], shape (row_count,)."""
-        return sphere_volumes(self.rest_areas)
-
-    @property
-    def scales(self) -> np.ndarray:
-        """Volumes at rest [m³], shape (row_count,)."""
-        return self.rest_volumes
-
     def volumes(self, positions: np.ndarray) -> np.ndarray:
         """Volumes at the told pressures [m³], shape (row_count,).
 
@@ -96,13 +84,6 @@ class SuperelementCavities(ConstantRows):
         growths = np.empty(self.row_count)
         self.evaluate(positions, np.empty((len(self.entry_rows), 3)), growths)
         return self.rest_volumes + growths
-
-    def stencils(self) -> np.ndarray:
-        """None: the superelements have the stiffness; see `ConstraintTerm.stencils`."""
-        return np.empty((0, 1), np.int64)
-
-    def bind(self, elimination_rank: np.ndarray, slots: Callable) -> None:
-        """Nothing to find; see `ConstraintTerm.bind`."""
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the pressures of superelements and rows; see `EffortTerm.tell_efforts`."""
@@ -115,13 +96,3 @@ class SuperelementCavities(ConstantRows):
             clear(numbers.reshape(-1))
         for superelements, entry, entries in self._parts:
             superelements.add_growths(positions, entry, values, blocks[entries], self.compliance)
-
-    def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
-        projected: bool = False,
-    ) -> None:
-        """Nothing: the superelements add that of the told pressures; see `ConstraintTerm`."""
-
-    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
-        """All of a move; see `ConstraintTerm.largest_share`."""
-        return 1.0

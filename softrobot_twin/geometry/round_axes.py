@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
-from softrobot_twin.geometry.proximities import PairRows, write_row
+from softrobot_twin.geometry.proximities import write_row
 from softrobot_twin.geometry.shapes.distance_kernels import (
     CAPSULE,
     CYLINDER,
@@ -377,10 +377,3 @@ def axis_distances(first, second, out):
         for f in range(len(second.places)):
             s, t = nearest_shares(first, e, second, f)
             out[e, f] = norm(subtract(axis_point(first, e, s), axis_point(second, f, t)))
-
-
-def room_for(rows: PairRows, count: int) -> PairRows:
-    """A buffer with room for a number of pairs: the same one if it has."""
-    if count <= len(rows.reals):
-        return rows
-    return PairRows(np.empty((2 * count, 7), np.int64), np.empty((2 * count, 16)), rows.found)

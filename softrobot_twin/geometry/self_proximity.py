@@ -34,7 +34,7 @@ from softrobot_twin.geometry.closed_surface import (
     mean_normal,
 )
 from softrobot_twin.geometry.closest_features import closest_weights
-from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
+from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities, write_row
 from softrobot_twin.geometry.surface_pairs import checked_points
 from softrobot_twin.geometry.triangle_pairs import (
     FACING_SINE,
@@ -48,7 +48,16 @@ from softrobot_twin.geometry.triangle_pairs import (
     pair_edges,
     pair_vertices,
 )
-from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, scaled, subtract
+from softrobot_twin.geometry.vector3 import (
+    add_scaled,
+    cross,
+    divided,
+    dot,
+    norm,
+    row,
+    scaled,
+    subtract,
+)
 
 _FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths.
@@ -286,10 +295,7 @@ class SelfDetector:
 
 
 @njit(**KERNEL)
-def measure_pairs(
-    x, points, triangles, margin, first_points, first_positions, second_points, second_weights,
-    second_positions, normals, gaps, keys,
-):  # fmt: skip
+def measure_pairs(x, points, triangles, margin, integers, reals):
     """Measure all pairs; writes those nearer than the margin and returns their number.
 
     Args:
@@ -297,28 +303,24 @@ def measure_pairs(
         points: Point of each pair, shape (pair_count,).
         triangles: Corners of the triangle of each pair, shape (pair_count, 3).
         margin: Largest gap [m].
-        first_points: This and the other arguments: see `Proximities`; written, each with room for
-            all pairs.
+        integers: See `PairRows`; written, with room for all pairs, as are the reals.
     """
     count = 0
     for pair in range(len(points)):
-        p = row(x, points[pair])
-        a, b, c = row(x, triangles[pair, 0]), row(x, triangles[pair, 1]), row(x, triangles[pair, 2])
+        i, j, k = triangles[pair, 0], triangles[pair, 1], triangles[pair, 2]
+        p, a, b, c = row(x, points[pair]), row(x, i), row(x, j), row(x, k)
         outward = cross(subtract(b, a), subtract(c, a))
         doubled_area = norm(outward)
         if not doubled_area > 0.0:
             continue
-        w = closest_weights(p, a, b, c)
-        for i in range(3):
-            first_points[count, i] = points[pair]
-            first_positions[count, i] = p[i]
-            second_points[count, i] = triangles[pair, i]
-            second_weights[count, i] = w[i]
-            second_positions[count, i] = w[0] * a[i] + w[1] * b[i] + w[2] * c[i]
-            normals[count, i] = outward[i] / doubled_area
-        gap = dot(subtract(p, row(second_positions, count)), row(normals, count))
+        normal, w = divided(outward, doubled_area), closest_weights(p, a, b, c)
+        nearest = add_scaled(add_scaled(scaled(a, w[0]), b, w[1]), c, w[2])
+        gap = dot(subtract(p, nearest), normal)
         if gap < margin:
-            keys[count], gaps[count] = pair, gap
+            first = ((points[pair], points[pair], points[pair]), (1.0, 0.0, 0.0), p)
+            write_row(
+                integers, reals, count, False, first, ((i, j, k), w, nearest), normal, gap, pair
+            )
             count += 1
     return count
 
@@ -355,7 +357,6 @@ class FixedPairs:
         if len(twice):
             raise MeshError(None, f"predefined pair {twice[0]} refers to a point twice")
         self._points, self._triangles = points, triangles
-        self._weights = np.tile([1.0, 0.0, 0.0], (len(points), 1))
 
     def detect(self, points: np.ndarray, margin: float) -> Proximities:
         """Finds the pairs that are nearer than a margin.
@@ -366,19 +367,11 @@ class FixedPairs:
 
         Returns:
             The pairs; the key is the index of the pair. A triangle without area has no normal, and
-            its pair is omitted. The weights of the points are shared and must not be written.
+            its pair is omitted.
         """
-        points, size = np.ascontiguousarray(points, dtype=np.float64), len(self._points)
-        first_points, second_points = np.empty((size, 3), np.int64), np.empty((size, 3), np.int64)
-        first_positions, second_positions = np.empty((size, 3)), np.empty((size, 3))
-        second_weights, normals = np.empty((size, 3)), np.empty((size, 3))
-        gaps, keys = np.empty(size), np.empty(size, np.int64)
+        rows = empty_rows(len(self._points), 0)
         count = measure_pairs(
-            points, self._points, self._triangles, float(margin), first_points, first_positions,
-            second_points, second_weights, second_positions, normals, gaps, keys,
+            np.ascontiguousarray(points, dtype=np.float64), self._points, self._triangles,
+            float(margin), rows.integers, rows.reals,
         )  # fmt: skip
-        return Proximities(
-            first_points[:count], self._weights[:count], second_points[:count],
-            second_weights[:count], first_positions[:count], second_positions[:count],
-            normals[:count], gaps[:count], keys[:count],
-        )  # fmt: skip
+        return proximities(rows, count)

@@ -18,7 +18,6 @@ from softrobot_twin.constraints.contact_pairs import (
     BallAndShape,
     CarriedSurface,
     DeformableSurface,
-    OneSurface,
     RigidSurface,
     RoundAndPlane,
     StandingSurface,
@@ -266,7 +265,7 @@ def _with_itself(surface, friction: float, names, key: str, layout: Layout):
     rest = surface.points(layout.nodes.rest_positions)
     alarm = layout.scene.contact.alarm_distance
     detector = SelfDetector(surface.triangles, rest, alarm)
-    return OneSurface(surface, detector, friction, names)
+    return TwoSurfaces(surface, surface, detector, friction, names)
 
 
 def _soft_pair(surface: DeformableSurface, other, friction: float, names):
@@ -323,7 +322,7 @@ def _two_surfaces(first, second, friction: float, names) -> TwoSurfaces:
     return TwoSurfaces(first, second, detector, friction, names)
 
 
-def _known_ahead(layout: Layout, things: dict) -> list[OneSurface]:
+def _known_ahead(layout: Layout, things: dict) -> list[TwoSurfaces]:
     """Points and triangles that the scene names, body by body."""
     entry = layout.scene.contact
     bodies = {layout.body_named(point.on).name: layout.body_named(point.on)
@@ -338,7 +337,7 @@ def _known_ahead(layout: Layout, things: dict) -> list[OneSurface]:
         triangles = [surface.triangles[_nearest(centres, p.against)] for p in own]
         _check_apart(layout, body, index, triangles)
         detector = FixedPairs(np.array(index), np.array(triangles))
-        pairs.append(OneSurface(surface, detector, entry.friction, (name, name)))
+        pairs.append(TwoSurfaces(surface, surface, detector, entry.friction, (name, name)))
     return pairs
 
 
