@@ -53,6 +53,7 @@ from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     ZERO,
     add_outer,
+    add_scaled_matrix,
     product,
     product_transposed,
     scaled_matrix,
@@ -121,16 +122,23 @@ def gather(x, cells, X):
 @njit(**INNER)
 def deform(U, G, F):
     """F = 1 + Σ u_a ∇N_aᵀ at one point."""
-    F[:] = 0.0
+    count = len(G) // (3 * BATCH)
     for e in range(BATCH):
-        F[at(0, e)] = F[at(4, e)] = F[at(8, e)] = 1.0
-    for a in range(len(G) // (3 * BATCH)):
+        put_matrix(F, 0, e, IDENTITY)
+    # Two nodes at a time, because F is read and written as often.
+    for a in range(1, count, 2):
+        first_moves, first_gradients = of_node(U, a - 1), of_node(G, a - 1)
         moves, gradients = of_node(U, a), of_node(G, a)
         for e in range(BATCH):
+            u, g = vector_at(first_moves, 0, e), vector_at(first_gradients, 0, e)
+            halfway = add_outer(matrix_at(F, 0, e), u, g)
             u, g = vector_at(moves, 0, e), vector_at(gradients, 0, e)
-            put_vector(F, 0, e, add_scaled(vector_at(F, 0, e), g, u[0]))
-            put_vector(F, 1, e, add_scaled(vector_at(F, 1, e), g, u[1]))
-            put_vector(F, 2, e, add_scaled(vector_at(F, 2, e), g, u[2]))
+            put_matrix(F, 0, e, add_outer(halfway, u, g))
+    if count % 2:
+        moves, gradients = of_node(U, count - 1), of_node(G, count - 1)
+        for e in range(BATCH):
+            u, g = vector_at(moves, 0, e), vector_at(gradients, 0, e)
+            put_matrix(F, 0, e, add_outer(matrix_at(F, 0, e), u, g))
 
 
 @njit(**KERNEL)
@@ -177,6 +185,17 @@ def subtract_forces(free, P, forces):
                 forces[n, 2] -= node[at(2, e)]
 
 
+@njit(**INLINED)
+def stress_changes(T, gradients, e):
+    """The three columns of one block at one point: the changes T of the stress times ∇N_a."""
+    gradient = vector_at(gradients, 0, e)
+    return (
+        transform(matrix_at(T, 0, e), gradient),
+        transform(matrix_at(T, 1, e), gradient),
+        transform(matrix_at(T, 2, e), gradient),
+    )
+
+
 @njit(**INNER)
 def contract(a, g, T, K, is_first):
     """K_ab, column by column, from the stresses T of column b at one point.
@@ -189,16 +208,13 @@ def contract(a, g, T, K, is_first):
         is_first: Whether it is.
     """
     gradients = of_node(g, a)
-    for i in range(3):
-        changes, column = T[at(9 * i, 0) : at(9 * i + 9, 0)], K[at(3 * i, 0) : at(3 * i + 3, 0)]
-        if is_first:
-            for e in range(BATCH):
-                change = transform(matrix_at(changes, 0, e), vector_at(gradients, 0, e))
-                put_vector(column, 0, e, change)
-        else:
-            for e in range(BATCH):
-                change = transform(matrix_at(changes, 0, e), vector_at(gradients, 0, e))
-                put_vector(column, 0, e, add_scaled(vector_at(column, 0, e), change, 1.0))
+    if is_first:
+        for e in range(BATCH):
+            put_matrix(K, 0, e, stress_changes(T, gradients, e))
+    else:
+        for e in range(BATCH):
+            columns = stress_changes(T, gradients, e)
+            put_matrix(K, 0, e, add_scaled_matrix(matrix_at(K, 0, e), columns, 1.0))
 
 
 @njit(**GENERIC)
@@ -408,24 +424,24 @@ def see_gradients(law, G, R, g):
 
 
 @njit(**INNER_UNCACHED)
-def find_state(law, F, R, upright, change):
+def find_state(law, F, R, upright):
     """Whether one point is upright, and its rotation where the law turns."""
     find_upright(F, upright)
     if law_turns(law):
-        find_rotations(F, upright, R, change)
+        find_rotations(F, upright, R)
 
 
 def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
     """Energy of all elements [J]."""
     point_count, width = weights.shape[1], gradients.shape[2]
-    U, F, change = np.empty(width), scratch(9), scratch(1)
+    U, F = np.empty(width), scratch(9)
     total = 0.0
     for k in range(len(cells)):
         count = node_count_of(cells[k])
         gather(moves, cells[k, :count], U)
         for q in range(point_count):
             deform(U, of_nodes(gradients[k, q], count), F)
-            find_state(law, F, rotations[k, q], uprights[k, q], change)
+            find_state(law, F, rotations[k, q], uprights[k, q])
             for e in range(BATCH):
                 if weights[k, q, e] > 0.0:
                     V = seen_by_law(law, F, rotations[k, q], e)
@@ -464,7 +480,7 @@ def add_forces(
     U, P = np.empty(width), np.empty(width)
     S = scratch(9)
     corners = np.empty((len(to_corners), 9 * BATCH))
-    lowest, sure, change = scratch(1), scratch(1), scratch(1)
+    lowest, sure = scratch(1), scratch(1)
     least_volumes = no_volumes_yet()
     inverted_count, nearly_flat_count = 0, 0
     for k in range(len(cells)):
@@ -475,7 +491,7 @@ def add_forces(
         for q in range(point_count):
             F, G = deformations[k, q], of_nodes(gradients[k, q], count)
             deform(U, G, F)
-            find_state(law, F, rotations[k, q], uprights[k, q], change)
+            find_state(law, F, rotations[k, q], uprights[k, q])
             take_lowest(uprights[k, q], lowest)
             take_least_volumes(F, uprights[k, q], least_volumes)
             weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
@@ -513,7 +529,7 @@ def add_stiffness(
     """
     point_count, width = weights.shape[1], gradients.shape[2]
     U, P = np.empty(width), np.empty(width)
-    S, change = scratch(9), scratch(1)
+    S = scratch(9)
     least_volumes, nearly_flat_count = no_volumes_yet(), 0
     # What each point keeps until the blocks are summed.
     g = np.empty((point_count, width))
@@ -532,7 +548,7 @@ def add_stiffness(
             F, G = deformations[k, q], of_nodes(gradients[k, q], count)
             if not are_known:
                 deform(U, G, F)
-                find_state(law, F, rotations[k, q], uprights[k, q], change)
+                find_state(law, F, rotations[k, q], uprights[k, q])
                 take_least_volumes(F, uprights[k, q], least_volumes)
                 weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
                 add_stress_to_nodes(S, G, P)
@@ -619,7 +635,7 @@ def add_force_curvature(
     point_count, width = weights.shape[1], gradients.shape[2]
     U, X, P = np.empty(width), np.empty(width), np.empty(width)
     F, D, S, shifted = scratch(9), scratch(9), scratch(9), scratch(9)
-    other, R, upright, change = scratch(9), scratch(9), scratch(1), scratch(1)
+    other, R, upright = scratch(9), scratch(9), scratch(1)
     for k in range(len(cells)):
         count = node_count_of(cells[k])
         gather(moves, cells[k, :count], U)
@@ -634,10 +650,10 @@ def add_force_curvature(
                 D[at(4, e)] -= 1.0
                 D[at(8, e)] -= 1.0
             inverse = deform_along(D, F, step, shifted)
-            find_state(law, shifted, R, upright, change)
+            find_state(law, shifted, R, upright)
             differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], S)
             deform_along(D, F, -step, shifted)
-            find_state(law, shifted, R, upright, change)
+            find_state(law, shifted, R, upright)
             differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], other)
             for entry in range(9):
                 for e in range(BATCH):

@@ -55,7 +55,7 @@ from softrobot_twin.mechanics.block_addition import (
     add_contiguous_blocks,
     are_contiguous,
 )
-from softrobot_twin.mechanics.element_batches import BATCH, at, in_batches, scratch
+from softrobot_twin.mechanics.element_batches import BATCH, in_batches, put_vector, scratch
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import has_bulk_modulus
 from softrobot_twin.mechanics.stencil import bind_stencils
@@ -164,10 +164,7 @@ def write_volumes(moves, cells, first, gradients, weights, volumes):
 @njit(**INLINED)
 def add_to_pair(a, b, t, curvature):
     """Add t of a pair of nodes of a patch, or -t of the pair the other way round."""
-    sign = 1.0
-    if a < b:
-        a, b, sign = b, a, -1.0
-    sums = curvature[a, b]
+    sign, sums = 1.0 if a > b else -1.0, curvature[max(a, b), min(a, b)]
     for i in range(3):
         sums[i] += sign * t[i]
 
@@ -210,22 +207,20 @@ def add_tetrahedron(x, cell, places, g, curvature):
 
 @njit(**INLINED)
 def write_gradients(k, x, moves, cells, places, first, gradients, weights, g, curvature):
-    """v of one patch and its derivatives.
+    """v of one patch; adds its derivatives.
 
     Args:
         k: The patch.
         x: Node positions [m], shape (node_count, 3).
         moves, cells, first, gradients, weights: See `write_volumes`.
         places: Each element's nodes among those of its patch, shape (element_count, nodes).
-        g: ∂v/∂x_a [m²]; written, shape (width, 3).
-        curvature: Σ w F (∇N_a × ∇N_b) of each pair a > b [m]; written, shape (width, width, 3).
+        g: ∂v/∂x_a [m²]; added to, shape (width, 3).
+        curvature: Σ w F (∇N_a × ∇N_b) of each pair a > b [m]; added to, shape (width, width, 3).
             Without entries where it is not needed.
 
     Returns:
         v [m³].
     """
-    g[:] = 0.0
-    curvature[:] = 0.0
     volume = 0.0
     for e in range(first[k], first[k + 1]):
         if cells.shape[1] == 4:
@@ -258,6 +253,7 @@ def add_patch_forces(bulk_modulus, rest_volumes, x, moves, cells, places, first,
     """
     g, none = np.empty((free.shape[1], 3)), np.empty((0, 0, 3))
     for k in range(len(free)):
+        g[:] = 0.0
         volume = write_gradients(k, x, moves, cells, places, first, gradients, weights, g, none)
         pressure = bulk_modulus * volumetric(volume / rest_volumes[k])[1]
         subtract_pressure(pressure, g, free[k], forces)
@@ -273,52 +269,23 @@ def subtract_pressure(pressure, g, free, forces):
 
 
 @njit(**INLINED)
-def keep_patch(e, volume, rest_volume, bulk_modulus, g, curvature, patches):
-    """Write what the blocks of one patch need to its place in a batch; see `write_blocks`.
-
-    Returns:
-        p [Pa].
-    """
-    _, slope, second = volumetric(volume / rest_volume)
-    gradients, turns, stiffness, pressures = patches
-    stiffness[e], pressures[e] = bulk_modulus * second / rest_volume, bulk_modulus * slope
-    for a in range(len(g)):
-        for i in range(3):
-            gradients[a, at(i, e)] = g[a, i]
-    for a in range(len(curvature)):
-        for b in range(a):
-            for i in range(3):
-                turns[a, b, at(i, e)] = curvature[a, b, i]
-    return bulk_modulus * slope
-
-
-@njit(**INLINED)
-def write_block(a, b, patches, K):
+def write_block(stiffness, pressures, of_a, of_b, turns, K):
     """K_ab of a batch of patches, column by column.
 
     Args:
-        a, b: The nodes.
-        patches: g of each node, shape (width, 3 × BATCH), the curvature of each pair, shape (width,
-            width, 3 × BATCH), without entries where it is not needed; κ U''/V and p, shape (BATCH,).
+        stiffness: κ U''/V, shape (BATCH,).
+        pressures: p; zero where the curvature is left out, shape (BATCH,).
+        of_a, of_b: g of both nodes, shape (3, BATCH).
+        turns: The curvature of the pair, same shape.
         K: The blocks; written, shape (9 × BATCH,).
     """
-    gradients, turns, stiffness, pressures = patches
-    of_a, of_b = gradients[a], gradients[b]
-    for j in range(3):
-        for i in range(3):
-            for e in range(BATCH):
-                K[at(3 * j + i, e)] = stiffness[e] * of_a[at(i, e)] * of_b[at(j, e)]
-    if a == b or len(turns) == 0:
-        return
-    turn = turns[a, b]
     for e in range(BATCH):
-        x, y, z = pressures[e] * turn[at(0, e)], pressures[e] * turn[at(1, e)], pressures[e] * turn[at(2, e)]
-        K[at(1, e)] -= z
-        K[at(2, e)] += y
-        K[at(3, e)] += z
-        K[at(5, e)] -= x
-        K[at(6, e)] -= y
-        K[at(7, e)] += x
+        row = scaled((of_a[0, e], of_a[1, e], of_a[2, e]), stiffness[e])
+        x, y, z = scaled((turns[0, e], turns[1, e], turns[2, e]), pressures[e])
+        first, second, third = scaled(row, of_b[0, e]), scaled(row, of_b[1, e]), scaled(row, of_b[2, e])
+        put_vector(K, 0, e, (first[0], first[1] - z, first[2] + y))
+        put_vector(K, 1, e, (second[0] + z, second[1], second[2] - x))
+        put_vector(K, 2, e, (third[0] - y, third[1] + x, third[2]))
 
 
 @njit(**KERNEL)
@@ -338,20 +305,24 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, x, moves, cells, 
         storage: The factorization's storage [N/m]; added to.
     """
     width = free.shape[1]
-    side = 0 if projected else width
-    g, curvature, K = np.empty((width, 3)), np.empty((side, side, 3)), scratch(9)
-    patches = (np.zeros((width, 3 * BATCH)), np.zeros((side, side, 3 * BATCH)), scratch(1), scratch(1))
+    K, stiffness, pressures = scratch(9), scratch(1), scratch(1)
+    g, curvature = np.empty((width, 3, BATCH)), np.empty((width, width, 3, BATCH))
     for k in range(len(offsets)):
-        count = min(BATCH, len(free) - k * BATCH)
-        for e in range(count):
-            n = k * BATCH + e
-            volume = write_gradients(n, x, moves, cells, places, first, gradients, weights, g, curvature)
-            pressure = keep_patch(e, volume, rest_volumes[n], bulk_modulus, g, curvature, patches)
-            subtract_pressure(pressure, g, free[n], forces)
+        g[:] = 0.0
+        curvature[:] = 0.0
+        for e in range(min(BATCH, len(free) - k * BATCH)):
+            n, own = k * BATCH + e, g[:, :, e]
+            volume = write_gradients(
+                n, x, moves, cells, places, first, gradients, weights, own, curvature[:, :, :, e]
+            )
+            _, slope, second = volumetric(volume / rest_volumes[n])
+            stiffness[e] = bulk_modulus * second / rest_volumes[n]
+            pressures[e] = 0.0 if projected else bulk_modulus * slope
+            subtract_pressure(bulk_modulus * slope, own, free[n], forces)
         pair = 0
         for b in range(width):
             for a in range(b, width):
-                write_block(a, b, patches, K)
+                write_block(stiffness, pressures, g[a], g[b], curvature[a, b], K)
                 if are_contiguous:
                     add_contiguous_blocks(offsets[k, pair], K, storage)
                 else:

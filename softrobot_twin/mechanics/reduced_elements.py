@@ -150,9 +150,9 @@ def find_stresses(law, deformations, weights, rotations, uprights, stresses):
     Returns:
         Number of points that are flat or inside out.
     """
-    change, inverted_count = scratch(1), 0
+    inverted_count = 0
     for k in range(len(weights)):
-        find_state(law, deformations[k], rotations[k], uprights[k], change)
+        find_state(law, deformations[k], rotations[k], uprights[k])
         weighted_stresses(
             law, k, 0, weights[k], deformations[k], rotations[k], stresses[k]
         )
@@ -164,9 +164,9 @@ def find_stresses(law, deformations, weights, rotations, uprights, stresses):
 
 def sum_energies(law, deformations, weights, rotations, uprights):
     """Energy of all points [J]; see `find_stresses`."""
-    change, total = scratch(1), 0.0
+    total = 0.0
     for k in range(len(weights)):
-        find_state(law, deformations[k], rotations[k], uprights[k], change)
+        find_state(law, deformations[k], rotations[k], uprights[k])
         for e in range(BATCH):
             if weights[k, e] > 0.0:
                 V = seen_by_law(law, deformations[k], rotations[k], e)

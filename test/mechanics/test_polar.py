@@ -12,9 +12,9 @@ def rotations_of(matrices):
     filled = np.tile(np.eye(3), (BATCH, 1, 1))
     filled[: len(matrices)] = matrices
     F = np.ascontiguousarray(filled.reshape(BATCH, 9).T).ravel()
-    R, upright, change = np.empty(9 * BATCH), np.empty(BATCH), np.empty(BATCH)
+    R, upright = np.empty(9 * BATCH), np.empty(BATCH)
     find_upright(F, upright)
-    find_rotations(F, upright, R, change)
+    find_rotations(F, upright, R)
     rotations = R.reshape(9, BATCH).T.reshape(BATCH, 3, 3)[: len(matrices)]
     return rotations, np.count_nonzero(upright == 0.0)
 
