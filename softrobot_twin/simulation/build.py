@@ -19,7 +19,6 @@ from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
 from softrobot_twin.simulation.building.scene_warnings import scene_warnings
-from softrobot_twin.simulation.step.apparent_stiffness import why_no_stiffness
 from softrobot_twin.simulation.unit_checks import unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_cholesky import DenseCholesky
@@ -49,7 +48,6 @@ def build_model(
     """
     try:
         model = _model_of(scene, factorization_type)
-        _check_stiffness(model)
         if with_warnings:
             model.notes.extend(unit_slips(model))
             model.notes.extend(model.actuators.doubts(model))
@@ -129,20 +127,6 @@ def _factorization_type(layout: Layout) -> type:
         if 3 * layout.nodes.free_node_count <= MOST_DENSE:
             return DenseCholesky
     return FACTORIZATIONS[solver.factorization]
-
-
-def _check_stiffness(model: Model) -> None:
-    """Refuse wanted stiffnesses in scenes for which their derivative is not built."""
-    scene, reason = model.scene, ""
-    for index, effector in enumerate(scene.effectors):
-        if effector.stiffness is None or effector.stiffness.weight == 0.0:
-            continue
-        reason = reason or why_no_stiffness(model)
-        if reason:
-            raise SceneError(
-                scene.path, f"effectors[{index}].stiffness", effector.name, "",
-                f"in a scene with {reason} a wanted stiffness is not built into this version",
-            )  # fmt: skip
 
 
 def _factorization(made_by: type, stiff: list, free_node_count: int):

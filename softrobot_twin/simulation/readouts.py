@@ -28,7 +28,8 @@ from softrobot_twin.simulation.effects.reduction_error import (
 )
 from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState, reduction_state
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.stiffness_targets import stiffness_of_scene
+from softrobot_twin.simulation.step.step_part import StepPart
+from softrobot_twin.simulation.effects.stiffness_targets import stiffness_of_scene
 
 
 class Readouts:
@@ -42,6 +43,7 @@ class Readouts:
         skins: Surface by which each deformable body is drawn: its own, or the finer one of the
             scene; then those of the beams.
         cavities: Walls, pressures and volumes of the cavities, sealed ones last.
+        parts: The optional effects around its steps.
     """
 
     model: Model
@@ -49,6 +51,7 @@ class Readouts:
     surface_triangles: np.ndarray
     skins: tuple
     cavities: CavityDisplay
+    parts: tuple[StepPart, ...]
     _reduction_errors: ReductionErrors | None = None
 
     def _find_surface(self) -> None:
@@ -168,6 +171,11 @@ class Readouts:
     def has_reduced_bodies(self) -> bool:
         """Whether a body has the coordinates of a basis as its unknowns."""
         return bool(reduced_bodies(self.model))
+
+    @property
+    def falls_back(self) -> bool:
+        """Whether another model than that of the scene is in use."""
+        return any(part.has_other_model for part in self.parts)
 
     def reduction_state(self, with_errors: bool = True) -> dict[str, ReductionState]:
         """How far each reduced body can be believed now, by its name.

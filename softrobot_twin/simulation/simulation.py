@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,12 +26,10 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.effects.effects import step_parts
-from softrobot_twin.simulation.effects.fallback import Fallback, build_fallback
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.stability_check import stability_notes
-from softrobot_twin.simulation.state import PastMotion, State
-from softrobot_twin.simulation.step import apparent_stiffness
+from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation, imbalance
@@ -40,14 +38,9 @@ from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.step.inverse_actuation import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
-from softrobot_twin.simulation.step.step_part import StepPart, those_with
+from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with
 from softrobot_twin.simulation.step.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step.step_status import Balance, balance
-from softrobot_twin.simulation.step.stiffness_targets import (
-    ReachedStiffness,
-    StiffnessRows,
-    StiffnessTargets,
-)
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, Statics
@@ -85,7 +78,6 @@ class Correction(NamedTuple):
         share: Share of the move that was made; zero where it was not finite.
         residual: Largest force out of balance on a node after it [N].
         imbalance: Distance of the effectors from balance at the linearized state [m].
-        stiffness: Stiffnesses after the move; None if none is wanted.
     """
 
     linear: Linearized
@@ -94,7 +86,6 @@ class Correction(NamedTuple):
     share: float
     residual: float
     imbalance: float
-    stiffness: ReachedStiffness | None = None
 
 
 class Kept(NamedTuple):
@@ -120,7 +111,6 @@ class Simulation(Readouts):
         now: Gives the time that stages and budgets are measured by [s].
         newton: Linearizes the model and corrects positions.
         inverse: Finds actuation towards targets; None in scenes without effectors.
-        fallback: The other model of a reduced body; None without.
         parts: The optional effects around its steps.
         kept: What keeps the state; None where the last step changed it.
         is_balanced: Whether the last step ended in balance, or near it.
@@ -149,42 +139,47 @@ class Simulation(Readouts):
         tell_of_compilation()
         self.model = build_model(scene, factorization_type, with_warnings)
         self.now = now
+        parts = step_parts(self.model)
         self._time_budget = TimeBudget()
         self._motion = _motion_of(self.model)
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
         # A step works on one array of its own, in which its stages are traced.
         self._positions = self.model.nodes.rest_positions.copy()
-        self.parts: tuple[StepPart, ...] = step_parts(self.model)
-        self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
+        self._motion.begin_step(
+            self._beginners, self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0
+        )
         self.newton = Newton(self.model)
         self.direct = DirectActuation(self.model)
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self.newton)
         self.inverse = build_inverse(self.model, self.direct, qp_solvers)
-        self._results = StepResults(self.model, self.parts, self.newton, self.inverse)
         self._optimises = "optimise" in self.model.stages
-        self._replacing = those_with(self.parts, "step_in_place")
-        self._leading = those_with(self.parts, "lead")
-        self._prescribing = those_with(self.parts, "prescribed")
-        self._recalling = those_with(self.parts, "recall")
-        self._beginning = those_with(self.parts, "begin")
-        self._commanding = those_with(self.parts, "command")
-        self._ending = those_with(self.parts, "end")
-        self._keeping = those_with(self.parts, "memory_at_rest", "may_keep")
-        self._stiffness = None
-        if self.model.weighs_stiffness:
-            self._stiffness = StiffnessTargets(self.model)
         self._reading = Interpretation(self.model)
         self._find_surface()
-        self.fallback: Fallback | None = None
-        # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
-        may_all = all(part.may_rest for part in self.parts)
-        self.may_rest = may_all and not (self.model.is_dynamic or self.model.rows.varies)
+        self.take_parts(parts)
         self.reset()
         if with_warnings:
             self.model.notes.extend(stability_notes(self))
-        self.fallback = build_fallback(self)
+        for part in self.parts:
+            part.attach(self)
+
+    def take_parts(self, parts: tuple[StepPart, ...]) -> None:
+        """Step with these optional effects around.
+
+        Args:
+            parts: All of them.
+        """
+        self.parts = parts
+        self._parts_with = parts_by_method(parts)
+        self._keeping = those_with(parts, "memory_at_rest", "may_keep")
+        self._loading = those_with(parts, "loads", "load")
+        self._depends_on_time = any(part.depends_on_time for part in parts)
+        self._keeping = those_with(parts, "memory_at_rest", "may_keep")
+        self._results = StepResults(self.model, parts, self.newton, self.inverse)
+        # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
+        may_all = all(part.may_rest for part in parts)
+        self.may_rest = may_all and not (self.model.is_dynamic or self.model.rows.varies)
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Simulation:
@@ -198,8 +193,8 @@ class Simulation(Readouts):
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
-        if self.fallback is not None:
-            self.fallback.reset(self)
+        for part in self._parts_with["receive"]:
+            part.receive(self, None)
         count = len(self.actuator_names)
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
@@ -225,8 +220,8 @@ class Simulation(Readouts):
         Raises:
             CommandError: The state is of another scene or mesh.
         """
-        if self.fallback is not None:
-            self.fallback.fit(self, state)
+        for part in self.parts:
+            part.receive(self, state)
         if (
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
@@ -260,11 +255,6 @@ class Simulation(Readouts):
         """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
         return self.newton.static_factorization
 
-    @property
-    def falls_back(self) -> bool:
-        """Whether another model than that of the scene is in use; see `fallback.py`."""
-        return self.fallback is not None and self.fallback.is_active
-
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
@@ -274,8 +264,8 @@ class Simulation(Readouts):
         run_every_path(self)
         self.direct.warm_up()
         self.restore(before)
-        if self.fallback is not None:
-            self.fallback.warm_up()
+        for part in self.parts:
+            part.warm_up(self)
         self._time_budget = TimeBudget()
 
     def step(
@@ -303,19 +293,19 @@ class Simulation(Readouts):
             CommandError: The command or what is measured does not fit this scene, or is not finite.
         """
         clock = StageClock(self.now)
-        for part in self._replacing:
-            done = part.step_in_place(self, command, budget, measured)
+        for part in self._parts_with["step_in_place"]:
+            done = part.step_in_place(self, command, budget, measured, clock)
             if done is not None:
                 return done
-        if self.fallback is not None:
-            self.fallback.choose(self)
-            clock.mark("fallback")
         command, has_other_stiffness = self._begin_parts(command, measured)
         asked = self._reading.read(command, self.state)
+        if isinstance(command, FollowTargets):
+            for part in self._parts_with["read"]:
+                part.read(command)
         positions, efforts = self._positions, self.state.efforts
         positions[:] = self.state.positions
-        is_changed = self._begin(
-            positions, self.state.velocities, self.state.past, command.time_step,
+        is_changed = self._motion.begin_step(
+            self._beginners, positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
         )
         if is_changed or has_other_stiffness:
@@ -328,7 +318,8 @@ class Simulation(Readouts):
             newton.go_on()
         pressed = time_budget.must_hurry(budget)
         led = all(
-            part.lead(self, positions, efforts, command.time_step, clock) for part in self._leading
+            part.lead(self, positions, efforts, command.time_step, clock)
+            for part in self._parts_with["lead"]
         )
         hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
@@ -355,7 +346,7 @@ class Simulation(Readouts):
         self._goes_on = not (self.is_balanced or self.model.is_dynamic)
         outcome = Outcome(
             positions, done.actuation, done.held, done.linear, reached,
-            done.residual, iterations, error, pressed, done.stiffness,
+            done.residual, iterations, error, pressed,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
 
@@ -379,7 +370,7 @@ class Simulation(Readouts):
             return None
         if measured is not None and measured.is_any:
             return None
-        if any(part.is_stepping for part in self._replacing):
+        if any(part.is_stepping for part in self._parts_with["step_in_place"]):
             return None
         return self.stay_by(command, kept.result)
 
@@ -405,16 +396,16 @@ class Simulation(Readouts):
         # Where nothing depends on time, it is the same how long actuators are held, and how long a
         # step is that would have had time to move them.
         is_held = isinstance(command, Hold) or (may_move(command) and may_move(before))
-        is_any_time = is_held and not any(part.depends_on_time for part in self.parts)
+        is_any_time = is_held and not self._depends_on_time
         return are_same(command, before, TIMES if is_any_time else ())
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
         guided = NO_LOADS
-        if self._prescribing:
-            guided = np.concatenate([part.prescribed(positions) for part in self._prescribing])
+        if prescribing := self._parts_with["prescribed"]:
+            guided = np.concatenate([part.prescribed(positions) for part in prescribing])
         is_stable = not self.newton.projected_tangent
-        loads = [part.loads for part in self.parts if part.loads is not None]
+        loads = [part.loads for part in self._loading if part.loads is not None]
         if not loads:
             self.inverse.begin_step(self.is_balanced, is_stable, guided=guided)
             return
@@ -433,13 +424,13 @@ class Simulation(Readouts):
             What is to be done, and whether the stiffness is another than before.
         """
         taken, changes = measured is None, False
-        for part in self._recalling:
+        for part in self._parts_with["recall"]:
             part.recall(self.state)
-        for part in self._beginning:
+        for part in self._parts_with["begin"]:
             takes = part.takes is not None and isinstance(measured, part.takes)
             changes |= part.begin(self.state, measured if takes else None)
             taken = taken or takes
-        for part in self._commanding:
+        for part in self._parts_with["command"]:
             command = part.command(command, self.state)
         if not taken:
             what = type(measured).__name__.lower()
@@ -447,7 +438,7 @@ class Simulation(Readouts):
         return command, changes
 
     def _load_of_parts(self) -> float:
-        return sum((part.load for part in self.parts), 0.0)
+        return sum((part.load for part in self._loading), 0.0)
 
     def _iterate(
         self, positions: np.ndarray, efforts: np.ndarray, command: Command, asked: Asked,
@@ -475,11 +466,9 @@ class Simulation(Readouts):
         still = self.actuators.drives(self.state.setpoints)
         held = self.direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
-        state = rows = None
-        if asked.stiffness is not None and not any(part.hides_stiffness for part in self.parts):
-            state = self.newton.linearized_state(positions, efforts)
-            rows = self._stiffness.rows(state, asked.stiffness)
-            clock.mark("stiffness")
+        rows = None
+        if self._parts_with["rows"] and isinstance(command, FollowTargets):
+            rows = self._rows_of_parts(positions, efforts, clock)
         actuation, held = self._actuate(linear, command, asked, held, rows)
         if self._optimises:
             clock.mark("optimise")
@@ -489,10 +478,21 @@ class Simulation(Readouts):
             share, residual, actuation = self._approach(positions, actuation, held, clock)
         else:
             share, residual, actuation = self._move_and_settle(positions, actuation, clock)
-        reached = None
-        if rows is not None and share:
-            reached = self._stiffness.reached(rows, state, positions, actuation.efforts)
-        return Correction(linear, actuation, held, share, residual, error, reached)
+        return Correction(linear, actuation, held, share, residual, error)
+
+    def _rows_of_parts(
+        self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock
+    ) -> object | None:
+        """Rows that a part adds to those of the effectors; see `StepPart.rows`."""
+        if any(part.holds_robot for part in self.parts):
+            return None
+        state = self.newton.linearized_state(positions, efforts)
+        for part in self._parts_with["rows"]:
+            rows = part.rows(state)
+            if rows is not None:
+                clock.mark(part.name)
+                return rows
+        return None
 
     def come_near(
         self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
@@ -560,18 +560,9 @@ class Simulation(Readouts):
         own = self.actuators.load(actuation.efforts) + actuation.contact.load
         return own + self._load_of_parts()
 
-    def _begin(
-        self, positions: np.ndarray, velocities: np.ndarray, past: PastMotion | None,
-        time_step: float, follows_targets: bool = False,
-    ) -> bool:  # fmt: skip
-        """Let all that remembers look at the state where a step begins; see `begin_step`."""
-        return self._motion.begin_step(
-            self._beginners, positions, velocities, past, time_step, follows_targets
-        )
-
     def _actuate(
         self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None,
-        stiffness: StiffnessRows | None,
+        rows: Any,
     ) -> tuple[Actuation, Actuation | None]:  # fmt: skip
         """Find λ as the command asks for it.
 
@@ -580,7 +571,7 @@ class Simulation(Readouts):
             command: What is asked.
             asked: The same, read.
             held: What the actuators do when they stay; None where nothing asks for it.
-            stiffness: Rows of wanted stiffnesses; None if none is wanted.
+            rows: Rows of parts, below those of the effectors; None without any.
 
         Returns:
             The actuation, and the one that a shorter step begins with.
@@ -593,7 +584,7 @@ class Simulation(Readouts):
             found = direct.at_efforts(linear, wanted, held, bounds)
             return found._replace(are_efforts_given=True), held
         if isinstance(command, FollowTargets):
-            return self.inverse.solve(linear, wanted, held, bounds, stiffness)
+            return self.inverse.solve(linear, wanted, held, bounds, rows)
         return held, held
 
     def _move(
@@ -684,7 +675,7 @@ class Simulation(Readouts):
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             motion.velocities, motion.past, self._memory(
                 part.remembered(part.end(outcome.positions, outcome.actuation.efforts))
-                for part in self._ending
+                for part in self._parts_with["end"]
             ),
         )  # fmt: skip
         is_kept = self._is_kept(command, asked, outcome, state)
@@ -693,10 +684,7 @@ class Simulation(Readouts):
             command, asked, outcome, clock, before, self.state, self.effector_positions()
         )
         self._note_rest(command, result, is_kept)
-        if not self.falls_back:
-            return result
-        limits = (*result.report.active_limits, *self.fallback.limits)
-        return replace(result, report=replace(result.report, active_limits=limits))
+        return result
 
     def _is_kept(
         self, command: Command, asked: Asked, outcome: Outcome, state: State
@@ -710,7 +698,7 @@ class Simulation(Readouts):
             state: The state after them.
         """
         before, size = self.state, self.model.nodes.size
-        if not self.may_rest or self.fallback is not None:
+        if not self.may_rest:
             return False
         if outcome.balance is not Balance.REACHED or not math.isfinite(size):
             return False
@@ -752,8 +740,11 @@ class Simulation(Readouts):
         count, follows = before.count + 1 if is_again else 0, isinstance(command, FollowTargets)
         if follows:
             self.direct.remember(self.state.efforts)
-            waits = (part.steps_until_rest(command, result) for part in self._replacing)
-            is_again = count >= max([STEPS_UNTIL_REST, *waits]) + len(self.state.setpoints)
+            waits = [
+                part.steps_until_rest(command, result)
+                for part in self._parts_with["steps_until_rest"]
+            ]
+            is_again = count >= max(STEPS_UNTIL_REST, *waits, 0) + len(self.state.setpoints)
         else:
             age = newton.factor_age
             self._begin_anew()
@@ -768,7 +759,7 @@ class Simulation(Readouts):
         )  # fmt: skip
         self.kept = Kept(command, count, replace(result, report=report))
         if follows:
-            for part in self._replacing:
+            for part in self._parts_with["rest"]:
                 part.rest(self, command, self.kept.result)
 
     def _failed(

@@ -119,7 +119,7 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
     found = simulation.reduction_state()
     assert list(found) == ["body"] and 0.0 < found["body"].error < 1.0e-3
     # The fallback's two models hold the same places.
-    fallback = simulation.fallback
+    (fallback,) = (part for part in simulation.parts if part.name == "fallback")
     better = fallback.better_state(simulation.state)
     fallback.other.restore(better)
     np.testing.assert_allclose(fallback.other.effector_positions(), places, atol=1e-12)

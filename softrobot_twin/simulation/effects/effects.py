@@ -8,13 +8,16 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.effects.coordinate_range import sampled_ranges_of
 from softrobot_twin.simulation.effects.exploration import explorer_of
+from softrobot_twin.simulation.effects.fallback import fallback_of
 from softrobot_twin.simulation.effects.guiding import guiding_of
+from softrobot_twin.simulation.effects.stiffness_targets import stiffness_targets_of
 from softrobot_twin.simulation.effects.strain_ranges import strain_ranges_of
 from softrobot_twin.simulation.effects.touches import touches_of
 from softrobot_twin.simulation.step.step_part import StepPart, memories_of_terms
 
 EFFECTS: list[Callable[[Model], Iterator[StepPart]]] = [
     explorer_of, guiding_of, sampled_ranges_of, strain_ranges_of, memories_of_terms, touches_of,
+    stiffness_targets_of, fallback_of,
 ]  # fmt: skip
 """Each gives the parts that a scene calls for."""
 
@@ -31,7 +34,7 @@ def step_parts(model: Model) -> tuple[StepPart, ...]:
     parts = tuple(part for parts_of in EFFECTS for part in parts_of(model))
     for part in parts:
         if reason := part.why_not():
-            raise SceneError(
-                model.scene.path, part.name, "", "", f"is not built beside {reason}"
-            )
+            scene, (key, value) = model.scene, part.entry
+            error = SceneError(scene.path, key or part.name, value, "", part.refusal.format(reason))
+            raise scene.source.error(error)
     return parts

@@ -26,6 +26,7 @@ from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import StepPart
 from softrobot_twin.simulation.step.steppable import Steppable
 from softrobot_twin.simulation.step.target_trust import CALM, Approach
+from softrobot_twin.simulation.step.time_budget import StageClock
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
 # its limits shorten to less than the last share is not.
@@ -248,8 +249,9 @@ class Explorer(StepPart):
             before.end(result)
 
     def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
-    ) -> StepResult | None:
+        self, simulation: Steppable, command: Command, budget: float | None,
+        measured: object | None, clock: StageClock,
+    ) -> StepResult | None:  # fmt: skip
         """A step of a trial; None where the robot steps itself. See `StepPart`."""
         exploration = self._exploration
         if exploration is None:

@@ -13,6 +13,7 @@ begin where the coordinates place them. Back, coordinates are those of the neare
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,10 +24,14 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import with_entries
+from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import largest_on_each_body, step_held
+from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.time_budget import StageClock
 
 # Steps between two looks at the other model, each of which takes the time of one of its steps.
 CHECK_EVERY = 10
@@ -35,21 +40,17 @@ BACK_SHARE = 0.5
 ENRICH, FULL_MODEL = "enrich", "full_model"
 
 
-def bodies_with_fallback(model: Model) -> tuple[Body, ...]:
-    """The reduced bodies that name a fallback."""
-    return tuple(
-        body for body in reduced_bodies(model) if body.entry.reduced.fallback is not None
-    )
-
-
-def build_fallback(simulation: Steppable) -> Fallback | None:
-    """The other model of a simulation; None where its scene names none.
+def fallback_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene with a fallback.
 
     Raises:
         SceneError: It cannot be built for this scene.
     """
-    bodies = bodies_with_fallback(simulation.model)
-    return Fallback(simulation, bodies) if bodies else None
+    bodies = tuple(
+        body for body in reduced_bodies(model) if body.entry.reduced.fallback is not None
+    )
+    if bodies:
+        yield Fallback(model, bodies)
 
 
 def better_scene(scene: Scene, bodies: tuple[Body, ...]) -> Scene:
@@ -62,50 +63,87 @@ def better_scene(scene: Scene, bodies: tuple[Body, ...]) -> Scene:
     return with_entries(scene, entries)
 
 
-class Fallback:
-    """The other model, and which of the two is in use.
+class Fallback(StepPart):
+    """The other model, and which of the two is in use; a part of both simulations.
 
     Attributes:
-        is_active: Whether the better model is in use.
-        other: The simulation of the model that is not in use.
+        has_other_model: Whether the better model is in use.
+        other: The simulation of the model that is not in use; None before `attach`.
         limits: Names that tell so among the active limits of a step, such as ``body.enrich``.
     """
 
-    def __init__(self, simulation: Steppable, bodies: tuple[Body, ...]):
-        """Build the better model.
+    name, may_rest = "fallback", False
+    refusal = "beside {} a fallback is not built"
+
+    def __init__(self, model: Model, bodies: tuple[Body, ...]):
+        """Take the bodies.
 
         Args:
-            simulation: The simulation, built with reduced bodies.
+            model: The built scene, with reduced bodies.
             bodies: Those with a fallback.
         """
-        scene = simulation.scene
-        _refuse(simulation.model, bodies)
+        scene, kinds = model.scene, {body.entry.reduced.fallback for body in bodies}
+        self.entry = f"{bodies[0].key}.reduced.fallback", " and ".join(sorted(kinds))
+        if not scene.effectors:
+            raise SceneError(scene.path, *self.entry, "", "needs an effector, whose error is judged")
+        for body in bodies:
+            entry = body.entry.reduced
+            if entry.fallback == ENRICH and not body.reduction.reduction.spare_count:
+                raise SceneError(
+                    scene.path, f"{body.key}.reduced.fallback", ENRICH, "",
+                    f"{entry.file} has no spare modes",
+                )  # fmt: skip
+        self._model, self._bodies, self._kinds, self.other = model, bodies, kinds, None
         self._wanted = {body.name: body.entry.reduced.error for body in bodies}
         self.limits = tuple(f"{body.name}.{body.entry.reduced.fallback}" for body in bodies)
-        self.is_active, self._until_check = False, CHECK_EVERY
-        self.other = type(simulation)(
-            better_scene(scene, bodies), simulation.now, with_warnings=False
-        )
-        self._reduced, self._better = simulation.model, self.other.model
-        self._pairs = list(zip(self._reduced.bodies, self._better.bodies, strict=True))
+        self._until_check = CHECK_EVERY
         self._inverses: dict[str, np.ndarray] = {}
 
-    def warm_up(self) -> None:
-        """Run every path of the other model once; see `Simulation.warm_up`."""
-        self.other.warm_up()
+    def why_not(self) -> str:
+        """See `StepPart`."""
+        model, scene = self._model, self._model.scene
+        beside = {
+            "guided rigid bodies and slides": model.guides is not None or model.slides is not None,
+            "contact": scene.contact is not None,
+            "sealed cavities": bool(scene.sealed_cavities),
+            "friction along cables": not model.actuators.conserves,
+            "two kinds of fallback": len(self._kinds) > 1,
+        }
+        return next((what for what, is_there in beside.items() if is_there), "")
 
-    def choose(self, simulation: Steppable) -> None:
-        """Before a step: look at the other model when due, and change to it where it is called for.
+    def attach(self, simulation: Steppable) -> None:
+        """Build the better model."""
+        better = better_scene(simulation.scene, self._bodies)
+        self.other = type(simulation)(better, simulation.now, with_warnings=False)
+        self.other.take_parts((*self.other.parts, self))
+        self._reduced, self._better = simulation.model, self.other.model
+        self._pairs = list(zip(self._reduced.bodies, self._better.bodies, strict=True))
 
-        Args:
-            simulation: The simulation.
-        """
-        self._until_check -= 1
-        if self._until_check:
-            return
-        self._until_check = CHECK_EVERY
+    def _is_used_by(self, simulation: Steppable) -> bool:
+        """Whether a simulation has another one to change to: the other one itself has none."""
+        return self.other is not None and simulation is not self.other
+
+    def warm_up(self, simulation: Steppable) -> None:
+        """See `StepPart`."""
+        if self._is_used_by(simulation):
+            self.other.warm_up()
+
+    def step_in_place(
+        self, simulation: Steppable, command: Command, budget: float | None,
+        measured: object | None, clock: StageClock,
+    ) -> StepResult | None:  # fmt: skip
+        """Look at the other model when due, and change to it where it is called for."""
+        if self._is_used_by(simulation):
+            self._until_check -= 1
+            if not self._until_check:
+                self._until_check = CHECK_EVERY
+                self._choose(simulation)
+            clock.mark(self.name)
+        return None
+
+    def _choose(self, simulation: Steppable) -> None:
         state = simulation.state
-        other = self.reduced_state(state) if self.is_active else self.better_state(state)
+        other = self.reduced_state(state) if self.has_other_model else self.better_state(state)
         self.other.restore(other)
         result = step_held(self.other, state)
         apart = np.linalg.norm(
@@ -113,32 +151,35 @@ class Fallback:
         )
         errors = largest_on_each_body(self._reduced, apart)
         shares = [errors[name] / wanted for name, wanted in self._wanted.items()]
-        if self.is_active:
-            is_called_for = not result.status.is_failure and max(shares) < BACK_SHARE
-        else:
-            is_called_for = not result.status.is_failure and max(shares) > 1.0
-        if is_called_for:
+        goes_back = self.has_other_model and max(shares) < BACK_SHARE
+        goes_on = not self.has_other_model and max(shares) > 1.0
+        if (goes_back or goes_on) and not result.status.is_failure:
             self.other.restore(other)
             self._exchange(simulation)
 
-    def fit(self, simulation: Steppable, state: State) -> None:
-        """Change to the model that a state belongs to, before the state is restored."""
-        count = len(state.positions)
-        if count != len(simulation.state.positions) and count == len(self.other.state.positions):
-            self._exchange(simulation)
-
-    def reset(self, simulation: Steppable) -> None:
-        """Go back to the reduced model, without a state."""
-        self._until_check = CHECK_EVERY
-        if self.is_active:
+    def receive(self, simulation: Steppable, state: State | None) -> None:
+        """Change to the model that a state belongs to, or to the reduced one for the rest shape."""
+        if not self._is_used_by(simulation):
+            return
+        if state is None:
+            self._until_check = CHECK_EVERY
+            is_of_other = self.has_other_model
+        else:
+            count = len(state.positions)
+            is_of_other = (
+                count != len(simulation.state.positions) and count == len(self.other.state.positions)
+            )
+        if is_of_other:
             self._exchange(simulation)
 
     def _exchange(self, simulation: Steppable) -> None:
-        """Exchange what the two simulations are made of; this object stays with its own."""
-        other, own = vars(self.other), vars(simulation)
-        other["fallback"], own["fallback"] = self, None
-        simulation.__dict__, self.other.__dict__ = other, own
-        self.is_active = not self.is_active
+        """Exchange what the two simulations are made of."""
+        simulation.__dict__, self.other.__dict__ = vars(self.other), vars(simulation)
+        self.has_other_model = not self.has_other_model
+
+    def report(self, state: State) -> PartReport:
+        """See `StepPart`."""
+        return PartReport(self.limits if self.has_other_model else ())
 
     def better_state(self, state: State) -> State:
         """A state of the reduced model for the better one."""
@@ -199,34 +240,3 @@ class Fallback:
             basis = body.reduction.basis.reshape(-1, body.reduction.mode_count)
             self._inverses[body.name] = np.linalg.solve(basis.T @ basis, basis.T)
         return self._inverses[body.name]
-
-
-def _refuse(model: Model, bodies: tuple[Body, ...]) -> None:
-    """Refuse scenes for which no fallback is built, by name."""
-    scene = model.scene
-    first = f"{bodies[0].key}.reduced.fallback"
-    kinds = {body.entry.reduced.fallback for body in bodies}
-    beside = {
-        "guided rigid bodies and slides": model.guides is not None or model.slides is not None,
-        "contact": scene.contact is not None,
-        "sealed cavities": bool(scene.sealed_cavities),
-        "friction along cables": not model.actuators.conserves,
-        "two kinds of fallback": len(kinds) > 1,
-    }
-    for what, is_there in beside.items():
-        if is_there:
-            raise SceneError(
-                scene.path, first, " and ".join(sorted(kinds)), "",
-                f"beside {what} a fallback is not built",
-            )  # fmt: skip
-    if not scene.effectors:
-        raise SceneError(
-            scene.path, first, kinds.pop(), "", "needs an effector, whose error is judged"
-        )
-    for body in bodies:
-        entry = body.entry.reduced
-        if entry.fallback == ENRICH and not body.reduction.reduction.spare_count:
-            raise SceneError(
-                scene.path, f"{body.key}.reduced.fallback", ENRICH, "",
-                f"{entry.file} has no spare modes",
-            )  # fmt: skip

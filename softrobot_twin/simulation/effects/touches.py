@@ -143,7 +143,7 @@ class Touches(StepPart):
         return command
 
     @property
-    def hides_stiffness(self) -> bool:
+    def holds_robot(self) -> bool:
         """Whether a finger holds a point at its place now."""
         return bool(self._term.is_held.any())
 

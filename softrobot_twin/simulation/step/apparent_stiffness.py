@@ -30,6 +30,7 @@ W_ee with the actuators' efforts given; here what holds its displacement resists
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +39,7 @@ from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack, add_row_forces
 from softrobot_twin.mechanics.force_term import SECOND_DIFFERENCE
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.step.linearized import Linearized
-from softrobot_twin.solvers.factorization import Factorization
+from softrobot_twin.simulation.step.linearized import LinearizedState
 
 # Rows that say the same make W_hh singular. With this share of their own compliance they share the
 # load; it is far below what any result could show.
@@ -50,26 +50,10 @@ REACH = 2.0e-4
 # A finger pushes an effector this far, as a share of the body's size. What would go slack or stall
 # by that, either way, holds nothing.
 PUSH = 1.0e-4
+# One linearization asks for no greater change of a stiffness, as a share of it.
+LONGEST_CHANGE = 0.25
 # Places and weights of a first derivative of fourth order, in steps; of the places above.
 FIRST_DIFFERENCE = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
-
-
-class State(NamedTuple):
-    """The linearized state, and how it was linearized.
-
-    Attributes:
-        linear: The condensed system.
-        solver: A⁻¹, or the augmented tangent in its place.
-        forces: b of the condensed system [N], shape (free_node_count, 3).
-        positions: Node positions [m], shape (node_count, 3).
-        efforts: λ₀ of the actuators there, shape (actuator_row_count,).
-    """
-
-    linear: Linearized
-    solver: Factorization
-    forces: np.ndarray
-    positions: np.ndarray
-    efforts: np.ndarray
 
 
 class ComplianceGradient(NamedTuple):
@@ -92,6 +76,54 @@ class ComplianceGradient(NamedTuple):
     by_multiplier: np.ndarray
     holds: np.ndarray
     bearing: np.ndarray
+
+
+class StiffnessRows(NamedTuple):
+    """Rows of wanted stiffnesses around one state.
+
+    Attributes:
+        wanted: z of the targets [m], shape (n,).
+        now: z [m], shape (n,).
+        free: z at multipliers of zero, by the linearization [m], shape (n,).
+        motion: Change of z by the multipliers of the actuators, shape (n, actuator_row_count).
+        weights: Weight of each row, zero where a compliance is not positive, shape (n,).
+        lengths: ℓ [m], shape (n,).
+        directions: Directions, 3 × effector + axis, shape (n,).
+        gradient: Compliances and their derivatives.
+        with_bearing: Gives the rows if just some actuators held, shape (actuator_row_count,).
+    """
+
+    wanted: np.ndarray
+    now: np.ndarray
+    free: np.ndarray
+    motion: np.ndarray
+    weights: np.ndarray
+    lengths: np.ndarray
+    directions: np.ndarray
+    gradient: ComplianceGradient
+    with_bearing: Callable[[np.ndarray], StiffnessRows]
+
+    @property
+    def asked(self) -> np.ndarray:
+        """Change of z that one linearization asks for [m], shape (n,)."""
+        longest = LONGEST_CHANGE * self.lengths
+        return np.clip(self.wanted - self.now, -longest, longest)
+
+    def places(self, multipliers: np.ndarray) -> np.ndarray:
+        """z under multipliers of the actuators, by the linearization [m], shape (n,)."""
+        return self.free + self.motion @ multipliers[: self.motion.shape[1]]
+
+    def after(self, move: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Stiffnesses after a move, to first order from the state [N/m], shape (n,).
+
+        Args:
+            move: Displacement of the unknowns [m], shape (free_node_count, 3).
+            change: Of the actuators' efforts, shape (actuator_row_count,).
+        """
+        found = self.gradient
+        moved = np.einsum("nij,ij->n", found.by_position, move)
+        k = 1.0 / found.compliance
+        return k - k * k * (moved + found.by_effort @ change)
 
 
 class ApparentStiffness:
@@ -117,26 +149,20 @@ class ApparentStiffness:
         self._row_of = {place: row for row, place in enumerate(places.tolist())}
 
     def gradient(
-        self, state: State, directions: np.ndarray, holding: np.ndarray | None = None
+        self, state: LinearizedState, directions: np.ndarray, holding: np.ndarray | None = None
     ) -> ComplianceGradient:
         """Compliance along some directions, and its derivatives.
 
         Args:
             state: The linearized state.
-            directions: Directions, 3 × effector + axis, shape (n,).
+            directions: Directions, 3 × effector + axis, one at least, shape (n,).
             holding: Actuators with rows that hold, whatever their efforts are,
                 shape (actuator_row_count,); None for those that bear.
         """
         found = [self._along(state, direction, holding) for direction in directions.tolist()]
-        count = state.linear.groups.actuators.stop
-        parts = [np.array(part) for part in zip(*found, strict=True)] or [
-            np.empty(0), np.empty((0, len(self._free_nodes), 3)), np.empty((0, count)),
-            np.empty(0), np.empty((0, count)), np.empty((0, count), dtype=bool),
-            np.empty((0, count)),
-        ]  # fmt: skip
-        return ComplianceGradient(*parts)
+        return ComplianceGradient(*(np.array(part) for part in zip(*found, strict=True)))
 
-    def _along(self, state: State, direction: int, holding: np.ndarray | None) -> tuple:
+    def _along(self, state: LinearizedState, direction: int, holding: np.ndarray | None) -> tuple:
         """One entry of each field of `ComplianceGradient`."""
         load = self.load(direction)
         x, Lambda, held = self._response(state, direction, load, holding)
@@ -166,7 +192,7 @@ class ApparentStiffness:
         return load
 
     def _response(
-        self, state: State, direction: int, load: np.ndarray, holding: np.ndarray | None
+        self, state: LinearizedState, direction: int, load: np.ndarray, holding: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """x [m/N], shape (free_node_count, 3), Λ and who holds, shape (actuator_row_count,)."""
         linear = state.linear
@@ -215,7 +241,7 @@ class ApparentStiffness:
         return actuators.limits.can_hold(efforts) & ~actuators.is_effort_driven[: len(efforts)]
 
     def _derivatives(
-        self, state: State, x: np.ndarray, Lambda: np.ndarray
+        self, state: LinearizedState, x: np.ndarray, Lambda: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """s = ∂C/∂q, shape (free_node_count, 3), and ∂C/∂λ, shape (actuator_row_count,)."""
         model, positions = self._model, state.positions

@@ -123,20 +123,25 @@ class Augmentation(NamedTuple):
 
 
 class AugmentedRows:
-    """A + Hᵀ ρ H of rows of actuators, where A or the sum itself is factorized; base of the others.
+    """A + Hᵀ ρ H of rows of actuators, by a factor of A with what `_add` adds; base of the others.
+
+    Where that is another matrix B = A + Hᵀ ρ H - Sᵀ C S, the Woodbury identity makes up for the low
+    rank: (A + Hᵀ ρ H)⁻¹ b = B⁻¹ (b + Sᵀ (…) S B⁻¹ b), with S and (…) in `_low_rank`.
 
     Attributes:
         stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
         contact_stiffness: ρ of each contact, shape (contact_count,); empty where none is augmented.
         comes_first: Whether a scene begins with the augmented tangent.
+        serves_near: Whether it serves an inverse where the tangent alone is hardly definite.
         has_kernels: Whether kernels are compiled for it alone.
     """
 
-    comes_first, has_kernels = False, True
+    comes_first, has_kernels, serves_near = False, True, True
 
     def __init__(
-        self, factorization: Factorization, may_be_held: np.ndarray, own: np.ndarray | None = None
-    ):
+        self, factorization: Factorization, may_be_held: np.ndarray, own: np.ndarray | None = None,
+        contacts: Contacts | None = None,
+    ):  # fmt: skip
         """Take the rows.
 
         Args:
@@ -144,8 +149,10 @@ class AugmentedRows:
             may_be_held: Whether each actuator row is augmented where it holds its displacement,
                 shape (row_count,).
             own: Stiffness of the bodies along the actuators, same shape; None before `measure`.
+            contacts: The term of contacts that are augmented where they press; None without.
         """
         self._factorization, self._may_be_held, self._own = factorization, may_be_held, own
+        self._contacts, self._low_rank = contacts, None
         self.rows = slice(0, len(may_be_held))
         self.stiffness, self.contact_stiffness = np.zeros(len(may_be_held)), np.empty(0)
 
@@ -160,7 +167,7 @@ class AugmentedRows:
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
         """Augment what holds its displacement by an effort within bounds: a taut cable that does
-        not slip.
+        not slip; also contacts that press, where displacements are prescribed.
 
         Args:
             efforts: Efforts of the actuators, in their units, shape (actuator_count,).
@@ -172,8 +179,30 @@ class AugmentedRows:
         a = self.rows
         inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
         self.stiffness = np.where(inside & self._may_be_held, AUGMENTATION * self._own, 0.0)
-        self.contact_stiffness = np.empty(0)
-        return bool(self.stiffness.any())
+        self.contact_stiffness, contacts = np.empty(0), self._contacts
+        if contacts is not None and contacts.count and held.is_prescribed:
+            pressing = self._may_be_augmented(contacts) & (contacts.last_multipliers > 0.0)
+            self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
+        return bool(self.stiffness.any() or self.contact_stiffness.any())
+
+    def _may_be_augmented(self, contacts: Contacts) -> np.ndarray | bool:
+        """Whether each contact may be augmented where it presses."""
+        return True
+
+    def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
+        """Add to the tangent A in storage what makes it definite."""
+
+    def factor(self, positions: np.ndarray) -> bool:
+        """Factorize the augmented tangent, from the tangent A in storage.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Whether what is factorized is positive definite.
+        """
+        self._add(positions, self._factorization.storage)
+        return self._factorization.factor()
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
         """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
@@ -192,7 +221,14 @@ class AugmentedRows:
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
-        return self._factorization.solve(b)
+        found = self._factorization.solve(b)
+        if self._low_rank is None:
+            return found
+        S, loads_of = self._low_rank
+        moved = np.einsum("ij,ij->i", S.blocks, found[S.node_index])
+        loads, forces = loads_of(np.bincount(S.row_index, moved, S.row_count)), np.array(b)
+        np.add.at(forces, S.node_index, S.blocks * loads[S.row_index, None])
+        return self._factorization.solve(forces)
 
     def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
         """What turns λ̂ into λ.
@@ -220,7 +256,7 @@ class AugmentedRows:
             W_aa: Its compliance of the actuators [m/N], shape (actuator_row_count,) twice.
         """
         stiffness = np.where(self._may_be_held, AUGMENTATION * self._own, 0.0)
-        return _is_soft(W_aa[self.rows, self.rows], stiffness)
+        return self.serves_near and _is_soft(W_aa[self.rows, self.rows], stiffness)
 
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether the tangent without the augmentation is indefinite, or nearly.
@@ -412,22 +448,21 @@ class AugmentedTangent(AugmentedRows):
             factorization: Holds the factor of B when the system is condensed.
             contacts: The term of contacts with round shapes, without friction; else None.
         """
-        super().__init__(factorization, np.ones(cables.row_count, bool))
-        self._cables, self._contacts, self._share = cables, contacts, None
+        super().__init__(factorization, np.ones(cables.row_count, bool), contacts=contacts)
+        self._cables, self._share = cables, np.ones(cables.row_count)
         self._stretches = getattr(cables, "yields", False)
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
-        """See `AugmentedRows`; also contacts that press, where displacements are prescribed."""
+        """See `AugmentedRows`."""
         holds = super().choose(efforts, held)
         if self._stretches:
             own_compliance = self._cables.compliance.diagonal()
             self.stiffness /= 1.0 + self.stiffness * own_compliance
-        contacts = self._contacts
-        if contacts is not None and contacts.count and held.is_prescribed:
-            pressing = contacts.last_multipliers > 0.0
-            pressing &= contacts.curvature.couples_one_facet(contacts)
-            self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
-        return holds or bool(self.contact_stiffness.any())
+        return holds
+
+    def _may_be_augmented(self, contacts: Contacts) -> np.ndarray:
+        """Those whose nodes are of one facet."""
+        return contacts.curvature.couples_one_facet(contacts)
 
     def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
         """Add ρ n Σ h_s h_sᵀ to the system matrix."""
@@ -438,18 +473,6 @@ class AugmentedTangent(AugmentedRows):
             self._contacts.curvature.add_row_stiffness(
                 self._contacts, self.contact_stiffness, storage
             )
-
-    def factor(self, positions: np.ndarray) -> bool:
-        """Factorize B, from the tangent A in storage.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-
-        Returns:
-            Whether B is positive definite.
-        """
-        self._add(positions, self._factorization.storage)
-        return self._factorization.factor()
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """W and the free violations of the augmented tangent; see `Factorization.condense`.
@@ -464,39 +487,30 @@ class AugmentedTangent(AugmentedRows):
         of, cables = self._cables.cable_of_stretch, len(self.stiffness)
         more = len(of) - cables
         own = self._cables.stretch_of_entry
-        self._H = H
         rows = np.concatenate([own, H.row_index[len(own) :] + more])
         count = H.row_count + more
         found = self._factorization.condense(NodeRows(rows, H.node_index, H.blocks, count), b)
-        share = np.ones(cables) if self._share is None else self._share
         is_definite, W, free, *self._subtracted = without_squared_stretches(
-            found.W, found.free, of, self.stiffness, share, H.row_count
+            found.W, found.free, of, self.stiffness, self._share, H.row_count
         )
         if not is_definite:
             raise np.linalg.LinAlgError("held cables do not stabilise the bodies")
+        entries = len(own)
+        stretches = NodeRows(own, H.node_index[:entries], H.blocks[:entries], count)
+        self._low_rank = (stretches, self._stretch_loads) if self._subtracted[0].size else None
         return Condensed(W, free)
+
+    def _stretch_loads(self, moved: np.ndarray) -> np.ndarray:
+        """U C⁻¹ Uᵀ of what moves by B⁻¹ b; see `without_squared_stretches`."""
+        U, L, _, _ = self._subtracted
+        return U @ np.linalg.solve(L.T, np.linalg.solve(L, U.T @ moved))
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """The displacement for multipliers λ̂ of the condensed rows [N]; see `Factorization`."""
-        of, share = self._cables.cable_of_stretch, self._share
-        share = np.ones(len(self.stiffness)) if share is None else share
+        of = self._cables.cable_of_stretch
         return self._factorization.expand(
-            loads_of_stretches(multipliers, of, share, *self._subtracted)
+            loads_of_stretches(multipliers, of, self._share, *self._subtracted)
         )
-
-    def solve(self, b: np.ndarray) -> np.ndarray:
-        """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
-        found, (U, L, _, _) = self._factorization.solve(b), self._subtracted
-        if not U.shape[1]:
-            return found
-        own, H = self._cables.stretch_of_entry, self._H
-        nodes, blocks = H.node_index[: len(own)], H.blocks[: len(own)]
-        stretched = np.zeros(len(U))
-        np.add.at(stretched, own, np.einsum("ij,ij->i", blocks, found[nodes]))
-        y = np.linalg.solve(L.T, np.linalg.solve(L, U.T @ stretched))
-        forces = np.array(b)
-        np.add.at(forces, nodes, blocks * (U @ y)[own][:, None])
-        return self._factorization.solve(forces)
 
     def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
         """What turns λ̂ into λ.
@@ -517,7 +531,7 @@ class AugmentedTangent(AugmentedRows):
 
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """See `AugmentedRows`; of cables that stretch, that of their paths."""
-        if self._share is None:
+        if not self._stretches:
             return super().is_needed(W, first_contact)
         rows, root = self._augmented_rows(first_contact)
         compliance = W[np.ix_(rows, rows)]
@@ -535,33 +549,34 @@ class AugmentedLU(AugmentedRows):
     [[A, Hᵀ], [H, -1/ρ]] from both sides; Nocedal and Wright, section 16.3).
     """
 
-    has_kernels = False
+    has_kernels = serves_near = False
 
     def __init__(self, factorization: Factorization, may_be_held: np.ndarray):
         """See `AugmentedRows`."""
         super().__init__(factorization, may_be_held)
-        self._lu: SuperLU | None = None
+        self._tangent, self._places = factorization, None
 
     def factor(self, positions: np.ndarray) -> bool:
         """Factorize A; False only where it is singular."""
-        if self._lu is None:
+        if self._places is None:
             # The place of each of its entries in the other storage.
-            self._lu, self._places = laid_out_like(self._factorization, SuperLU)
-        self._lu.storage[:] = self._factorization.storage[self._places]
-        self._lu.factor()
-        return self._lu.negative_count is not None
+            self._factorization, self._places = laid_out_like(self._tangent, SuperLU)
+        self._factorization.storage[:] = self._tangent.storage[self._places]
+        self._factorization.factor()
+        return self._factorization.negative_count is not None
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `AugmentedTangent.condense`."""
-        found = self._lu.condense(H, b)
-        self._k, self._H = np.flatnonzero(self.stiffness), H
+        found = self._factorization.condense(H, b)
+        self._k = np.flatnonzero(self.stiffness)
         G = found.W[:, self._k]
         M = np.diag(1.0 / self.stiffness[self._k]) + G[self._k]
         eigenvalues, vectors = np.linalg.eigh(M)
-        if np.count_nonzero(eigenvalues < 0.0) != self._lu.negative_count:
+        if np.count_nonzero(eigenvalues < 0.0) != self._factorization.negative_count:
             raise np.linalg.LinAlgError("held actuators do not stabilise the bodies")
         inverse = vectors / eigenvalues @ vectors.T
         self._of_multipliers, self._of_forces = inverse @ G.T, inverse @ found.free[self._k]
+        self._low_rank = H, self._loads_of_held
         self._inverse = inverse
         W = found.W - G @ self._of_multipliers
         return Condensed(0.5 * (W + W.T), found.free - G @ self._of_forces)
@@ -570,28 +585,17 @@ class AugmentedLU(AugmentedRows):
         """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
         loads = multipliers.copy()
         loads[self._k] -= self._of_forces + self._of_multipliers @ multipliers
-        return self._lu.expand(loads)
+        return self._factorization.expand(loads)
 
-    def solve(self, b: np.ndarray) -> np.ndarray:
-        """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
-        found, H = self._lu.solve(b), self._H
-        moved = np.zeros(H.row_count)
-        np.add.at(
-            moved, H.row_index, np.einsum("ij,ij->i", H.blocks, found[H.node_index])
-        )
-        loads = np.zeros(H.row_count)
-        loads[self._k] = self._inverse @ moved[self._k]
-        forces = np.array(b)
-        np.subtract.at(forces, H.node_index, H.blocks * loads[H.row_index][:, None])
-        return self._lu.solve(forces)
-
-    def is_near(self, W_aa: np.ndarray) -> bool:
-        """False: the tangent alone serves wherever it is definite."""
-        return False
+    def _loads_of_held(self, moved: np.ndarray) -> np.ndarray:
+        """-(1/ρ + H A⁻¹ Hᵀ)⁻¹ of what moves by A⁻¹ b, zero for rows that are not augmented."""
+        loads = np.zeros(len(moved))
+        loads[self._k] = -self._inverse @ moved[self._k]
+        return loads
 
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether A is indefinite."""
-        return self._lu.negative_count != 0
+        return self._factorization.negative_count != 0
 
 
 @njit(**KERNEL)
@@ -629,33 +633,18 @@ class AugmentedDense(AugmentedRows):
             factorization: Holds the tangent A in its storage.
             may_be_held: See `AugmentedRows`.
         """
-        super().__init__(factorization, may_be_held)
-        self._rows, self._contacts = rows, contacts
+        super().__init__(factorization, may_be_held, contacts=contacts)
+        self._rows = rows
 
-    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
-        """See `AugmentedRows`; also contacts that press, where displacements are prescribed."""
-        holds, contacts = super().choose(efforts, held), self._contacts
-        if contacts is not None and contacts.count and held.is_prescribed:
-            pressing = contacts.last_multipliers > 0.0
-            self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
-        return holds or bool(self.contact_stiffness.any())
-
-    def _row_stiffness(self) -> np.ndarray:
-        """ρ of all rows, shape (row_count,)."""
-        stiffness, groups = np.zeros(self._rows.row_count), self._rows.groups
-        stiffness[groups.actuators] = self.stiffness
+    def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
+        """Add Hᵀ ρ H."""
+        rows, count = self._rows, 3 * len(self._factorization.elimination_rank)
+        H, stiffness = np.empty((rows.row_count, count)), np.zeros(rows.row_count)
+        stiffness[rows.groups.actuators] = self.stiffness
         if len(self.contact_stiffness):
-            stiffness[groups.contacts] = self.contact_stiffness
-        return stiffness
-
-    def factor(self, positions: np.ndarray) -> bool:
-        """Factorize A + Hᵀ ρ H, from the tangent A in storage."""
-        rows, count = self._rows, len(self._factorization.elimination_rank)
-        H = np.empty((rows.row_count, 3 * count))
+            stiffness[rows.groups.contacts] = self.contact_stiffness
         write_rows(rows.row_index, rows.node_index, rows.blocks, H)
-        matrix = self._factorization.storage.reshape(3 * count, 3 * count)
-        add_squared_rows(H, self._row_stiffness(), matrix)
-        return self._factorization.factor()
+        add_squared_rows(H, stiffness, storage.reshape(count, count))
 
 
 class AugmentedHinges(AugmentedRows):
@@ -664,7 +653,7 @@ class AugmentedHinges(AugmentedRows):
     The stiffness of the bodies along motors is known from the beams.
     """
 
-    comes_first = True
+    comes_first, serves_near = True, False
 
     def __init__(
         self, motors: HingeAngles, rows: slice, row_count: int, factorization: Factorization
@@ -682,20 +671,14 @@ class AugmentedHinges(AugmentedRows):
         is_motor[rows], own[rows] = True, motors.stiffness
         super().__init__(factorization, is_motor, own)
 
-    def factor(self, positions: np.ndarray) -> bool:
-        """Factorize A + Hᵀ ρ H, from the tangent A in storage."""
-        self._motors.add_row_stiffness(self.stiffness[self._motor_rows], self._factorization.storage)
-        return self._factorization.factor()
-
-    def is_near(self, W_aa: np.ndarray) -> bool:
-        """False: the tangent alone serves wherever it is definite."""
-        return False
+    def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
+        """Add Hᵀ ρ H."""
+        self._motors.add_row_stiffness(self.stiffness[self._motor_rows], storage)
 
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether A is indefinite, or nearly singular."""
         root = np.sqrt(self.stiffness)
-        own = slice(0, len(root))
-        left = np.eye(len(root)) - W[own, own] * np.outer(root, root)
+        left = np.eye(len(root)) - W[self.rows, self.rows] * np.outer(root, root)
         return bool(np.linalg.eigvalsh(left)[0] < LEAST_DEFINITE)
 
 

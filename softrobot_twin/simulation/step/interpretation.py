@@ -18,7 +18,6 @@ from softrobot_twin.simulation.command import (
     Hold,
 )
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.stiffness_targets import stiffness_of_scene
 from softrobot_twin.solvers.inverse_problem import Bounds
 
 COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)
@@ -33,15 +32,12 @@ class Asked(NamedTuple):
         reach: Bounds of this step by the hardware alone.
         commanded: Drives commanded beside targets, NaN where free; None if none is commanded,
             shape (actuator_count,). A drive is what a setpoint holds; see `Actuators.drives`.
-        stiffness: Wanted stiffness of each effector [N/m], NaN where free, shape
-            (effector_count, 3); None if none is wanted.
     """
 
     wanted: np.ndarray
     bounds: Bounds
     reach: Bounds
     commanded: np.ndarray | None = None
-    stiffness: np.ndarray | None = None
 
 
 class Interpretation:
@@ -55,11 +51,6 @@ class Interpretation:
         """
         self._model, self._actuators = model, model.actuators
         self._why_not_followed = why_not_followed(model)
-        entries = [effector.stiffness for effector in model.scene.effectors]
-        self._scene_stiffness = stiffness_of_scene(model.scene)
-        self._weighs_stiffness = np.array(
-            [entry is not None and entry.weight > 0.0 for entry in entries], bool
-        )
 
     def read(self, command: Command, state: State) -> Asked:
         """Check a command, and compute the bounds of this step.
@@ -94,13 +85,15 @@ class Interpretation:
             grown = actuators.displacements(state.setpoints, state.positions)
             bounds = limits.with_flow(bounds, grown, moving)
         if isinstance(command, FollowTargets):
-            rows, stiffness = self._target_rows(command, state), self._wanted_stiffness(command)
+            rows = self._target_rows(command, state)
+            if command.stiffness is not None:
+                self._check_stiffness(command.stiffness)
             if command.commanded is None:
-                return Asked(rows, bounds, bounds, None, stiffness)
+                return Asked(rows, bounds, bounds)
             setpoints = _fitting("commanded", command.commanded, (count,), True)
             commanded = actuators.drives(setpoints)
             within = _with_commanded(commanded, bounds, limits)
-            return Asked(rows, within, bounds, commanded, stiffness)
+            return Asked(rows, within, bounds, commanded)
         if isinstance(command, CommandSetpoints):
             setpoints = _fitting("setpoints", command.setpoints, (count,), False)
             return Asked(actuators.drives(setpoints), bounds, bounds)
@@ -109,22 +102,16 @@ class Interpretation:
             raise CommandError("efforts", f"holds {np.nan}")
         return Asked(efforts, bounds, bounds)
 
-    def _wanted_stiffness(self, command: FollowTargets) -> np.ndarray | None:
-        """Wanted stiffnesses [N/m]; None where none is wanted, or none has a weight."""
-        wanted = self._scene_stiffness
-        if command.stiffness is None and not self._weighs_stiffness.any():
-            return None
-        if command.stiffness is not None:
-            shape = (len(self._model.effectors.effectors), 3)
-            wanted = _fitting("stiffness", command.stiffness, shape, True)
-            if not (np.isnan(wanted) | (wanted > 0.0)).all():
-                worst = np.nanmin(wanted)
-                raise CommandError("stiffness", f"{worst} N/m is not a positive stiffness")
-            for effector, own in zip(self._model.scene.effectors, wanted, strict=True):
-                if effector.stiffness is None and np.isfinite(own).any():
-                    raise CommandError(effector.name, "asks for no stiffness in the scene")
-        wanted = np.where(self._weighs_stiffness[:, None], wanted, np.nan)
-        return wanted if np.isfinite(wanted).any() else None
+    def _check_stiffness(self, stiffness: np.ndarray) -> None:
+        """Refuse wanted stiffnesses [N/m] that are none, or of effectors that ask for none."""
+        shape = (len(self._model.effectors.effectors), 3)
+        wanted = _fitting("stiffness", stiffness, shape, True)
+        if not (np.isnan(wanted) | (wanted > 0.0)).all():
+            worst = np.nanmin(wanted)
+            raise CommandError("stiffness", f"{worst} N/m is not a positive stiffness")
+        for effector, own in zip(self._model.scene.effectors, wanted, strict=True):
+            if effector.stiffness is None and np.isfinite(own).any():
+                raise CommandError(effector.name, "asks for no stiffness in the scene")
 
     def _target_rows(self, command: FollowTargets, state: State) -> np.ndarray:
         """Wanted effector coordinates; orientations are aimed at their targets."""

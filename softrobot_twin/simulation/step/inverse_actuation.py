@@ -27,10 +27,10 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
+from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation, widened
 from softrobot_twin.simulation.step.interpretation import why_not_followed
 from softrobot_twin.simulation.step.linearized import Linearized, row_motion
-from softrobot_twin.simulation.step.stiffness_targets import StiffnessRows
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
@@ -500,8 +500,6 @@ class InverseActuation:
             The actuation, or the held one with `solved` False; and what a shorter step than that
             begins with: the held actuation, in which commanded actuators do as they are told.
         """
-        if stiffness is not None and not len(stiffness.directions):
-            stiffness = None
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         least, most = self._limits.drive_bounds(bounds)
         commanded, drives = least == most, held.drives(self._limits)

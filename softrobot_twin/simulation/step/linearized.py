@@ -359,6 +359,24 @@ class Linearized:
         self._condense_chosen()
 
 
+class LinearizedState(NamedTuple):
+    """A linearized state, and how it was linearized.
+
+    Attributes:
+        linear: The condensed system.
+        solver: A⁻¹, or the augmented tangent in its place.
+        forces: b of the condensed system [N], shape (free_node_count, 3).
+        positions: Node positions [m], shape (node_count, 3).
+        efforts: λ₀ of the actuators there, shape (actuator_row_count,).
+    """
+
+    linear: Linearized
+    solver: Factorization
+    forces: np.ndarray
+    positions: np.ndarray
+    efforts: np.ndarray
+
+
 def expected_to_press(contacts, gaps: np.ndarray) -> np.ndarray | None:
     """Contacts that pressed in the last solution or have a small gap.
 

@@ -17,10 +17,14 @@ import math
 import numpy as np
 
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.step import apparent_stiffness
 from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators, augmented_tangent_of
-from softrobot_twin.simulation.step.linearized import Linearized, PrescribedMoves, expected_to_press
+from softrobot_twin.simulation.step.linearized import (
+    Linearized,
+    LinearizedState,
+    PrescribedMoves,
+    expected_to_press,
+)
 from softrobot_twin.simulation.step.merit import Merit
 from softrobot_twin.simulation.step.move import Move
 from softrobot_twin.simulation.step.time_budget import StageClock
@@ -468,9 +472,7 @@ class Newton:
         )  # fmt: skip
         return actuation._replace(efforts=efforts)
 
-    def linearized_state(
-        self, positions: np.ndarray, efforts: np.ndarray
-    ) -> apparent_stiffness.State:
+    def linearized_state(self, positions: np.ndarray, efforts: np.ndarray) -> LinearizedState:
         """The state of the last linearization, and how it was linearized.
 
         Args:
@@ -478,7 +480,7 @@ class Newton:
             efforts: Efforts of the actuators there, shape (actuator_count,).
         """
         solver = self._augmented if self.is_augmented else self._model.factorization
-        return apparent_stiffness.State(
+        return LinearizedState(
             self._linear, solver, self._condensed_forces, positions.copy(),
             efforts[self._rows.groups.actuators],
         )  # fmt: skip

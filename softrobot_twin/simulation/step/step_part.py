@@ -8,7 +8,7 @@ all parts in turn and knows none of them; `effects.py` lists them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.linearized import LinearizedState
 from softrobot_twin.simulation.step.steppable import Steppable
 from softrobot_twin.simulation.step.time_budget import StageClock
 
@@ -27,11 +28,16 @@ class PartReport(NamedTuple):
         limits: Names of limits that bind.
         figures: Figures by their names, which end in their units.
         entries: Entries of the step's report by their names; see `StepReport`.
+        readings: Entries of the step's result by their names; see `StepResult`.
+        misses: What effectors miss beside their targets after and before the step [m], each of
+            shape (effector_count,), zero where nothing is asked; empty if nothing is.
     """
 
     limits: tuple[str, ...] = ()
     figures: Mapping[str, float] = {}
     entries: Mapping[str, object] = {}
+    readings: Mapping[str, np.ndarray] = {}
+    misses: tuple[np.ndarray, ...] = ()
 
 
 class StepPart:
@@ -42,22 +48,34 @@ class StepPart:
         takes: Class of what it takes of a step's measurements; None if it needs none.
         may_rest: Whether a state in balance may be kept while the command stays.
         depends_on_time: Whether it matters how long actuators are held.
-        hides_stiffness: Whether the robot shows no stiffness of its own now.
+        holds_robot: Whether it holds the robot at places, where none but the hand's stiffness shows.
         is_stepping: Whether a robot at rest has steps to make, see `step_in_place`.
+        has_other_model: Whether another model than that of the scene is in use.
         load: Sum of its forces on the robot by magnitude [N].
+        entry: Key and value of the scene's entry that asks for it; its name by default.
+        refusal: Why it is refused, with a place for what `why_not` tells.
     """
 
     name: str
     takes: type | None = None
     may_rest: bool = True
     depends_on_time: bool = False
-    hides_stiffness: bool = False
+    holds_robot: bool = False
     is_stepping: bool = False
+    has_other_model: bool = False
     load: float = 0.0
+    entry: tuple[str, str] = ("", "")
+    refusal: str = "is not built beside {}"
 
     def why_not(self) -> str:
         """With what of its scene it is not built; empty if it is."""
         return ""
+
+    def attach(self, simulation: Steppable) -> None:
+        """Build what takes the whole simulation, at rest."""
+
+    def warm_up(self, simulation: Steppable) -> None:
+        """Run once what steps of the simulation alone do not run; see `Simulation.warm_up`."""
 
     @property
     def loads(self) -> np.ndarray | None:
@@ -94,6 +112,23 @@ class StepPart:
         """The command that is carried out, in place of one that is asked."""
         return command
 
+    def read(self, command: FollowTargets) -> None:
+        """Take what it needs of targets that are followed.
+
+        Raises:
+            CommandError: That does not fit the scene.
+        """
+
+    def rows(self, state: LinearizedState) -> Any:
+        """Its rows of the inverse problem, below those of the effectors; see `InverseActuation`.
+
+        Args:
+            state: The linearized state.
+
+        Returns:
+            The rows; None if it wants none now.
+        """
+
     def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
         """What it remembers of a step, with the fields of `memory_at_rest`.
 
@@ -102,6 +137,14 @@ class StepPart:
             efforts: Efforts of the actuators there, in their units, shape (actuator_count,).
         """
         return {}
+
+    def receive(self, simulation: Steppable, state: State | None) -> None:
+        """Make the simulation fit for a state that is put into it.
+
+        Args:
+            simulation: The simulation.
+            state: The state; None for the rest shape.
+        """
 
     def reset(self) -> None:
         """Begin where the robot is in its rest shape."""
@@ -140,8 +183,9 @@ class StepPart:
         return np.empty(0)
 
     def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
-    ) -> StepResult | None:
+        self, simulation: Steppable, command: Command, budget: float | None,
+        measured: object | None, clock: StageClock,
+    ) -> StepResult | None:  # fmt: skip
         """Take the place of a step.
 
         Args:
@@ -149,6 +193,7 @@ class StepPart:
             command: What is asked.
             budget: Time for the step [s], or None.
             measured: What is measured; see `Simulation.step`.
+            clock: Books the stages of a step that is made as usual.
 
         Returns:
             Its result; None where the step is to be made as usual.
@@ -195,6 +240,11 @@ def those_with(parts: Iterable[StepPart], *methods: str) -> tuple[StepPart, ...]
     return tuple(part for part in parts if any(
         getattr(type(part), method) is not getattr(StepPart, method) for method in methods
     ))  # fmt: skip
+
+
+def parts_by_method(parts: Iterable[StepPart]) -> dict[str, tuple[StepPart, ...]]:
+    """The parts that define each method; see `those_with`."""
+    return {method: those_with(parts, method) for method in vars(StepPart) if method[0] != "_"}
 
 
 class TermMemory(StepPart):

@@ -40,7 +40,6 @@ from softrobot_twin.simulation.step.step_status import (
     misses,
     orientation_errors,
 )
-from softrobot_twin.simulation.step.stiffness_targets import ReachedStiffness
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 _DRIVEN_BY = {
@@ -61,7 +60,6 @@ class Outcome(NamedTuple):
         iterations: Linearizations done.
         error: Distance of the effectors from equilibrium before the step [m].
         pressed: Whether the budget left no time for a linearization.
-        stiffness: Stiffnesses of the effectors; None if none is wanted.
     """
 
     positions: np.ndarray
@@ -73,7 +71,6 @@ class Outcome(NamedTuple):
     iterations: int
     error: float
     pressed: bool
-    stiffness: ReachedStiffness | None = None
 
 
 class StepResults:
@@ -109,9 +106,11 @@ class StepResults:
         model, newton, actuation = self._model, self._newton, outcome.actuation
         errors = effector_errors(model.effectors, command, places)
         angles = orientation_errors(model.effectors, command, outcome.positions)
-        missed, reached_stiffness = misses(model.effectors, errors, angles), outcome.stiffness
-        if reached_stiffness is not None:
-            missed = _with_stiffness(missed, reached_stiffness.misses)
+        told = [part.report(state) for part in self._parts]
+        more_misses = [part.misses for part in told if part.misses]
+        missed = misses(model.effectors, errors, angles)
+        for after, _ in more_misses:
+            missed = _with_more(missed, after)
         # A command to hold needs no motion, so no limit restricts it.
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
@@ -124,20 +123,20 @@ class StepResults:
         following = isinstance(command, FollowTargets)
         if following and not met and not any(limit.endswith(RATE) for limit in active):
             missed_before = self._missed(command, before.positions)
-            if reached_stiffness is not None:
-                missed_before = _with_stiffness(missed_before, reached_stiffness.misses_before)
+            for _, earlier in more_misses:
+                missed_before = _with_more(missed_before, earlier)
             active = (*active, *self._what_else_holds(asked, outcome, missed_before, missed))
         status = judge(
             actuation, newton.inverted_count, outcome.balance, met, active, following
         )
         if isinstance(command, CommandEfforts) and newton.projected_tangent:
             active = (*active, UNSTABLE)
-        figures, entries = {}, {}
-        for part in self._parts:
-            told = part.report(state)
-            active = (*active, *told.limits)
-            figures |= {f"{part.name}.{figure}": value for figure, value in told.figures.items()}
-            entries |= told.entries
+        figures, entries, readings = {}, {}, {}
+        for part, own in zip(self._parts, told):
+            active = (*active, *own.limits)
+            figures |= {f"{part.name}.{figure}": value for figure, value in own.figures.items()}
+            entries |= own.entries
+            readings |= own.readings
         touching = None
         if model.contacts is not None:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
@@ -159,8 +158,7 @@ class StepResults:
         displacements = model.actuators.displacements_at(state.setpoints, reached)
         return StepResult(
             state, status, state.setpoints, state.efforts, displacements, places, errors, report,
-            touching, self._quaternions(outcome.positions), angles,
-            *(reached_stiffness[:2] if reached_stiffness is not None else ()),
+            touching, self._quaternions(outcome.positions), angles, **readings,
         )  # fmt: skip
 
     def _binding(self, command: Command, asked: Asked, actuation: Actuation) -> list[str]:
@@ -258,12 +256,12 @@ def _of_contacts(loads: ContactLoads, touching: ContactForces | None) -> dict:
     }  # fmt: skip
 
 
-def _with_stiffness(missed: np.ndarray, by_stiffness: np.ndarray) -> np.ndarray:
-    """How far each effector is from its target, wrong stiffnesses counted by their length.
+def _with_more(missed: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """How far each effector is from all that is asked.
 
     Args:
-        missed: Distances [m], NaN without a target, shape (effector_count,).
-        by_stiffness: Those of stiffnesses [m], zero where none is wanted, same shape.
+        missed: Distances from the targets [m], NaN without a target, shape (effector_count,).
+        more: What a part misses; see `PartReport` [m], same shape.
     """
-    both = np.hypot(np.nan_to_num(missed), by_stiffness)
-    return np.where(np.isnan(missed) & (by_stiffness == 0.0), np.nan, both)
+    both = np.hypot(np.nan_to_num(missed), more)
+    return np.where(np.isnan(missed) & (more == 0.0), np.nan, both)

@@ -22,6 +22,7 @@ class Steppable(Protocol):
     """A `Simulation`; see there."""
 
     model: Model
+    parts: tuple
     newton: Newton
     inverse: InverseActuation | None
     state: State
@@ -48,6 +49,8 @@ class Steppable(Protocol):
     def come_near(
         self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
     ) -> np.ndarray | None: ...
+
+    def take_parts(self, parts: tuple) -> None: ...
 
     def forget_solvers(self) -> None: ...
 

@@ -11,7 +11,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status, Touched
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
-from softrobot_twin.simulation.step.stiffness_targets import StiffnessTargets
+from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
 
 FILE = Path(__file__).resolve().parents[3] / "config" / "scenes" / "stifface.yaml"
 WHERE, NOWHERE = np.array([[0.0, 0.0, -1.0e-3]]), np.full((1, 3), np.nan)
@@ -173,9 +173,9 @@ def test_without_a_target_nothing_is_computed(pad):
 
 
 def test_warming_up_runs_what_a_message_may_ask_for(pad, monkeypatch):
-    asked, rows = [], StiffnessTargets.rows
+    asked, rows = [], StiffnessTargets._rows_of
     monkeypatch.setattr(
-        StiffnessTargets, "rows", lambda *given: asked.append(given[2]) or rows(*given)
+        StiffnessTargets, "_rows_of", lambda *given: asked.append(given[2]) or rows(*given)
     )
     before = pad.state
     pad.warm_up()
