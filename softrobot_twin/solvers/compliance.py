@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.solvers.contact_problem import without_rows
-
 
 class Compliance:
     """W of some rows.
@@ -57,5 +55,6 @@ class Compliance:
         if first == stop:
             return self
         if self.Yt is None:
-            return Compliance(without_rows(self._W, self._W[0], first, stop)[0])
+            kept = np.delete(np.arange(self.row_count), slice(first, stop))
+            return Compliance(self._W[np.ix_(kept, kept)])
         return Compliance(Yt=np.concatenate([self.Yt[:first], self.Yt[stop:]]))

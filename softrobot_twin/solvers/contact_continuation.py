@@ -221,10 +221,7 @@ class ContactContinuation:
 
 def _given(problem: ContactProblem) -> tuple:
     """The arguments of the kernels."""
-    return (
-        problem.W, problem.violation, problem.lower, problem.upper, problem.friction,
-        problem.rows_per_contact,
-    )  # fmt: skip
+    return problem[:6]
 
 
 def _judged(problem: ContactProblem, force: np.ndarray, delta: np.ndarray) -> _Forces:
@@ -284,10 +281,9 @@ def solve_with_held_directions(
         elif length > 0.0:
             frame[i, 0], frame[i, 1], frame[i, 2] = z_1 / length, z_2 / length, friction[k]
     matrix, right = np.empty((count, count)), np.empty(count)
+    newton.fill_matrix(W, rows, np.full(count, newton.PLAIN), frame, count, matrix)
     for a in range(count):
         i = rows[a]
-        for b in range(count):
-            matrix[a, b] = newton.system_entry(W[i], rows[b], newton.PLAIN, frame)
         matrix[a, a] += share * W[i, i]
         right[a] = violation[i] - share * W[i, i] * force[i]
     x = pivot(matrix, right, least[:count], greatest[:count], state[:count])

@@ -117,32 +117,21 @@ class ContactGaussSeidel:
         guess = np.asarray(guess, dtype=np.float64)
         if guess.shape != problem.violation.shape:
             raise ValueError(f"a guess of {guess.size} multipliers for {len(problem.W)} rows")
-        rows = (
-            np.ascontiguousarray(problem.W, dtype=np.float64),
-            np.ascontiguousarray(problem.violation, dtype=np.float64),
-            np.ascontiguousarray(problem.lower, dtype=np.float64),
-            np.ascontiguousarray(problem.upper, dtype=np.float64),
-            np.ascontiguousarray(problem.friction, dtype=np.float64),
-            problem.rows_per_contact,
-        )
-        if _usable(*rows[:5], guess):
+        parts = tuple(np.ascontiguousarray(part, dtype=np.float64) for part in problem[:5])
+        rows = (*parts, problem.rows_per_contact)
+        if _usable(*parts, guess):
             force = guess.copy()
             workspace = self._prepare(len(guess), len(problem.friction))
             gap, newtons, count = _iterate(
                 *rows, force, workspace, self.tolerance, self.most_sweeps
             )
-            if gap <= self.tolerance and self._leaves_too_much(newtons, force):
+            greatest = float(np.abs(force).max(initial=0.0))
+            if gap <= self.tolerance and newtons > self.force_share * greatest:
                 gap, newtons, count = _end(*rows, force, workspace, gap, newtons, count)
-            if np.isfinite(gap) and np.isfinite(greatest_size(force)):
+            if np.isfinite(gap) and np.isfinite(force).all():
                 return ContactSolution(force, gap, newtons, count, bool(gap <= self.tolerance))
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
-
-    def _leaves_too_much(self, newtons: float, force: np.ndarray) -> bool:
-        """Whether a solution that is exact in metres is not exact enough in newtons."""
-        if self.force_share == np.inf:
-            return False
-        return bool(newtons > self.force_share * greatest_size(force))
 
     def _prepare(self, n: int, contact_count: int) -> _Workspace:
         """Workspace for n rows: views of the buffers, which grow where they are too small."""
@@ -290,17 +279,6 @@ def residual(W, lower, upper, friction, rows_per_contact, force, delta):
     """
     own = own_compliance(W, len(lower), rows_per_contact)
     return natural_residual(own, delta, lower, upper, friction, rows_per_contact, force)
-
-
-@njit(**KERNEL)
-def greatest_size(values):
-    """Greatest absolute value, zero of none; infinite where any is not finite."""
-    greatest = 0.0
-    for value in values:
-        if not np.isfinite(value):
-            return np.inf
-        greatest = max(greatest, abs(value))
-    return greatest
 
 
 @njit(**KERNEL)

@@ -113,19 +113,26 @@ def fill_system(W, force, delta, rows, kinds, frame, count, proximal, matrix, ri
         right: Written, shape (m,) at least.
     """
     fill_right_side(force, delta, rows, kinds, frame, count, right)
+    fill_matrix(W, rows, kinds, frame, count, matrix)
+    for a in range(count):
+        matrix[a, a] += proximal * W[rows[a], rows[a]]
+
+
+@njit(**INNER)
+def fill_matrix(W, rows, kinds, frame, count, matrix):
+    """Matrix of the active rows without a share of their compliance; see `fill_system`."""
     for a in range(count):
         i = rows[a]
         if kinds[a] == PLAIN:
             for b in range(count):
                 matrix[a, b] = system_entry(W[i], rows[b], kinds[b], frame)
-        else:
-            t_1, t_2 = frame[i, 0], frame[i, 1]
-            for b in range(count):
-                first = system_entry(W[i], rows[b], kinds[b], frame)
-                second = system_entry(W[i + 1], rows[b], kinds[b], frame)
-                matrix[a, b] = t_1 * first + t_2 * second
-            matrix[a, a] += frame[i, 2]
-        matrix[a, a] += proximal * W[i, i]
+            continue
+        t_1, t_2 = frame[i, 0], frame[i, 1]
+        for b in range(count):
+            first = system_entry(W[i], rows[b], kinds[b], frame)
+            second = system_entry(W[i + 1], rows[b], kinds[b], frame)
+            matrix[a, b] = t_1 * first + t_2 * second
+        matrix[a, a] += frame[i, 2]
 
 
 @njit(**KERNEL)

@@ -20,26 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
-
-
-@njit(**KERNEL)
-def are_reversed(lower, upper):
-    """Whether any lower bound is above its upper bound, both of shape (n,)."""
-    for i in range(len(lower)):
-        if lower[i] > upper[i]:
-            return True
-    return False
-
-
-@njit(**KERNEL)
-def any_negative(values):
-    """Whether any value is below zero."""
-    for value in values:
-        if value < 0.0:
-            return True
-    return False
-
 
 class ContactProblem(NamedTuple):
     """Rows of actuators first, then those of contacts.
@@ -88,9 +68,9 @@ class ContactProblem(NamedTuple):
         given = given if self.W is None else self.W.shape
         if given != (n, n) or self.violation.shape != (n,):
             raise ValueError(f"{n} rows, but W {given}, violation {self.violation.shape}")
-        if self.upper.shape != self.lower.shape or are_reversed(self.lower, self.upper):
+        if self.upper.shape != self.lower.shape or (self.lower > self.upper).any():
             raise ValueError("an actuator's least multiplier is above its greatest")
-        if any_negative(self.friction):
+        if (self.friction < 0.0).any():
             raise ValueError("a coefficient of friction is negative")
 
 
@@ -133,26 +113,3 @@ class ContactSolution(NamedTuple):
     force_residual: float
     sweeps: int
     converged: bool
-
-
-@njit(**KERNEL)
-def without_rows(W, violation, first, stop):
-    """The system without some of its rows.
-
-    Args:
-        W: Compliance [m/N], shape (n, n).
-        violation: Motion without multipliers [m], shape (n,).
-        first: First row that is left out.
-        stop: The first after it that is not.
-
-    Returns:
-        The same of the others, copied.
-    """
-    n, out = len(violation), stop - first
-    kept_W, kept_violation = np.empty((n - out, n - out)), np.empty(n - out)
-    for i in range(n - out):
-        row = i if i < first else i + out
-        kept_violation[i] = violation[row]
-        for j in range(n - out):
-            kept_W[i, j] = W[row, j if j < first else j + out]
-    return kept_W, kept_violation

@@ -46,7 +46,13 @@ from softrobot_twin.solvers.contact_law import (
     natural_residual,
     own_compliance,
 )
-from softrobot_twin.solvers.contact_newton_step import PLAIN, TURNING, solve_system, system_entry
+from softrobot_twin.solvers.contact_newton_step import (
+    PLAIN,
+    TURNING,
+    apply_step,
+    fill_matrix,
+    solve_system,
+)
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 
 # Compliance ε without a guess, with a guess, and at least.
@@ -308,7 +314,8 @@ def _step_by_matrix(
     motion(W, none, frame[:, 3], known)
     matrix, right = fill_reduced_system(W, g, known, stiffness, rows, kinds, frame, count)
     u = np.linalg.solve(matrix, right) if count else right
-    expand_step(rows, kinds, frame, count, u, step)
+    copy_into(step, frame[:, 3])
+    apply_step(rows, kinds, frame, count, u, step)
 
 
 @njit(**INNER)
@@ -464,46 +471,14 @@ def fill_reduced_system(W, g, known, stiffness, rows, kinds, frame, count):
         The matrix, shape (count, count), and the right-hand side, shape (count,).
     """
     matrix, right = np.empty((count, count)), np.empty(count)
+    fill_matrix(W, rows, kinds, frame, count, matrix)
     for a in range(count):
         i = rows[a]
         if kinds[a] == PLAIN:
-            for b in range(count):
-                matrix[a, b] = system_entry(W[i], rows[b], kinds[b], frame)
             matrix[a, a] += 1.0 / stiffness[i]
             right[a] = -g[i] / stiffness[i] - known[i]
             continue
         t_1, t_2, soft = frame[i, 0], frame[i, 1], frame[i, 2]
-        for b in range(count):
-            first = system_entry(W[i], rows[b], kinds[b], frame)
-            second = system_entry(W[i + 1], rows[b], kinds[b], frame)
-            matrix[a, b] = t_1 * first + t_2 * second
-        matrix[a, a] += soft
         across = t_1 * g[i] + t_2 * g[i + 1]
         right[a] = -soft * across - t_1 * known[i] - t_2 * known[i + 1]
     return matrix, right
-
-
-@njit(**KERNEL)
-def expand_step(rows, kinds, frame, count, u, step):
-    """Δ = B u + c, the change of all multipliers.
-
-    Args:
-        rows: Row of each unknown, shape (count,) or longer.
-        kinds: `PLAIN` or `TURNING` of each unknown, same shape.
-        frame: See `pick_rows`; c is its last column, shape (n, 4).
-        count: Number of unknowns.
-        u: The unknowns [N], shape (count,).
-        step: Δ [N], written, shape (n,).
-    """
-    for i in range(len(step)):
-        step[i] = frame[i, 3]
-    for a in range(count):
-        i = rows[a]
-        if kinds[a] == TURNING:
-            step[i] += frame[i, 0] * u[a]
-            step[i + 1] += frame[i, 1] * u[a]
-            continue
-        step[i] += u[a]
-        if frame[i, 2] != 0.0:
-            step[i + 1] += frame[i, 2] * frame[i, 0] * u[a]
-            step[i + 2] += frame[i, 2] * frame[i, 1] * u[a]

@@ -50,6 +50,12 @@ class WhitenedQP(NamedTuple):
     upper: np.ndarray
     T: np.ndarray
 
+    def solution(self, w, duals, solved: bool, iterations: int, reason: str, solver: str):
+        """What a solver found, as a `QPSolution`; no number where it is not solved or not finite."""
+        solved = solved and bool(np.all(np.isfinite(w)))
+        unknowns = self.T @ w if solved else np.full(len(self.q), np.nan)
+        return QPSolution(unknowns, np.array(duals), solved, iterations, reason, solver)
+
 
 class QPSolution(NamedTuple):
     """Solution of a quadratic program.
@@ -140,10 +146,9 @@ class OSQPSolver:
             # Column by column, as a sparse matrix with every entry present stores it.
             self._solver.update(q=problem.q, l=lower, u=upper, Ax=problem.C.T.ravel())
         found = self._solver.solve(raise_error=False)
-        solved = found.info.status == "solved" and bool(np.all(np.isfinite(found.x)))
-        unknowns = problem.T @ found.x if solved else np.full(len(problem.q), np.nan)
-        return QPSolution(
-            unknowns, np.array(found.y), solved, found.info.iter, found.info.status, self.name
+        status = found.info.status
+        return problem.solution(
+            found.x, found.y, status == "solved", found.info.iter, status, self.name
         )
 
     def _set_up(self, problem: WhitenedQP, lower: np.ndarray, upper: np.ndarray) -> None:
@@ -195,9 +200,6 @@ class DAQPSolver:
             np.eye(len(problem.q)), problem.q, problem.C, upper, lower,
             np.zeros(len(upper), dtype=c_int), primal_tol=self._tolerance,
         )  # fmt: skip
-        solved = exit_flag >= 1 and bool(np.all(np.isfinite(w)))
-        unknowns = problem.T @ w if solved else np.full(len(problem.q), np.nan)
-        return QPSolution(
-            unknowns, np.array(info["lam"]), solved, info["iterations"],
-            f"exit flag {exit_flag}", self.name,
-        )  # fmt: skip
+        return problem.solution(
+            w, info["lam"], exit_flag >= 1, info["iterations"], f"exit flag {exit_flag}", self.name
+        )
