@@ -44,7 +44,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import block_diag, bsr_array, coo_array
 from scipy.sparse.linalg import spsolve
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
@@ -430,13 +430,7 @@ class BeamInertia(MassTerm, InertiaTerm):
         frames = self._frames
         first = frames.first_unknown
         D, m = self._derivatives(positions), self.masses
-        count = len(m.origins)
-        places = np.arange(24 * count).reshape(count, 8, 3)
-        lines = np.repeat(places[:, :, None], 8, axis=2).ravel()
-        columns = np.repeat(places[:, None], 8, axis=1).ravel()
-        M = coo_array(
-            (np.repeat(m.matrices.ravel(), 3), (lines, columns)), shape=(24 * count, 24 * count)
-        ).tocsr()
+        M = block_diag([np.kron(own, np.eye(3)) for own in m.matrices], format="csr")
         M = (D.T @ M @ D).tocsr()[3 * first :, 3 * first :]
         size = M.shape[0] // 3
         blocks = np.zeros((size, 3, 3))
@@ -446,9 +440,7 @@ class BeamInertia(MassTerm, InertiaTerm):
         # Nothing accelerates the unused numbers of hinges.
         unused = (M.diagonal().reshape(-1, 3) == 0.0) & (np.einsum("kii->ki", blocks) == 0.0)
         blocks += unused[:, :, None] * np.eye(3)
-        lines = 3 * np.arange(size)[:, None, None] + np.arange(3)[:, None] + np.zeros(3, np.int64)
-        columns = 3 * np.arange(size)[:, None, None] + np.arange(3) + np.zeros((3, 1), np.int64)
-        M = M + coo_array((blocks.ravel(), (lines.ravel(), columns.ravel())), shape=M.shape)
+        M = M + bsr_array((blocks, np.arange(size), np.arange(size + 1)), shape=M.shape)
         found = spsolve(M.tocsc(), np.where(unused, 0.0, forces[first:]).ravel())
         accelerations[first:] = found.reshape(-1, 3)
 

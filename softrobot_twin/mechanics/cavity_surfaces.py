@@ -42,6 +42,7 @@ from softrobot_twin.geometry.matrix3 import cross_matrix
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, set_row, subtract
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.kinematics import each_once
 from softrobot_twin.mechanics.stencil import BoundStencils, add_block, bind_stencils
 
 # Greatest share of its volume that a cavity loses in one linearization.
@@ -256,12 +257,8 @@ class CavitySurfaces:
         nodes, weights = self._carriers.nodes, self._carriers.barycentric_weights
         count, own = len(self.triangles), nodes.shape[1]
         of_triangle = np.where(weights != 0.0, nodes, -1)[self.triangles].reshape(count, 3 * own)
-        ordered = -np.sort(-of_triangle, axis=1)
-        ordered[:, 1:][ordered[:, 1:] == ordered[:, :-1]] = -1
-        ordered = -np.sort(-ordered, axis=1)
-        width = max(1, int((ordered >= 0).sum(axis=1).max(initial=0)))
-        ordered = ordered[:, :width]
-        found = np.zeros((count, 3, width))
+        ordered = each_once(of_triangle)
+        found = np.zeros((count, 3, ordered.shape[1]))
         for vertex in range(3):
             at = self.triangles[:, vertex]
             same = nodes[at][:, :, None] == ordered[:, None, :]

@@ -59,6 +59,7 @@ import numpy as np
 from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
+    add_outer,
     add_scaled_matrix,
     cross_matrix,
     plus_identity,
@@ -73,7 +74,6 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import (
     add,
-    add_scaled,
     dot,
     is_zero,
     negated,
@@ -250,7 +250,7 @@ def add_hinged_turning(x, nodes, parents, axes, free_parents, forces, out, first
             place, f = row(x, nodes[k] + corner), row(forces, 4 * k + corner)
             lever = subtract(place, row(x, nodes[k]))
             own = add_scaled_matrix(own, lever_turning(f, lever), 1.0)
-            mixed = plus_identity(minus_outer(mixed, lever, f), dot(f, lever))
+            mixed = plus_identity(add_outer(mixed, negated(lever), f), dot(f, lever))
             if free_parents[k] >= 0:
                 add_block(out[free_parents[k]], lever_turning(f, subtract(place, centre)))
         add_block(out[first + k], transposed_product(S, product(own, S)))
@@ -259,26 +259,11 @@ def add_hinged_turning(x, nodes, parents, axes, free_parents, forces, out, first
 
 
 @njit(**INLINED)
-def minus_outer(A, a, b):
-    """A - a bᵀ."""
-    return (
-        add_scaled(A[0], b, -a[0]), add_scaled(A[1], b, -a[1]), add_scaled(A[2], b, -a[2])
-    )  # fmt: skip
-
-
-@njit(**INLINED)
 def lever_turning(f, lever):
     """f·ρ 1 - (f ρᵀ + ρ fᵀ)/2."""
     half = scaled(f, -0.5)
     block = plus_identity(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), dot(f, lever))
-    block = (
-        add_scaled(block[0], lever, half[0]), add_scaled(block[1], lever, half[1]),
-        add_scaled(block[2], lever, half[2]),
-    )  # fmt: skip
-    return (
-        add_scaled(block[0], half, lever[0]), add_scaled(block[1], half, lever[1]),
-        add_scaled(block[2], half, lever[2]),
-    )  # fmt: skip
+    return add_outer(add_outer(block, half, lever), lever, half)
 
 
 @njit(**INLINED)

@@ -254,6 +254,32 @@ class Nodes:
         return largest
 
 
+def each_once(rows: np.ndarray) -> np.ndarray:
+    """Indices of each row once and in falling order, -1 where none, shape (row_count, width).
+
+    Args:
+        rows: Indices, -1 where none, shape (row_count, any).
+    """
+    rows = -np.sort(-rows, axis=1)
+    rows[:, 1:][rows[:, 1:] == rows[:, :-1]] = -1
+    rows = -np.sort(-rows, axis=1)
+    return rows[:, : max(1, int((rows >= 0).sum(axis=1).max(initial=0)))]
+
+
+def moved_by(points, indices: np.ndarray) -> np.ndarray:
+    """Unknowns that move nodes and points, -1 where none, shape (*indices.shape, width).
+
+    Args:
+        points: The `CarriedPoints`.
+        indices: Free-node indices, those of carried points after them, -1 where none.
+    """
+    width = max(1, points.unknowns.shape[1])
+    table = np.full((points.free_count + points.count + 1, width), -1, np.int64)
+    table[: points.free_count, 0] = np.arange(points.free_count)
+    table[points.free_count : -1] = points.unknowns
+    return table[indices]
+
+
 def points_among(indices: np.ndarray, free_count: int) -> np.ndarray:
     """The carried points among unknowns and points, each once, numbered from 0.
 
@@ -786,16 +812,8 @@ class FoldedStiffness:
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each element couples, each once, -1 where none, one line an element."""
-        points = self._points
-        width = max(1, points.unknowns.shape[1])
-        table = np.full((points.free_count + points.count + 1, width), -1, np.int64)
-        table[: points.free_count, 0] = np.arange(points.free_count)
-        table[points.free_count : -1] = points.unknowns
-        unknowns = table[self._point_stencils].reshape(len(self._point_stencils), -1)
-        unknowns = -np.sort(-unknowns, axis=1)
-        unknowns[:, 1:][unknowns[:, 1:] == unknowns[:, :-1]] = -1
-        unknowns = -np.sort(-unknowns, axis=1)
-        return unknowns[:, : max(1, int((unknowns >= 0).sum(axis=1).max(initial=0)))]
+        unknowns = moved_by(self._points, self._point_stencils)
+        return each_once(unknowns.reshape(len(unknowns), -1))
 
     def bind(self, elimination_rank: np.ndarray, slots):
         """Plan the places of the blocks.
@@ -999,11 +1017,7 @@ class FoldedSegments:
         points = self._points
         self._bound = bind_stencils(self._unknowns, elimination_rank, slots)
         ordered = np.take_along_axis(self._unknowns, self._bound.order, axis=1)
-        width = max(1, points.unknowns.shape[1])
-        table = np.full((points.free_count + points.count + 1, width), -1, np.int64)
-        table[: points.free_count, 0] = np.arange(points.free_count)
-        table[points.free_count : -1] = points.unknowns
-        reached = table[self._nodes]
+        reached = moved_by(points, self._nodes)
         same = reached[:, :, :, None] == ordered[:, None, None, :]
         self._places = np.where(reached >= 0, same.argmax(axis=3), -1)
         self._turning = TurningBlocks(points, self._unknowns, elimination_rank, slots)
@@ -1076,6 +1090,14 @@ class TurningBlocks:
             add_turning_blocks(blocks, self._reached, self._is_upper, *self._places, storage)
 
 
+# What a term is and does whatever its points are carried by.
+SAME_ON_POINTS = (
+    "name", "remembers_start", "is_slender", "stays_upright", "is_inertia", "begin_step",
+    "begin_rates", "largest_share", "energy", "kinetic_energy",
+)  # fmt: skip
+SAME_INERTIA = ("begin_second_order", "add_accelerations")
+
+
 class CarriedTerm(ForceTerm):
     """A force term some of whose elements hold carried points."""
 
@@ -1086,9 +1108,9 @@ class CarriedTerm(ForceTerm):
             term: The term, not bound yet.
             points: The carried points.
         """
-        self._term, self.name = term, term.name
-        self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
-        self.stays_upright, self.is_inertia = term.stays_upright, term.is_inertia
+        self._term = term
+        for name in SAME_ON_POINTS + (SAME_INERTIA if term.is_inertia else ()):
+            setattr(self, name, getattr(term, name))
         self.is_traceable = term.is_traceable and getattr(points, "is_traceable", False)
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
@@ -1108,18 +1130,6 @@ class CarriedTerm(ForceTerm):
         """Bind the term to memory of its own, and plan the fold; see `ForceTerm.bind`."""
         self._term.bind(*self._stiffness.bind(elimination_rank, slots))
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
-        """See `ForceTerm.begin_step`."""
-        self._term.begin_step(positions, velocities, time_step)
-
-    def begin_rates(
-        self, positions: np.ndarray, reference: np.ndarray, velocities: np.ndarray, span: float
-    ) -> None:
-        """See `ForceTerm.begin_rates`."""
-        self._term.begin_rates(positions, reference, velocities, span)
-
     @property
     def weight(self) -> float:
         """See `InertiaTerm`."""
@@ -1128,16 +1138,6 @@ class CarriedTerm(ForceTerm):
     @weight.setter
     def weight(self, weight: float) -> None:
         self._term.weight = weight
-
-    def begin_second_order(
-        self, positions, ahead, velocities, accelerations, time_step: float
-    ) -> None:
-        """See `InertiaTerm.begin_second_order`."""
-        self._term.begin_second_order(positions, ahead, velocities, accelerations, time_step)
-
-    def add_accelerations(self, positions, forces, accelerations) -> None:
-        """See `InertiaTerm.add_accelerations`."""
-        self._term.add_accelerations(positions, forces, accelerations)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces; see `ForceTerm.add_forces`."""
@@ -1162,18 +1162,6 @@ class CarriedTerm(ForceTerm):
         add_vectors(self._forces[:free], forces)
         self._points.update(positions)
         self._points.fold_forces(self._forces[free:], forces, self._own)
-
-    def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
-        """See `ForceTerm.largest_share`."""
-        return self._term.largest_share(before, after)
-
-    def energy(self, positions: np.ndarray) -> float:
-        """Elastic energy [J]; see `ForceTerm.energy`."""
-        return self._term.energy(positions)
-
-    def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
-        """Kinetic energy [J]; see `ForceTerm.kinetic_energy`."""
-        return self._term.kinetic_energy(positions, velocities)
 
 
 def on_unknowns(term: ForceTerm, points: CarriedPoints | None) -> ForceTerm:

@@ -177,6 +177,3 @@ class TouchLoads(ForceTerm):
             self._weights, self._held_stiffness(), self._bound.offsets, self._bound.strides,
             storage,
         )  # fmt: skip
-
-    def add_force_curvature(self, positions, direction, reach, curvature) -> None:
-        """Adds nothing: the forces are linear in the positions."""
