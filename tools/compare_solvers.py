@@ -35,8 +35,8 @@ from softrobot_twin.solvers.superlu import OPTIONS
 from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.bench_measurement import (
     BenchCase,
-    CircleTargets,
     SuperLUReference,
+    circle_targets,
     default_scene_path,
     given_cases,
     without_garbage_collection,
@@ -171,10 +171,10 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
     """
     recorder = RecordingSolver()
     simulation = Simulation(case.scene, qp_solvers=(recorder,))
-    commands = CircleTargets(simulation)
+    commands = circle_targets(simulation)
     recorder.recorded.clear()
     while len(recorder.recorded) < count:
-        simulation.step(commands.next())
+        simulation.step(next(commands))
     return ProblemSet(f"{case.scene.name}'s own run", (tuple(recorder.recorded[:count]),))
 
 
@@ -494,8 +494,8 @@ def compare_factorizations(simulation: Simulation, repeats: int) -> Factorizatio
         simulation: Warmed up.
         repeats: Number of timed repetitions.
     """
-    commands = CircleTargets(simulation)
-    simulation.step(commands.next())
+    commands = circle_targets(simulation)
+    simulation.step(next(commands))
     model = simulation.model
     rows = NodeRows(model.rows.row_index.copy(), model.rows.node_index.copy(),
                     model.rows.blocks.copy(), model.rows.row_count)

@@ -19,16 +19,17 @@ import meshio
 import numpy as np
 from rich.table import Table
 
+from specimens import column_mesh
+
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.study.bench import make_folder
+from softrobot_twin.study.accuracy_study import write_mesh
 from softrobot_twin.study.bench_measurement import (
     INTERRUPTION,
     WHOLE_STEP,
-    column_mesh,
     growth_exponent,
     without_garbage_collection,
-    write_mesh,
 )
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine

@@ -26,6 +26,7 @@ from scipy.optimize import minimize_scalar
 from scipy.sparse.linalg import splu
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
@@ -52,8 +53,8 @@ from softrobot_twin.simulation.mesh_error import (
 )
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
-from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
-from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.bench_measurement import without_garbage_collection
+from softrobot_twin.study.output_file import OutputError, cell, csv_output
 from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.terminal import approximate_duration, progress, warn
 
@@ -582,14 +583,9 @@ def write_rows(path: Path, rows: Sequence[AccuracyRow]) -> None:
         OutputError: The file cannot be written.
     """
     names = [field.name for field in fields(AccuracyRow)]
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(names)
-            writer.writerows([_cell(getattr(row, name)) for name in names] for row in rows)
-    except OSError as error:
-        raise OutputError(path, error.strerror or str(error)) from error
+    with csv_output(path, names) as write:
+        for row in rows:
+            write([cell(getattr(row, name)) for name in names])
 
 
 # Columns that files of before there were reduced models lack.
@@ -615,12 +611,6 @@ def read_rows(path: Path) -> list[AccuracyRow]:
                                    for field in fields(AccuracyRow)}) for line in reader]
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise AccuracyError(str(path), f"cannot be read as a file of 'accuracy': {error}") from None
-
-
-def _cell(value) -> str:
-    if isinstance(value, float):
-        return f"{value:.6g}" if np.isfinite(value) else ""
-    return str(value)
 
 
 def _value(cell: str, kind: str):
@@ -1095,6 +1085,14 @@ def _level(name: str, scene: Scene, is_own: bool, element: str = "linear") -> Me
     size = float(np.cbrt(mesh.volume / mesh.cell_count))
     return MeshLevel(name, scene, mesh.cell_count, mesh.corner_mesh.node_count, size, is_own,
                      mesh.volume, mesh.bounding_box)
+
+
+def write_mesh(path: Path, mesh: TetMesh) -> None:
+    """Writes a mesh as binary VTK."""
+    import meshio
+
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)])
+    content.write(path, file_format="vtk42", binary=True)
 
 
 def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import csv
 import sys
-import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 
@@ -30,20 +29,8 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.output_file import OutputError, cell, csv_output
 from softrobot_twin.study.terminal import announce, console, table
-
-COLUMNS = (
-    "scene", "family", "nodes", "tets", "dof", "modes", "points", "rows", "contacts",
-    "factorization", "steps", "stage", "median_ms",
-    "p99_ms", "max_ms", "ratio_to_superlu", "growth_exponent", "superlu_ms", "superlu_samples",
-    "superlu_page_faults",
-    "interrupted_share",
-    "factor_flop", "solves_flop", "dgemm_flop_per_s", "share_of_dgemm_speed", "factor_bytes",
-    "resident_bytes", "full_ms", "ratio_to_full", "python_calls",
-    "kernel_share", "beside_step_ms",
-)
-
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
     """Writes all sizes as CSV; unknown values are left empty.
@@ -52,43 +39,36 @@ def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
         OutputError: The file cannot be written.
     """
     families = families_of(sizes)
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for size in sizes:
-                for stage in size.stages:
-                    growth = exponent(families[size.case.family], stage)
-                    full = full_size(size, sizes)
-                    writer.writerow(map(_cell, _row(size, stage, growth, full)))
-    except OSError as error:
-        raise OutputError(path, error.strerror or str(error)) from error
+    rows = [_row(size, stage, exponent(families[size.case.family], stage), full_size(size, sizes))
+            for size in sizes for stage in size.stages]
+    with csv_output(path, list(rows[0])) as write:
+        for row in rows:
+            write(map(cell, row.values()))
 
 
 def _row(
     size: SizeMeasurement, stage: str, growth: float, full: SizeMeasurement | None
-) -> tuple:  # fmt: skip
+) -> dict[str, object]:  # fmt: skip
+    """The cells of a stage by their columns."""
     times, flops = size.stages[stage], size.flops
     whole = full and full.stages[WHOLE_STEP].median
-    return (
-        size.case.name, size.case.family, size.node_count, size.tet_count, size.dof_count,
-        size.mode_count or None, size.point_count or None,
-        size.row_count, size.contact_count, size.factorization, size.step_count, stage,
-        1e3 * times.median, 1e3 * times.p99,
-        1e3 * times.maximum, times.median / size.superlu.median, growth,
-        1e3 * size.superlu.median, size.superlu_count, size.superlu_page_faults,
-        size.interrupted_share,
-        flops and flops.factor,
-        flops and flops.solves, size.dense_speed, size.share_of_dense_speed, size.factor_bytes,
-        size.resident, whole and 1e3 * whole, whole and times.median / whole, size.calls,
-        size.kernel_share, 1e3 * size.beside,
-    )
-
-
-def _cell(value) -> str:
-    if value is None or (isinstance(value, float) and not np.isfinite(value)):
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return {
+        "scene": size.case.name, "family": size.case.family, "nodes": size.node_count,
+        "tets": size.tet_count, "dof": size.dof_count, "modes": size.mode_count or None,
+        "points": size.point_count or None, "rows": size.row_count,
+        "contacts": size.contact_count, "factorization": size.factorization,
+        "steps": size.step_count, "stage": stage, "median_ms": 1e3 * times.median,
+        "p99_ms": 1e3 * times.p99, "max_ms": 1e3 * times.maximum,
+        "ratio_to_superlu": times.median / size.superlu.median, "growth_exponent": growth,
+        "superlu_ms": 1e3 * size.superlu.median, "superlu_samples": size.superlu_count,
+        "superlu_page_faults": size.superlu_page_faults,
+        "interrupted_share": size.interrupted_share, "factor_flop": flops and flops.factor,
+        "solves_flop": flops and flops.solves, "dgemm_flop_per_s": size.dense_speed,
+        "share_of_dgemm_speed": size.share_of_dense_speed, "factor_bytes": size.factor_bytes,
+        "resident_bytes": size.resident, "full_ms": whole and 1e3 * whole,
+        "ratio_to_full": whole and times.median / whole, "python_calls": size.calls,
+        "kernel_share": size.kernel_share, "beside_step_ms": 1e3 * size.beside,
+    }  # fmt: skip
 
 
 REQUIRED_RATIO = 0.16
@@ -355,15 +335,13 @@ def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
                   linewidth=2.2, markersize=5, label=f"whole step, median, {family}")
         axes.plot(dofs, [size.ratio * size.tail for size in ordered], "_", color=_STEP_COLOUR,
                   markersize=11, label=f"99th percentile, {family}")
-    for name, ratio in SOFA_RATIOS.items():
-        axes.axhline(ratio, color="#a03b76", linewidth=1.1, linestyle=(0, (4, 2)))
-        axes.annotate(f"{name}, original Diamond: {ratio}", (1.0, ratio), (-4, 3),
+    lines = [(f"{name}, original Diamond", ratio, "#a03b76") for name, ratio in SOFA_RATIOS.items()]
+    lines.append(("required of the default Diamond", REQUIRED_RATIO, "#3a8f5c"))
+    for text, ratio, colour in lines:
+        axes.axhline(ratio, color=colour, linewidth=1.1, linestyle=(0, (4, 2)))
+        axes.annotate(f"{text}: {ratio}", (1.0, ratio), (-4, 3),
                       xycoords=("axes fraction", "data"), textcoords="offset points",
-                      ha="right", fontsize=8, color="#a03b76")
-    axes.axhline(REQUIRED_RATIO, color="#3a8f5c", linewidth=1.1, linestyle=(0, (4, 2)))
-    axes.annotate(f"required of the default Diamond: {REQUIRED_RATIO}", (1.0, REQUIRED_RATIO),
-                  (-4, 3), xycoords=("axes fraction", "data"), textcoords="offset points",
-                  ha="right", fontsize=8, color="#3a8f5c")
+                      ha="right", fontsize=8, color=colour)
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
              ylabel="whole step / one SuperLU factorization",
              title="Whole step against SuperLU on the same matrices, lower is faster")
@@ -459,9 +437,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     if output is not None:
         make_folder(output)
     earlier = read_earlier(compare) if compare is not None else {}
-    with tempfile.TemporaryDirectory() as folder:
-        cases = given_cases(scenes, commands) if scenes else standard_cases(Path(folder))
-        sizes = _measure_all(cases, steps)
+    cases = given_cases(scenes, commands) if scenes else standard_cases()
+    sizes = _measure_all(cases, steps)
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print("One thread, garbage collection off. Effectors move along a circle; robots without\n"
@@ -486,7 +463,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     if earlier:
         shown.print(compare_with_earlier(sizes, earlier))
     if output is not None:
-        _write(output, sizes, conditions)
+        write_bench(output / "bench.csv", sizes)
+        draw_bench(output / "bench.png", sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")
     return 0
 
@@ -503,20 +481,16 @@ def make_folder(folder: Path) -> None:
         raise OutputError(folder, error.strerror or str(error)) from error
 
 
-def _measure_all(cases: Iterable[BenchCase], steps: int) -> list[SizeMeasurement]:
-    sizes, begin, listed = [], time.monotonic(), list(cases)
-    for number, case in enumerate(listed, start=1):
+def _measure_all(cases: Sequence[BenchCase], steps: int) -> list[SizeMeasurement]:
+    sizes, begin = [], time.monotonic()
+    for number, case in enumerate(cases, start=1):
         # One line instead of a progress bar, whose thread would disturb the timing.
-        print(f"{case.name}, {number} of {len(listed)}: {steps} steps …", file=sys.stderr,
+        print(f"{case.name}, {number} of {len(cases)}: {steps} steps …", file=sys.stderr,
               flush=True)
         sizes.append(measure(case, steps))
         if number == 1:
-            announce((len(listed) - 1) * (time.monotonic() - begin),
-                     f"{len(listed) - 1} more, if none takes longer than the first",
+            announce((len(cases) - 1) * (time.monotonic() - begin),
+                     f"{len(cases) - 1} more, if none takes longer than the first",
                      "fewer --steps, or scenes that are named, shorten it")
     return sizes
 
-
-def _write(output: Path, sizes: list[SizeMeasurement], conditions: str) -> None:
-    write_bench(output / "bench.csv", sizes)
-    draw_bench(output / "bench.png", sizes, conditions)

@@ -11,11 +11,11 @@ import gc
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from itertools import permutations
+from itertools import count, cycle, repeat
 from pathlib import Path
 from time import perf_counter, thread_time
 from typing import NamedTuple
@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numba.core.registry import CPUDispatcher
+from scipy.interpolate import interp1d
 from scipy.sparse.linalg import splu
 
 import softrobot_twin
@@ -31,12 +32,18 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.actuator_entries import Cable
-from softrobot_twin.scene.body_entries import Body, BoxRegion, Mesh, Region
+from softrobot_twin.scene.body_entries import Body, BoxMesh, BoxRegion, Mesh, Region
 from softrobot_twin.scene.schema import Effector
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, StepResult
+from softrobot_twin.simulation import (
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+    Simulation,
+    Status,
+    StepReport,
+)
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.solvers.factorization import Factorization
@@ -61,53 +68,7 @@ def growth_exponent(sizes, times) -> float:
     sizes, times = np.asarray(sizes, dtype=float), np.asarray(times, dtype=float)
     known = np.isfinite(times) & (times > 0.0)
     x, y = np.log(sizes[known]), np.log(times[known])
-    if len(np.unique(x)) < 2:
-        return float("nan")
-    x = x - x.mean()
-    return float(x @ (y - y.mean()) / (x @ x))
-
-
-def column_mesh(size: tuple[float, float, float], cells: tuple[int, int, int]) -> TetMesh:
-    """Meshes a column that hangs down from the plane z = 0, its axis on the z axis.
-
-    Args:
-        size: Edges along x, y, z [m].
-        cells: Boxes along each of them.
-
-    Returns:
-        The mesh [m].
-    """
-    counts = np.array(cells) + 1
-    axes = [np.linspace(-0.5, 0.5, count) for count in counts[:2]] + [
-        np.linspace(-1.0, 0.0, counts[2])]
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) * np.array(size)
-    number = np.arange(len(nodes)).reshape(counts)
-    tets = []
-    for path in permutations(range(3)):
-        corner = np.zeros(3, dtype=int)
-        corners = [_corner(number, corner)]
-        for axis in path:
-            corner[axis] = 1
-            corners.append(_corner(number, corner))
-        # Odd permutations of the axes give left-handed tetrahedra, which are reversed.
-        odd = np.linalg.det(np.eye(3)[list(path)]) < 0.0
-        tets.append(np.stack([corners[k] for k in ((0, 2, 1, 3) if odd else range(4))], axis=-1))
-    return TetMesh(nodes, np.concatenate(tets))
-
-
-def write_mesh(path: Path, mesh: TetMesh) -> None:
-    """Writes a mesh as binary VTK."""
-    import meshio
-
-    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)])
-    content.write(path, file_format="vtk42", binary=True)
-
-
-def _corner(number: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Node at one corner of every box."""
-    ends = np.array(number.shape) - 1 + offset
-    (i, j, k), (a, b, c) = offset, ends
-    return number[i:a, j:b, k:c].ravel()
+    return float(np.polyfit(x, y, 1)[0]) if len(np.unique(x)) > 1 else float("nan")
 
 
 class FlopCount(NamedTuple):
@@ -166,20 +127,6 @@ def _heights(n: np.ndarray) -> np.ndarray:
     return 0.5 * n * (n + 1.0)
 
 
-class SuperLUTime(NamedTuple):
-    """Time of one SuperLU factorization.
-
-    Attributes:
-        time: Processor time [s]. Elapsed time would include other processes, which would favour the
-            shorter step in a comparison.
-        page_faults: Page faults meanwhile. SuperLU allocates memory at every call; depending on the
-            allocator's history this causes page faults, which take up to a quarter of its time.
-    """
-
-    time: float
-    page_faults: int
-
-
 class SuperLUReference:
     """Factorizes a simulation's matrix by SuperLU, for comparison, with nodes in the mesh's
     order.
@@ -203,13 +150,15 @@ class SuperLUReference:
         values = self._factorization.storage[self._gather]
         return sp.csc_matrix((values, self._indices, self._indptr), shape=(count, count))
 
-    def factorize(self) -> SuperLUTime:
-        """Time of one factorization, whose result is not used."""
+    def factorize(self) -> tuple[float, int]:
+        """Processor time of one factorization [s], whose result is not used, and its page faults:
+        the operating system fills a page with zeros at its first use.
+        """
         matrix = self.matrix()
         faults = page_faults()
         start = thread_time()
         splu(matrix, **OPTIONS)
-        return SuperLUTime(thread_time() - start, page_faults() - faults)
+        return thread_time() - start, page_faults() - faults
 
 
 def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -291,76 +240,63 @@ def largest_drives(simulation: Simulation) -> np.ndarray:
     return most
 
 
-class CircleTargets:
+def circle_targets(simulation: Simulation) -> Iterator[FollowTargets]:
     """Targets on a horizontal circle of all effectors about their position with pretensioned
-    cables and inflated cavities.
+    cables.
+
+    Moves the actuators, and the effectors onto the circle; these steps are not timed.
+
+    Args:
+        simulation: At rest; stays at the beginning of the circle.
+
+    Raises:
+        NothingToFollowError: The scene has no actuators, none with a limit, or has contact.
     """
+    _check_can_be_driven(simulation)
+    setpoints = simulation.actuators.setpoints(_PRETENSION_SHARE * largest_drives(simulation))
+    for _ in range(_PRETENSION_STEPS):
+        simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))
+    centre = simulation.effector_positions()
+    radius = _RADIUS_SHARE * simulation.model.nodes.size
 
-    def __init__(self, simulation: Simulation):
-        """Moves the actuators, and the effectors onto the circle; these steps are not timed.
-
-        Args:
-            simulation: Warmed up.
-
-        Raises:
-            NothingToFollowError: The scene cannot be inverted.
-        """
-        _check_can_be_driven(simulation)
-        setpoints = simulation.actuators.setpoints(_PRETENSION_SHARE * largest_drives(simulation))
-        for _ in range(_PRETENSION_STEPS):
-            simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))
-        self._centre = simulation.effector_positions()
-        self._radius = _RADIUS_SHARE * simulation.model.nodes.size
-        self._done = 0
-        for _ in range(_APPROACH_STEPS):
-            simulation.step(self._command(0))
-
-    def next(self) -> FollowTargets:
-        """The next target."""
-        self._done += 1
-        return self._command(self._done)
-
-    def _command(self, number: int) -> FollowTargets:
+    def command(number: int) -> FollowTargets:
         angle = 2.0 * math.pi * number / _STEPS_A_ROUND
-        offset = self._radius * np.array([math.cos(angle), math.sin(angle), 0.0])
-        return FollowTargets(self._centre + offset, CIRCLE_TIME_STEP)
+        offset = radius * np.array([math.cos(angle), math.sin(angle), 0.0])
+        return FollowTargets(centre + offset, CIRCLE_TIME_STEP)
+
+    for _ in range(_APPROACH_STEPS):
+        simulation.step(command(0))
+    return map(command, count(1))
 
 
-class SweptSetpoints:
-    """Setpoints that oscillate between the limits of their actuators, each with another phase."""
+def swept_setpoints(simulation: Simulation) -> Iterator[CommandSetpoints]:
+    """Setpoints that oscillate between the limits of their actuators, each with another phase.
 
-    def __init__(self, simulation: Simulation):
-        """Moves the actuators to the beginning; these steps are not timed.
+    Moves the actuators to the beginning; these steps are not timed.
 
-        Args:
-            simulation: Warmed up.
+    Args:
+        simulation: At rest.
 
-        Raises:
-            NothingToFollowError: The scene has no actuators, an actuator has no limit, or there is
-                contact.
-        """
-        _check_can_be_driven(simulation)
-        self._actuators, limits = simulation.actuators, simulation.limits
-        most = largest_drives(simulation)
-        # What has no vacuum, or a lower limit of a displacement, begins at rest.
-        by_effort = simulation.actuators.is_effort_driven
-        least = np.where(by_effort & np.isfinite(limits.drive_min), limits.drive_min, 0.0)
-        self._middle, self._swing = 0.5 * (most + least), 0.5 * (most - least)
-        count = simulation.actuators.count
-        self._phases = 2.0 * math.pi * np.arange(count) / max(1, count)
-        self._done = 0
-        for _ in range(_PRETENSION_STEPS):
-            simulation.step(self._command(0))
+    Raises:
+        NothingToFollowError: See `circle_targets`.
+    """
+    _check_can_be_driven(simulation)
+    actuators, limits = simulation.actuators, simulation.limits
+    most = largest_drives(simulation)
+    # What has no vacuum, or a lower limit of a displacement, begins at rest.
+    by_effort = actuators.is_effort_driven
+    least = np.where(by_effort & np.isfinite(limits.drive_min), limits.drive_min, 0.0)
+    middle, swing = 0.5 * (most + least), 0.5 * (most - least)
+    phases = 2.0 * math.pi * np.arange(actuators.count) / max(1, actuators.count)
 
-    def next(self) -> CommandSetpoints:
-        """The next setpoints."""
-        self._done += 1
-        return self._command(self._done)
+    def command(number: int) -> CommandSetpoints:
+        angles = 2.0 * math.pi * number / _STEPS_A_ROUND + phases
+        return CommandSetpoints(actuators.setpoints(middle - swing * np.cos(angles)),
+                                CIRCLE_TIME_STEP)
 
-    def _command(self, number: int) -> CommandSetpoints:
-        angles = 2.0 * math.pi * number / _STEPS_A_ROUND + self._phases
-        drives = self._middle - self._swing * np.cos(angles)
-        return CommandSetpoints(self._actuators.setpoints(drives), CIRCLE_TIME_STEP)
+    for _ in range(_PRETENSION_STEPS):
+        simulation.step(command(0))
+    return map(command, count(1))
 
 
 def _check_can_be_driven(simulation: Simulation) -> None:
@@ -386,32 +322,29 @@ class NoHoldError(SoftRobotTwinError):
                          "command changes; there is none")
 
 
-class HeldCommands:
-    """Commands of the longest hold of a commands file, repeated for any number of steps."""
+def held_commands(simulation: Simulation, path: Path) -> Iterator[Command]:
+    """Commands of the longest hold of a commands file, for any number of steps; guided bodies keep
+    their poses.
 
-    def __init__(self, simulation: Simulation, path: Path):
-        """Runs the file up to the hold; these steps are not timed.
+    Runs the file up to the hold; these steps are not timed.
 
-        Args:
-            simulation: Warmed up.
-            path: Commands file.
+    Args:
+        simulation: At rest; stays in the hold, after the motion before it has decayed.
+        path: The commands file.
 
-        Raises:
-            NoHoldError: The file has no hold.
-            TableFileError: The file cannot be used.
-        """
-        self._table = read_commands(path, simulation)
-        begin, end = self._table.longest_hold
-        if math.isnan(begin):
-            raise NoHoldError(path)
-        self._time = begin + _SETTLING_SHARE * (end - begin)
-        for row in run_commands(simulation, self._table, RATE):
-            if row.time >= self._time:
-                break
-
-    def next(self) -> Command:
-        """The command of the hold; guided bodies keep their poses."""
-        return self._table.command(self._time, 1.0 / RATE)
+    Raises:
+        NoHoldError: The file has no hold.
+        TableFileError: The file does not fit the scene.
+    """
+    commanded = read_commands(path, simulation)
+    begin, end = commanded.longest_hold
+    if math.isnan(begin):
+        raise NoHoldError(path)
+    time = begin + _SETTLING_SHARE * (end - begin)
+    for row in run_commands(simulation, commanded, RATE):
+        if row.time >= time:
+            break
+    return repeat(commanded.command(time, 1.0 / RATE))
 
 
 INTERVAL_TIME_STEP = 0.02
@@ -433,41 +366,30 @@ class FileInterval(NamedTuple):
     end: float
 
 
-class IntervalTargets:
-    """Targets of an interval, followed forwards and backwards for any number of steps."""
+def interval_targets(simulation: Simulation, interval: FileInterval) -> Iterator[FollowTargets]:
+    """Targets of an interval, followed forwards and backwards for any number of steps.
 
-    def __init__(self, simulation: Simulation, interval: FileInterval):
-        """Follows the file up to the interval; these steps are not timed.
+    Follows the file up to the interval; these steps are not timed.
 
-        Args:
-            simulation: Warmed up.
-            interval: The interval.
+    Args:
+        simulation: At rest.
+        interval: The interval of the file.
 
-        Raises:
-            TableFileError: The file cannot be used.
-        """
-        table = read_targets(interval.path, simulation)
-        self._times, self._values = table.times, table.values
-        self._interval, self._time, self._increment = interval, interval.begin, INTERVAL_TIME_STEP
-        for _ in range(_SETTLING_STEPS):
-            simulation.step(Hold(INTERVAL_TIME_STEP))
-        for time in np.arange(table.times[0], interval.begin, INTERVAL_TIME_STEP):
-            simulation.step(self._at(time))
+    Raises:
+        TableFileError: The file does not fit the scene.
+    """
+    table = read_targets(interval.path, simulation)
+    between_rows = interp1d(table.times, table.values, axis=0)
 
-    def next(self) -> Command:
-        """The next target; the direction of time reverses at both ends."""
-        self._time += self._increment
-        if not self._interval.begin <= self._time <= self._interval.end:
-            self._increment = -self._increment
-            self._time += 2.0 * self._increment
-        return self._at(self._time)
+    def command(time: float) -> FollowTargets:
+        return FollowTargets(between_rows(time), INTERVAL_TIME_STEP)
 
-    def _at(self, time: float) -> FollowTargets:
-        """The target between two rows."""
-        row = int(np.clip(np.searchsorted(self._times, time) - 1, 0, len(self._times) - 2))
-        share = (time - self._times[row]) / (self._times[row + 1] - self._times[row])
-        values = self._values[row] + share * (self._values[row + 1] - self._values[row])
-        return FollowTargets(values, INTERVAL_TIME_STEP)
+    for _ in range(_SETTLING_STEPS):
+        simulation.step(Hold(INTERVAL_TIME_STEP))
+    for time in np.arange(table.times[0], interval.begin, INTERVAL_TIME_STEP):
+        simulation.step(command(time))
+    times = np.arange(interval.begin, interval.end, INTERVAL_TIME_STEP)
+    return map(command, cycle([*times[1:], *times[-2::-1]]))
 
 
 _DIAMOND = Path("scenes") / "diamond.yaml"
@@ -638,12 +560,8 @@ def robot_cases() -> list[BenchCase]:
     ]  # fmt: skip
 
 
-def standard_cases(folder: Path) -> list[BenchCase]:
-    """Sizes from 500 to 50 000 dof, the smallest first.
-
-    Args:
-        folder: Where the columns' meshes are written.
-    """
+def standard_cases() -> list[BenchCase]:
+    """Sizes from 500 to 50 000 dof, the smallest first."""
     path = default_scene_path()
     diamond = load_scene(path)
     meshes = diamond.mesh_path.parent
@@ -652,7 +570,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
                   "the Diamond", diamond.mesh_path.name == f"diamond_{nodes}.vtk")
         for nodes in _REFINEMENTS
     ]
-    small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
+    small, large = (_column_case(diamond, cells) for cells in _COLUMN_CELLS)
     return [small, *diamonds, large, *robot_cases()]
 
 
@@ -668,11 +586,8 @@ def _with_mesh(scene: Scene, file: Path) -> Scene:
     return scene.model_copy(update={"body": scene.body.model_copy(update={"mesh": mesh})})
 
 
-def _column_case(diamond: Scene, cells: tuple[int, int, int], folder: Path) -> BenchCase:
+def _column_case(diamond: Scene, cells: tuple[int, int, int]) -> BenchCase:
     """A hanging column with four cables inside it, halfway between its axis and its sides."""
-    name = "column_" + "x".join(map(str, cells))
-    file = folder / f"{name}.vtk"
-    write_mesh(file, column_mesh(_COLUMN_SIZE, cells))
     half, length = 0.5 * _COLUMN_SIZE[0], _COLUMN_SIZE[2]
     top = Region(box=BoxRegion(minimum=(-1.1 * half, -1.1 * half, -1e-6),
                                maximum=(1.1 * half, 1.1 * half, 1e-6)))
@@ -687,11 +602,12 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int], folder: Path) -> B
     )
     scene = diamond.model_copy(update={
         "name": "column", "markers": (), "cables": cables,
-        "body": Body(mesh=Mesh(file=file), element="linear", material=diamond.body.material,
-                     fixed=(top,)),
+        "body": Body(mesh=Mesh(box=BoxMesh(size=_COLUMN_SIZE, cells=cells),
+                               translation=(-half, -half, -length)),
+                     element="linear", material=diamond.body.material, fixed=(top,)),
         "effectors": (Effector(name="tip", points=((0.0, 0.0, -length),)),),
     })
-    return BenchCase(name, scene, "the columns")
+    return BenchCase("column_" + "x".join(map(str, cells)), scene, "the columns")
 
 
 WHOLE_STEP = "whole step"
@@ -728,7 +644,7 @@ class SizeMeasurement:
         superlu: Time of one SuperLU factorization of the same matrices [s]; NaN for a reduced
             model, whose matrix is dense and small.
         superlu_count: Number of timed SuperLU factorizations.
-        superlu_page_faults: Page faults in one SuperLU factorization, median; see `SuperLUTime`.
+        superlu_page_faults: Page faults in one SuperLU factorization, median; see `SuperLUReference.factorize`.
         interrupted_share: Share of steps during which another program took the processor.
         flops: Operations of factor and solves; None where they cannot be counted.
         dense_speed: Speed of a dense product in the same run [flop/s].
@@ -822,17 +738,16 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     """Builds a case and times its steps.
 
     Args:
-        case: The case to measure.
+        case: The case.
         steps: Steps to time.
 
     Raises:
-        SoftRobotTwinError: The scene cannot be built or driven.
+        SoftRobotTwinError: The scene cannot be built or has nothing to follow.
     """
     simulation = Simulation(case.scene)
     simulation.warm_up()
     commands = _commands_of(simulation, case)
-    resident = resident_bytes()
-    model = simulation.model
+    resident, model = resident_bytes(), simulation.model
     with without_garbage_collection():
         record = _follow(simulation, commands, steps, not is_reduced(case.scene))
         calls = _calls_in_a_step(simulation, commands)
@@ -840,87 +755,92 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         beside = _time_beside_steps(simulation, commands)
     factorization = model.factorization
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
+    reports = [step.report for step in record.steps]
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
         simulation.dof_count, sum(one.mode_count for one in reductions),
-        sum(len(one.sampled.cells) for one in reductions), float(np.median(record.row_counts)),
-        float(np.median(record.contact_counts)), record.stages(simulation.stages), steps,
-        spread(np.array(record.superlu)) if record.superlu else Spread(np.nan, np.nan, np.nan),
-        len(record.superlu),
-        float(np.median(record.page_faults)) if record.page_faults else np.nan,
-        record.interrupted / steps,
+        sum(len(one.sampled.cells) for one in reductions),
+        _median([step.row_count for step in record.steps]),
+        _median([report.contact_count for report in reports]),
+        _stages(record.steps, simulation.stages), steps, spread(np.array(record.superlu)),
+        len(record.superlu), _median(record.page_faults),
+        sum(step.time - step.worked > INTERRUPTION for step in record.steps) / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
-        float(np.median(record.dense)), _factor_bytes(factorization), resident,
-        record.statuses, record.qp_solvers, calls, kernel_share, beside)
+        _median(record.dense), _factor_bytes(factorization), resident,
+        Counter(step.status.value for step in record.steps),
+        Counter(report.qp_solver for report in reports), calls, kernel_share, beside)
+
+
+def _median(values: Sequence[float]) -> float:
+    """The median; NaN without any value."""
+    return float(np.median(values)) if values else math.nan
 
 
 def _commands_of(simulation: Simulation, case: BenchCase):
     """Source of the commands while a case is timed."""
     if case.interval is not None:
-        return IntervalTargets(simulation, case.interval)
+        return interval_targets(simulation, case.interval)
     if case.commands is not None:
-        return HeldCommands(simulation, case.commands)
+        return held_commands(simulation, case.commands)
     if case.sweeps or not simulation.effector_names:
-        return SweptSetpoints(simulation)
-    return CircleTargets(simulation)
+        return swept_setpoints(simulation)
+    return circle_targets(simulation)
 
 
-class _Record:
-    """Collects the times of steps."""
+class _TimedStep(NamedTuple):
+    """A step: elapsed and processor time [s], what it reported, and the number of rows of H."""
 
-    def __init__(self) -> None:
-        self.steps: list[float] = []
-        self.reports: list[dict[str, float]] = []
-        self.superlu: list[float] = []
-        self.page_faults: list[int] = []
-        self.interrupted = 0
-        self.row_counts: list[int] = []
-        self.contact_counts: list[int] = []
-        self.dense: list[float] = []
-        self.statuses: Counter[str] = Counter()
-        self.qp_solvers: Counter[str] = Counter()
+    time: float
+    worked: float
+    report: StepReport
+    status: Status
+    row_count: int
 
-    def add(self, time: float, worked: float, result: StepResult, row_count: int) -> None:
-        self.steps.append(time)
-        self.interrupted += time - worked > INTERRUPTION
-        self.reports.append(result.report.stage_times)
-        self.row_counts.append(row_count)
-        self.contact_counts.append(result.report.contact_count)
-        self.statuses[result.status.value] += 1
-        self.qp_solvers[result.report.qp_solver] += 1
 
-    def stages(self, names: tuple[str, ...]) -> dict[str, Spread]:
-        whole = np.array(self.steps)
-        booked = np.array([[report.get(name, 0.0) for name in names] for report in self.reports])
-        spreads = {name: spread(booked[:, index]) for index, name in enumerate(names)}
-        return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
+class _Record(NamedTuple):
+    """Timed steps, and between them times of SuperLU [s], its page faults, and dense speeds."""
+
+    steps: list[_TimedStep]
+    superlu: list[float]
+    page_faults: list[int]
+    dense: list[float]
+
+
+def _stages(steps: Sequence[_TimedStep], names: Sequence[str]) -> dict[str, Spread]:
+    """Times of each stage, of what is outside them, and of the whole step [s]."""
+    whole = np.array([step.time for step in steps])
+    booked = np.array([[step.report.stage_times.get(name, 0.0) for name in names]
+                       for step in steps])
+    spreads = {name: spread(booked[:, index]) for index, name in enumerate(names)}
+    return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
 
 
 def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) -> _Record:
     """Times steps, and between them dense products and, where it is asked for, SuperLU."""
-    dense, record, yardstick = DenseSpeed(), _Record(), None
+    dense, record, yardstick = DenseSpeed(), _Record([], [], [], []), None
     dense.measure()
     samples = _SUPERLU_SAMPLES
     if with_superlu:
         yardstick = SuperLUReference(simulation.model.factorization)
-        first = yardstick.factorize()
-        samples = int(np.clip(_SUPERLU_SECONDS / first.time, _FEWEST_SAMPLES, _SUPERLU_SAMPLES))
+        first, _ = yardstick.factorize()
+        samples = int(np.clip(_SUPERLU_SECONDS / first, _FEWEST_SAMPLES, _SUPERLU_SAMPLES))
     interval = max(1, steps // samples)
     for number in range(steps):
         if number % interval == 0:
             if yardstick is not None:
-                timed = yardstick.factorize()
-                record.superlu.append(timed.time)
-                record.page_faults.append(timed.page_faults)
+                time, faults = yardstick.factorize()
+                record.superlu.append(time)
+                record.page_faults.append(faults)
             record.dense.append(dense.measure())
             # They remove a step's data from the caches, so one more step runs before the next
             # timing.
-            simulation.step(commands.next())
-        command, worked = commands.next(), thread_time()
+            simulation.step(next(commands))
+        command, worked = next(commands), thread_time()
         start = perf_counter()
         result = simulation.step(command)
         time = perf_counter() - start
-        record.add(time, thread_time() - worked, result, simulation.model.rows.row_count)
+        record.steps.append(_TimedStep(time, thread_time() - worked, result.report, result.status,
+                                       simulation.model.rows.row_count))
     return record
 
 
@@ -928,31 +848,41 @@ def _calls_in_a_step(simulation: Simulation, commands) -> float:
     """Calls of Python functions in a step, which no other program changes."""
     profile = cProfile.Profile()
     for _ in range(COUNTED_STEPS):
-        command = commands.next()
+        command = next(commands)
         with profile:
             simulation.step(command)
     return sum(entry.callcount for entry in profile.getstats()) / COUNTED_STEPS
 
 
+class _TimeWithin:
+    """Adds up the time that is spent within a function [s]."""
+
+    def __init__(self) -> None:
+        self.total = 0.0
+
+    def of(self, function: Callable) -> Callable:
+        """The function, whose time is added."""
+
+        def timed(*given, **options):
+            start = perf_counter()
+            try:
+                return function(*given, **options)
+            finally:
+                self.total += perf_counter() - start
+
+        return timed
+
+
 def _share_of_kernels(simulation: Simulation, commands) -> float:
     """Share of a step's time in the kernels that Python calls; the rest is Python's own."""
-    within, inner, shares = 0.0, CPUDispatcher.__call__, []
-
-    def timed(kernel, *values):
-        nonlocal within
-        start = perf_counter()
-        try:
-            return inner(kernel, *values)
-        finally:
-            within += perf_counter() - start
-
-    CPUDispatcher.__call__ = timed
+    within, shares = _TimeWithin(), []
+    CPUDispatcher.__call__ = within.of(CPUDispatcher.__call__)
     try:
         for _ in range(COUNTED_STEPS):
-            command, within = commands.next(), 0.0
+            command, within.total = next(commands), 0.0
             start = perf_counter()
             simulation.step(command)
-            shares.append(within / (perf_counter() - start))
+            shares.append(within.total / (perf_counter() - start))
     finally:
         # What is inherited from numba's compiled base class is used again.
         del CPUDispatcher.__call__
@@ -961,28 +891,19 @@ def _share_of_kernels(simulation: Simulation, commands) -> float:
 
 def _time_beside_steps(simulation: Simulation, commands) -> float:
     """Time of a tick beside its step, see `SizeMeasurement.beside`."""
-    if not isinstance(commands.next(), FollowTargets):
+    if not isinstance(next(commands), FollowTargets):
         return float("nan")
-    loop, step, within, beside = TwinLoop(simulation, LoopSettings()), simulation.step, 0.0, []
-
-    def timed(*given, **options) -> StepResult:
-        nonlocal within
-        start = perf_counter()
-        try:
-            return step(*given, **options)
-        finally:
-            within += perf_counter() - start
-
-    simulation.step = timed
+    loop, within, beside = TwinLoop(simulation, LoopSettings()), _TimeWithin(), []
+    simulation.step = within.of(simulation.step)
     try:
         for number in range(COUNTED_STEPS):
             now = number / loop.settings.rate
             arrival = Arrival("base_link", 0, round(NANOSECONDS * now), now)
-            for effector, target in enumerate(commands.next().targets):
+            for effector, target in enumerate(next(commands).targets):
                 loop.targets.accept_point(effector, target, arrival)
-            within, start = 0.0, perf_counter()
+            within.total, start = 0.0, perf_counter()
             loop.tick(now, arrival.ros_time)
-            beside.append(perf_counter() - start - within)
+            beside.append(perf_counter() - start - within.total)
     finally:
         del simulation.step
     return float(np.median(beside))

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from softrobot_twin.errors import SoftRobotTwinError
 
 
@@ -92,3 +94,10 @@ def csv_output(path: Path | str, header: Sequence[str]) -> Iterator[Callable[[It
         writer.writerow(header)
         yield writer.writerow
         file.close()
+
+
+def cell(value: object) -> str:
+    """A value of a table of measurements: six digits, empty where it is unknown or not finite."""
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

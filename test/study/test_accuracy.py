@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
+from specimens import column_mesh
+
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study import accuracy_study, choice, reduced_models as reduced_models_study
@@ -29,8 +31,9 @@ from softrobot_twin.study.accuracy_study import (
     with_hold_radius,
     write_rows,
     write_scene_copy,
+    write_mesh,
 )
-from softrobot_twin.study.bench_measurement import column_mesh, default_scene_path, write_mesh
+from softrobot_twin.study.bench_measurement import default_scene_path
 from softrobot_twin.study.body_training import reduce
 from softrobot_twin.study.choice import Measured, choose
 from softrobot_twin.study.output_file import OutputError

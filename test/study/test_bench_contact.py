@@ -12,10 +12,10 @@ from softrobot_twin.study.bench import draw_bench
 from softrobot_twin.study.bench_measurement import (
     WHOLE_STEP,
     BenchCase,
-    HeldCommands,
     NoHoldError,
     Paper,
     given_cases,
+    held_commands,
     measure,
     robot_cases,
 )
@@ -46,7 +46,7 @@ def test_a_verdict_on_the_paper_states_both_sizes(held):
 
 def test_the_timed_hold_lies_inside_the_longest_hold(stamp):
     simulation = Simulation.from_scene_file(stamp)
-    HeldCommands(simulation, stamp.parent / "stamping.csv")
+    held_commands(simulation, stamp.parent / "stamping.csv")
     assert 0.2 < simulation.state.time < 0.5
     press = simulation.model.guides.pose("press", simulation.state.positions)[0]
     np.testing.assert_allclose(press, [0.0, 0.0, -0.003], atol=1e-12)
@@ -56,7 +56,7 @@ def test_a_file_without_a_hold_is_refused(tmp_path, stamp):
     path = tmp_path / "moving.csv"
     path.write_text("time_s,press_x_m,press_y_m,press_z_m\n0,0,0,0\n1,0,0,0.1\n")
     with pytest.raises(NoHoldError, match="no command"):
-        HeldCommands(Simulation.from_scene_file(stamp), path)
+        held_commands(Simulation.from_scene_file(stamp), path)
 
 
 def test_the_robots_of_the_package_hold_and_have_the_papers_figures():

@@ -13,11 +13,11 @@ from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands, read_targets
 from softrobot_twin.simulation.runs.run_columns import actuator_cells, actuator_columns
 from softrobot_twin.study.bench_measurement import (
-    CircleTargets,
     NothingToFollowError,
-    SweptSetpoints,
+    circle_targets,
     given_cases,
     measure,
+    swept_setpoints,
 )
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
@@ -258,8 +258,8 @@ def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_l
         del content["effectors"]
 
     simulation = simulation_of(blind)
-    swept = SweptSetpoints(simulation)
-    setpoints = np.array([swept.next().setpoints for _ in range(500)])
+    swept = swept_setpoints(simulation)
+    setpoints = np.array([next(swept).setpoints for _ in range(500)])
     np.testing.assert_allclose(setpoints[:, 1].min(), -100.0, rtol=1e-3)
     np.testing.assert_allclose(setpoints[:, 1].max(), 1500.0, rtol=1e-3)
     rest = simulation.rest_setpoints[0]
@@ -272,13 +272,13 @@ def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_l
 
 def test_a_scene_with_an_effector_is_timed_on_a_circle_with_inflated_cavities(simulation_of):
     simulation = simulation_of()
-    CircleTargets(simulation)
+    circle_targets(simulation)
     assert simulation.state.efforts[1] == pytest.approx(0.25 * 1500.0, rel=0.5)
 
 
 def test_a_pressure_without_limit_cannot_be_timed(simulation_of):
     simulation = simulation_of(pressure=[0.0, float("inf")])
     with pytest.raises(NothingToFollowError, match="air.pressure has no upper limit"):
-        SweptSetpoints(simulation)
+        swept_setpoints(simulation)
 
 

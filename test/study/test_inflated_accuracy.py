@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 import yaml
 
+from specimens import column_mesh
+
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import load_scene
@@ -18,8 +20,8 @@ from softrobot_twin.study.accuracy_study import (
     prescribed_efforts,
     study_meshes,
     write_rows,
+    write_mesh,
 )
-from softrobot_twin.study.bench_measurement import column_mesh, write_mesh
 from softrobot_twin.study.choice import Measured, choose
 
 SIZE = (0.03, 0.03, 0.06)

@@ -3,16 +3,16 @@
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.bench_measurement import IntervalTargets, robot_cases
+from softrobot_twin.study.bench_measurement import interval_targets, robot_cases
 
 
 def test_the_trunk_is_in_contact_during_the_whole_timed_interval():
     case = next(case for case in robot_cases() if case.name == "trunk_700")
     simulation = Simulation(case.scene)
-    tour = IntervalTargets(simulation, case.interval)
+    tour = interval_targets(simulation, case.interval)
     targets, contacts = [], []
     for _ in range(300):
-        command = tour.next()
+        command = next(tour)
         targets.append(command.targets[0])
         contacts.append(simulation.step(command).report.contact_count)
     # From 5.6 s to 8.3 s and back: the direction reverses twice, without a jump.

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from contact_growth import rubbing_scene
 
+from specimens import column_mesh
+
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
 from softrobot_twin.simulation.step import linearized
@@ -15,7 +17,7 @@ from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.factorization import NodeRows
-from softrobot_twin.study.bench_measurement import column_mesh, write_mesh
+from softrobot_twin.study.accuracy_study import write_mesh
 
 STEP, ROUND = 0.01, 40
 STEPS = 30
