@@ -5,6 +5,8 @@ built for them.
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,7 +32,14 @@ from softrobot_twin.simulation.step.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import console, listing, table, terminal_status, warn
+from softrobot_twin.study.terminal import (
+    by_key,
+    console,
+    listing,
+    table,
+    terminal_status,
+    warn,
+)
 
 
 def count(things, name: str) -> str:
@@ -60,21 +69,31 @@ def limits(bounds, unit: str) -> str:
     return "without limit"
 
 
+def words(*parts: str | None) -> str:
+    """The parts of a description that are not empty."""
+    return ", ".join(filter(None, parts))
+
+
+def told(text: str, value, factor: float = 1.0, usual: object = None) -> str:
+    """A text with a number, or with several in brackets; empty for None and the usual value."""
+    if value is None or value == usual:
+        return ""
+    scaled = factor * np.asarray(value)
+    return text.format(vector(scaled) if scaled.ndim else number(float(scaled)))
+
+
 def describe_mesh(mesh) -> str:
     """A mesh entry."""
-    words = [str(mesh.file)]
+    source = str(mesh.file)
     if mesh.box is not None:
         cells = "×".join(map(str, mesh.box.cell_counts))
-        words = [f"a box of {millimetres(mesh.box.size)}, {cells} cells"]
-    elif mesh.is_cad:
-        words.append(f"tetrahedra of {number(1e3 * mesh.size)} mm")
-    if mesh.scale != 1.0:
-        words.append(f"scale {number(mesh.scale)}")
-    if any(mesh.rotation):
-        words.append(f"rotation {vector(mesh.rotation)} rad")
-    if any(mesh.translation):
-        words.append(f"translation {vector(mesh.translation)} m")
-    return ", ".join(words)
+        source = f"a box of {millimetres(mesh.box.size)}, {cells} cells"
+    still = (0.0, 0.0, 0.0)
+    return words(
+        source, told("tetrahedra of {} mm", mesh.size if mesh.is_cad else None, 1e3),
+        told("scale {}", mesh.scale, usual=1.0), told("rotation {} rad", mesh.rotation, usual=still),
+        told("translation {} m", mesh.translation, usual=still),
+    )
 
 
 def describe_material(material) -> str:
@@ -82,38 +101,28 @@ def describe_material(material) -> str:
     weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
                else f"{number(material.total_mass)} kg in total")
     law = _describe_law(material.law, law_at_rest(material, material.law), material.constants)
-    return ", ".join([law, weighed, *_describe_memory(material), *_describe_range(material)])
+    return words(law, weighed, *_details(material))
 
 
-def _describe_memory(material) -> list[str]:
-    """Viscosity and softening of an entry."""
-    words = []
+def _details(material) -> Iterator[str]:
+    """Viscosity and softening of an entry, its preset with its fit, and its range of strains."""
     if material.viscosity:
         terms = ", ".join(f"{number(term.share)} in {number(term.time)} s"
                           for term in material.viscosity)  # fmt: skip
-        words.append(f"viscous: shares {terms}")
+        yield f"viscous: shares {terms}"
     if material.softening is not None:
         soft = material.softening
-        words.append(f"softening: r {number(soft.r)}, m {number(soft.m)} J/m³, "
-                     f"β {number(soft.beta)}")  # fmt: skip
-    return words
-
-
-def _describe_range(material) -> list[str]:
-    """Preset of an entry with its fit, and its range of strains."""
-    words = []
+        yield f"softening: r {number(soft.r)}, m {number(soft.m)} J/m³, β {number(soft.beta)}"
     if material.preset is not None:
         preset = MATERIAL_PRESETS[material.preset]
-        words.append(f"preset {material.preset}: fitted with an error of "
-                     f"{100.0 * preset.rms_error:.1f} % (largest "
-                     f"{100.0 * preset.largest_error:.1f} %) to {preset.source}")  # fmt: skip
+        yield (f"preset {material.preset}: fitted with an error of {100.0 * preset.rms_error:.1f} % "
+               f"(largest {100.0 * preset.largest_error:.1f} %) to {preset.source}")
         low, high = 100.0 * preset.smallest_strain, 100.0 * preset.largest_strain
-        words.append(f"its data lie at strains of {low:.0f} % to {high:.0f} % in tension: at "
-                     "smaller ones, and in compression, the law is extrapolated")  # fmt: skip
+        yield (f"its data lie at strains of {low:.0f} % to {high:.0f} % in tension: at "
+               "smaller ones, and in compression, the law is extrapolated")
     if material.strain_range is not None:
         low, high = (100.0 * strain for strain in material.strain_range)
-        words.append(f"strain range {low:.0f} % to {high:.0f} %")
-    return words
+        yield f"strain range {low:.0f} % to {high:.0f} %"
 
 
 def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | None) -> str:
@@ -121,17 +130,9 @@ def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | No
     moduli = f"E {number(at_rest.young_modulus)} Pa, ν {number(at_rest.poisson_ratio)}"
     if constants is None:
         return f"{law}, {moduli}"
-    words = [
-        f"{constant.name} {_values(constants[constant.name])} {constant.unit}".rstrip()
-        for constant in law_named(law).own.constants
-    ]
-    return f"{law}, {', '.join(words)}, at rest {moduli}"
-
-
-def _values(constant: float | tuple[float, ...]) -> str:
-    if isinstance(constant, tuple):
-        return f"[{', '.join(map(number, constant))}]"
-    return number(constant)
+    own = (told(f"{constant.name} {{}} {constant.unit}".rstrip(), constants[constant.name])
+           for constant in law_named(law).own.constants)
+    return words(law, *own, f"at rest {moduli}")
 
 
 def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
@@ -139,25 +140,22 @@ def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
     place = f"region {entry.region}"
     if entry.box is not None:
         place = f"box from {millimetres(entry.box.minimum)} to {millimetres(entry.box.maximum)}"
-    return ", ".join([
-        f"{place}: {_describe_law(part.law, part, entry.constants)}",
-        f"{number(part.density)} kg/m³", f"{number(part.volume)} m³",
-        *_describe_memory(entry), *_describe_range(entry),
-    ])  # fmt: skip
+    return words(f"{place}: {_describe_law(part.law, part, entry.constants)}",
+                 f"{number(part.density)} kg/m³", f"{number(part.volume)} m³", *_details(entry))
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
     """An actuator: its entry as its kind describes it, and its limits with their units."""
     kind = group.kinds[index] if group.kinds else group.kind
-    words = [kind.details(entry, group, index)]
+    parts = [kind.details(entry, group, index)]
     for quantity, bounds in ((kind.displacement, group.displacement_bounds[index]),
                              (kind.effort, group.effort_bounds[index])):
         factor, unit = _shown(quantity)
-        words.append(f"{quantity.word} {limits(factor * np.asarray(bounds), unit)}")
+        parts.append(f"{quantity.word} {limits(factor * np.asarray(bounds), unit)}")
     if np.isfinite(group.rates[index]):
         factor, unit = _shown(kind.setpoint)
-        words.append(f"rate {number(factor * group.rates[index])} {unit}/s")
-    return ", ".join(words)
+        parts.append(f"rate {number(factor * group.rates[index])} {unit}/s")
+    return words(*parts)
 
 
 def _shown(quantity: Quantity) -> tuple[float, str]:
@@ -184,33 +182,28 @@ _JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle",
 
 def describe_effector(effector) -> str:
     """An effector entry."""
-    directions = f"directions {' '.join(effector.directions)}, weight {number(effector.weight)}"
-    parts = [count(effector.points, "point")]
-    parts += [directions] if effector.directions else []
-    if effector.orientation is not None:
-        parts.append(describe_orientation(effector.orientation))
-    if effector.stiffness is not None:
-        parts.append(describe_stiffness(effector.stiffness))
-    return ", ".join(parts)
+    return words(
+        count(effector.points, "point"),
+        f"directions {' '.join(effector.directions)}, weight {number(effector.weight)}"
+        if effector.directions else "",
+        effector.orientation and describe_orientation(effector.orientation),
+        effector.stiffness and describe_stiffness(effector.stiffness),
+    )
 
 
 def describe_stiffness(stiffness) -> str:
     """The stiffness that an effector asks for."""
-    axes = [f"{axis} {number(one)} N/m"
-            for axis, one in zip("xyz", stiffness.target, strict=True) if one is not None]
-    length = stiffness.length
-    all_of_it = "a tenth of the robot's size" if length is None else f"{number(1e3 * length)} mm"
-    asked = f"stiffness {' '.join(axes) if axes else 'by messages'}"
-    return f"{asked}, weight {number(stiffness.weight)}, {all_of_it} for 100 %"
+    axes = (told(f"{axis} {{}} N/m", one)
+            for axis, one in zip("xyz", stiffness.target, strict=True))
+    asked = " ".join(filter(None, axes)) or "by messages"
+    whole = told("{} mm", stiffness.length, 1e3) or "a tenth of the robot's size"
+    return f"stiffness {asked}, weight {number(stiffness.weight)}, {whole} for 100 %"
 
 
 def describe_orientation(orientation) -> str:
     """What an effector asks for beside its position."""
-    asked = "orientation"
-    if orientation.pointing is not None:
-        asked = f"axis {vector(orientation.pointing)} pointing"
-    length = orientation.length_per_radian
-    per_radian = "the robot's size" if length is None else f"{number(1e3 * length)} mm"
+    asked = told("axis {} pointing", orientation.pointing) or "orientation"
+    per_radian = told("{} mm", orientation.length_per_radian, 1e3) or "the robot's size"
     patch = f" of {count(orientation.points, 'point')}" if orientation.points else ""
     return f"{asked}{patch}, weight {number(orientation.weight)}, {per_radian} per radian"
 
@@ -225,33 +218,28 @@ def describe_shape(entry) -> str:
         return f"box of {millimetres(shape.size)}"
     if kind == "surface":
         return f"surface {shape.file}"
-    words = f"{kind} of radius {number(1e3 * shape.radius)} mm"
-    if kind in ("capsule", "cylinder"):
-        length = np.linalg.norm(np.subtract(*shape.ends))
-        words += f", {number(1e3 * length)} mm long"
-    return words
+    long = np.linalg.norm(np.subtract(*shape.ends)) if kind in ("capsule", "cylinder") else None
+    return words(told(f"{kind} of radius {{}} mm", shape.radius, 1e3), told("{} mm long", long, 1e3))
 
 
 def describe_rigid_body(entry) -> str:
     """A rigid body entry."""
-    words = [entry.motion, describe_shape(entry)]
-    if entry.mass is not None:
-        words.append(f"{number(entry.mass)} kg")
-    if entry.density is not None:
-        words.append(f"{number(entry.density)} kg/m³")
-    if entry.speed is not None:
-        words.append(f"at most {number(1e3 * entry.speed)} mm/s")
-    if entry.turn_rate is not None:
-        words.append(f"at most {number(entry.turn_rate)} rad/s")
-    return ", ".join(words)
+    return words(
+        entry.motion, describe_shape(entry), told("{} kg", entry.mass),
+        told("{} kg/m³", entry.density), told("at most {} mm/s", entry.speed, 1e3),
+        told("at most {} rad/s", entry.turn_rate),
+    )
 
 
 def describe_spring(spring) -> str:
     """A spring entry."""
-    words = [f"{spring.ends[0].on} to {spring.ends[1].on}", f"{number(spring.stiffness)} N/m"]
-    if spring.damping > 0.0:
-        words.append(f"{number(spring.damping)} N s/m")
-    return ", ".join(words)
+    return words(f"{spring.ends[0].on} to {spring.ends[1].on}", told("{} N/m", spring.stiffness),
+                 told("{} N s/m", spring.damping, usual=0.0))
+
+
+def describe_tube(tube) -> str:
+    """A tube entry."""
+    return f"{count(tube.points, 'point')}, EA {number(tube.axial_stiffness)} N"
 
 
 def describe_fibre(fibre: Fibre) -> str:
@@ -385,54 +373,49 @@ class TermLine(NamedTuple):
 
 def effects(simulation: Simulation) -> list[Effect]:
     """All effects of the scene; entries that are zero or empty are neither built nor listed."""
+    return list(_effects(simulation, [term.name for term in simulation.terms]))
+
+
+def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     scene = simulation.scene
-    names = [term.name for term in simulation.terms]
-    listed = []
     for body in simulation.model.bodies:
-        listed += _body_effects(body, scene.integration, names)
+        yield from _body_effects(body, scene.integration, names)
     for beam in simulation.model.beams:
-        listed += _beam_effects(beam, scene.integration, names)
-    listed += _rigid_effects(simulation, names)
-    listed += [Effect(f"springs: {spring.name}", describe_spring(spring),
-                      _term(names, "spring")) for spring in scene.springs]
-    listed += [Effect(f"tubes: {tube.name}", f"{count(tube.points, 'point')}, EA "
-                      f"{number(tube.axial_stiffness)} N", _term(names, "spring"))
-               for tube in scene.tubes]
-    listed += [Effect(f"fibres: {fibre.name}", describe_fibre(fibre), _term(names, "spring"))
-               for fibre in scene.fibres]
-    listed += [Effect(f"mass_springs: {entry.name}", describe_mass_springs(entry),
-                      _term(names, "spring") if entry.springs else _term(names, "inertia"))
-               for entry in scene.mass_springs]
+        yield from _beam_effects(beam, scene.integration, names)
+    yield from _rigid_effects(simulation, names)
+    for section, describe in (("springs", describe_spring), ("tubes", describe_tube),
+                              ("fibres", describe_fibre), ("mass_springs", describe_mass_springs)):
+        for entry in getattr(scene, section):
+            word = "spring" if getattr(entry, "springs", True) else "inertia"
+            yield Effect(f"{section}: {entry.name}", describe(entry), _term(names, word))
     if any(scene.gravity):
-        listed.append(Effect("gravity", f"{vector(scene.gravity)} m/s²",
-                             _term(names, "gravity")))
-    listed += _sealed_effects(simulation)
+        yield Effect("gravity", f"{vector(scene.gravity)} m/s²", _term(names, "gravity"))
+    yield from _sealed_effects(simulation)
     for group in simulation.actuators.groups:
         section = group.kind.section
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
-        listed += [Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
-                   for index, entry in enumerate(scene.actuator_entries[section])]
-    listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}"
-                      + ("" if motor.pulley is None else
-                         f", by a pulley of radius {1e3 * motor.pulley.radius:.6g} mm"),
-                      "a command for each of its cables") for motor in scene.motors]
-    listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
-                      _term(names, "effectors")) for effector in scene.effectors]
+        for index, entry in enumerate(scene.actuator_entries[section]):
+            yield Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
+    for motor in scene.motors:
+        pulley = motor.pulley and told("by a pulley of radius {} mm", motor.pulley.radius, 1e3)
+        yield Effect(f"motors: {motor.name}", words(f"shortens {', '.join(motor.cables)}", pulley),
+                     "a command for each of its cables")
+    for effector in scene.effectors:
+        yield Effect(f"effectors: {effector.name}", describe_effector(effector),
+                     _term(names, "effectors"))
     if scene.markers:
-        listed.append(Effect("markers", count(scene.markers, "marker"),
-                             "a mapping, evaluated after the step"))
-    listed += _contact_effects(simulation, names)
-    inertia = _term(names, "inertia") + ", " if scene.integration == "dynamic" else ""
+        yield Effect("markers", count(scene.markers, "marker"), "a mapping, evaluated after the step")
+    yield from _contact_effects(simulation, names)
     weight = scene.solver.energy_weight
     if simulation.actuators.count and scene.effectors:
         used = max(weight, LEAST_ENERGY_WEIGHT)
         least = "" if used == weight else ", the least possible in floating point"
-        listed.append(Effect("solver.energy_weight", number(weight),
-                             f"{number(used)} in the inverse problem{least}"))
+        yield Effect("solver.energy_weight", number(weight),
+                     f"{number(used)} in the inverse problem{least}")
     most = count(range(scene.solver.newton_iterations), "linearization")
-    listed.append(Effect("integration", scene.integration.replace("_", "-"),
-                         f"{inertia}{_scheme(scene)}at most {most} a step"))
-    return listed
+    yield Effect("integration", scene.integration.replace("_", "-"), words(
+        _term(names, "inertia") if scene.integration == "dynamic" else "", _scheme(scene),
+        f"at most {most} a step"))
 
 
 def _cells(mesh) -> str:
@@ -445,7 +428,7 @@ def _scheme(scene) -> str:
     if scene.time_scheme == "backward_euler":
         return ""
     radius = DEFAULT_RADIUS if scene.spectral_radius is None else scene.spectral_radius
-    return f"{scene.time_scheme} with spectral radius {number(radius)}, "
+    return f"{scene.time_scheme} with spectral radius {number(radius)}"
 
 
 def grouped(listed: list[Effect]) -> list[Effect]:
@@ -459,17 +442,16 @@ def grouped(listed: list[Effect]) -> list[Effect]:
         the first and the last, and how many they are. Many that differ in numbers only are one
         row too, with the least and the greatest of each number.
     """
-    alike: dict[tuple, list[Effect]] = {}
-    for effect in listed:
+    def key(effect: Effect) -> tuple[str, str, str]:
         section, colon, _ = effect.entry.partition(": ")
         section = section if colon else _PLACE.sub(r"\1", effect.entry)
-        content = _PART.sub("part", effect.content)
-        alike.setdefault((section, content, effect.result), []).append(effect)
+        return section, _PART.sub("part", effect.content), effect.result
+
     rows = []
-    for (section, _, result), effects_alike in alike.items():
+    for (section, _, result), effects_alike in by_key(zip(map(key, listed), listed)).items():
         entry, content, _ = effects_alike[0]
+        names = [effect.entry.partition(": ")[2] for effect in effects_alike]
         if len(effects_alike) > 1:
-            names = [effect.entry.partition(": ")[2] for effect in effects_alike]
             which = f": {_listed(names)}" if names[0] else ""
             entry = f"{section}{which} ({len(names)})"
             parts = list(dict.fromkeys(" and ".join(_PART.findall(effect.content))
@@ -477,7 +459,6 @@ def grouped(listed: list[Effect]) -> list[Effect]:
             if len(parts) > 1:
                 content = _PART.sub("part", content).replace(
                     "part", f"parts {_listed(parts)}", 1)  # fmt: skip
-        names = [effect.entry.partition(": ")[2] for effect in effects_alike]
         rows.append((section, names, Effect(entry, content, result)))
     return _with_ranges(rows)
 
@@ -498,13 +479,14 @@ def _with_ranges(rows: list[tuple[str, list[str], Effect]]) -> list[Effect]:
     Args:
         rows: Section, names and effect of each row.
     """
-    alike: dict[tuple, list[int]] = {}
-    for index, (section, _, effect) in enumerate(rows):
+    def key(section: str, effect: Effect) -> tuple[str, str, str]:
         pattern = _POSE if section in _MESHES else _NUMBER
-        alike.setdefault((section, pattern.sub("#", effect.content), effect.result),
-                         []).append(index)
+        return section, pattern.sub("#", effect.content), effect.result
+
     found: dict[int, Effect] = {}
-    for (section, template, result), indices in alike.items():
+    for (section, template, result), indices in by_key(
+        (key(section, effect), index) for index, (section, _, effect) in enumerate(rows)
+    ).items():  # fmt: skip
         own = [rows[index] for index in indices]
         if len(own) <= (1 if section in _MESHES else _MOST_ROWS):
             found |= {index: rows[index][2] for index in indices}
@@ -534,9 +516,7 @@ _PLACE = re.compile(r"^(bodies|beams)\[\d+\]")
 
 def _named(names: list[str]) -> str:
     """Names, or the first and the last of those that differ in their numbers only."""
-    alike: dict[str, list[str]] = {}
-    for name in names:
-        alike.setdefault(re.sub(r"\d+", "#", name), []).append(name)
+    alike = by_key((re.sub(r"\d+", "#", name), name) for name in names)
     return ", ".join(_listed(own) for own in alike.values())
 
 
@@ -548,69 +528,61 @@ def _listed(names: list[str]) -> str:
     return ("; " if several else ", ").join(names)
 
 
-def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
+def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
     """Effects of a deformable body: mesh, material, fixed regions, damping."""
-    entry, key, mesh = body.entry, body.key, body.mesh
-    listed = [
-        Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
-               f"{mesh.node_count} nodes, {_cells(mesh)}"),
-        Effect(f"{key}.material", describe_material(entry.material),
-               _term(names, entry.material.law) if body.vertebrae is None else "in superelements")]
-    listed += [Effect(part.key, describe_material_part(part, other),
-                      f"{_term(names, part.law)} of {len(part.cells)} "
-                      f"{'cells' if 'hexahedra' in mesh.cell_counts else 'tets'}"
-                      if body.vertebrae is None else "in superelements")
-               for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
-                                      strict=False)]  # fmt: skip
+    entry, key, mesh, vertebrae = body.entry, body.key, body.mesh, body.vertebrae
+    yield Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
+                 f"{mesh.node_count} nodes, {_cells(mesh)}")
+    yield Effect(f"{key}.material", describe_material(entry.material),
+                 "in superelements" if vertebrae else _term(names, entry.material.law))
+    for part, other in zip(body.materials[-len(entry.materials):], entry.materials, strict=False):
+        cells = "cells" if "hexahedra" in mesh.cell_counts else "tets"
+        yield Effect(part.key, describe_material_part(part, other), "in superelements" if vertebrae
+                     else f"{_term(names, part.law)} of {len(part.cells)} {cells}")
     if entry.has_patches:
         own = [name for name in names if "patch volumes" in name]
-        listed.append(Effect(
-            f"{key}.volume", "changes of volume resisted by patches of elements",
-            _term(own, "patch volumes"),
-        ))  # fmt: skip
+        yield Effect(f"{key}.volume", "changes of volume resisted by patches of elements",
+                     _term(own, "patch volumes"))
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
-        if body.vertebrae is not None:
-            held = int(np.count_nonzero(body.vertebrae.division.body.fixed))
-        listed.append(Effect(f"{key}.fixed", count(entry.fixed, "region"),
-                             f"{held} nodes without unknowns"))
-    if body.vertebrae is not None:
-        parts = body.vertebrae.parts
-        listed.append(Effect(
-            f"{key}.vertebrae", ", ".join(f"{part.name}{'' if part.is_free else ' (fixed)'}"
-                                          for part in parts),
+        if vertebrae is not None:
+            held = int(np.count_nonzero(vertebrae.division.body.fixed))
+        yield Effect(f"{key}.fixed", count(entry.fixed, "region"), f"{held} nodes without unknowns")
+    if vertebrae is not None:
+        parts = vertebrae.parts
+        yield Effect(
+            f"{key}.vertebrae",
+            words(*(f"{part.name}{'' if part.is_free else ' (fixed)'}" for part in parts)),
             f"{6 * sum(part.is_free for part in parts)} unknowns, "
-            f"{len(body.vertebrae.division.parts)} superelements"))
+            f"{len(vertebrae.division.parts)} superelements")
     if body.reduction is not None:
         nodes, kept = body.reduction, body.reduction.reduction
-        listed.append(Effect(
+        yield Effect(
             f"{key}.reduced", f"{nodes.mode_count} modes of {entry.reduced.file}, "
             f"{len(kept.sampled.cells)} quadrature points stand for all",
-            f"{nodes.mode_count} unknowns, {_measured_error(kept.measured)}"))
+            f"{nodes.mode_count} unknowns, {_measured_error(kept.measured)}")
         if entry.reduced.fallback is not None:
             to = {"enrich": "the spare modes", "full_model": "all nodes"}[entry.reduced.fallback]
-            listed.append(Effect(
+            yield Effect(
                 f"{key}.reduced.fallback", f"{entry.reduced.fallback}, above an error of "
-                f"{number(1e3 * entry.reduced.error)} mm", f"a second model with {to}"))
-    listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
-               for name, nodes in body.riding.items()]
-    damping = entry.damping
+                f"{number(1e3 * entry.reduced.error)} mm", f"a second model with {to}")
+    for name, nodes in body.riding.items():
+        yield Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
     if integration != "quasi_static":
-        if damping.mass > 0.0:
-            listed.append(Effect(f"{key}.damping.mass", f"{number(damping.mass)} 1/s",
-                                 _term(names, "mass damping")))
-        if damping.stiffness > 0.0:
-            listed.append(Effect(f"{key}.damping.stiffness",
-                                 f"{number(damping.stiffness)} s",
-                                 _term(names, "strain")))
-    if entry.visual is not None:
-        listed.append(Effect(f"{key}.visual", str(entry.visual.file),
-                             "a mapping, evaluated after the step"))
-    if entry.contact_surface is not None:
-        listed.append(Effect(f"{key}.contact_surface", str(entry.contact_surface.file),
-                             "a mapping, with which it touches"))
-    return listed
+        yield from _damping_effects(key, entry.damping, _term(names, "mass damping"),
+                                    _term(names, "strain"))
+    for name, use in (("visual", "evaluated after the step"), ("contact_surface", "with which it touches")):
+        if getattr(entry, name) is not None:
+            yield Effect(f"{key}.{name}", str(getattr(entry, name).file), f"a mapping, {use}")
+
+
+def _damping_effects(key: str, damping, of_mass: str, of_stiffness: str) -> Iterator[Effect]:
+    """Damping of a body or a beam, and the terms of its two parts."""
+    if damping.mass > 0.0:
+        yield Effect(f"{key}.damping.mass", f"{number(damping.mass)} 1/s", of_mass)
+    if damping.stiffness > 0.0:
+        yield Effect(f"{key}.damping.stiffness", f"{number(damping.stiffness)} s", of_stiffness)
 
 
 def describe_section(beam: BeamBody) -> str:
@@ -627,7 +599,9 @@ def describe_section(beam: BeamBody) -> str:
     return "given constants"
 
 
-def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Effect]:
+def _beam_effects(
+    beam: BeamBody, integration: str, names: list[str]
+) -> Iterator[Effect]:  # fmt: skip
     """Effects of a beam: its axis and section, material and stiffness, ends, damping."""
     entry, key, material, section = beam.entry, beam.key, beam.entry.material, beam.section
     length = beam.lengths.sum()
@@ -639,48 +613,35 @@ def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Ef
         bending = (f"EI {number(stiffness[0])} and {number(stiffness[1])} N m² against deflection "
                    "along y and z")
     shear = 0.5 * material.young_modulus / (1.0 + material.poisson_ratio)
-    listed = [
-        Effect(f"beams: {beam.name}",
-               f"{shape}{count(entry.points, 'point')}, {number(1e3 * length)} mm long, "
-               f"{describe_section(beam)}",
-               f"{count(beam.lengths, 'element')} of {term}"),
-        Effect(f"{key}.material",
-               f"E {number(material.young_modulus)} Pa, ν {number(material.poisson_ratio)}, "
-               f"{number(material.density)} kg/m³",
-               f"{bending}, GJ {number(shear * section.torsion)} N m², EA "
-               f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")]
+    yield Effect(f"beams: {beam.name}",
+                 f"{shape}{count(entry.points, 'point')}, {number(1e3 * length)} mm long, "
+                 f"{describe_section(beam)}",
+                 f"{count(beam.lengths, 'element')} of {term}")
+    yield Effect(f"{key}.material",
+                 f"E {number(material.young_modulus)} Pa, ν {number(material.poisson_ratio)}, "
+                 f"{number(material.density)} kg/m³",
+                 f"{bending}, GJ {number(shear * section.torsion)} N m², EA "
+                 f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")
     if entry.fixed:
-        listed.append(Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns"))
-    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}{_by(joint)}",
-                      _JOINTS[joint.by]) for joint in entry.joined]
+        yield Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns")
+    for joint in entry.joined:
+        at = joint.at if isinstance(joint.at, str) else f"point {joint.at}"
+        yield Effect(f"{key}.joined", f"{at} to {joint.to}{_by(joint)}", _JOINTS[joint.by])
     if integration != "quasi_static":
-        if entry.damping.mass > 0.0:
-            listed.append(Effect(f"{key}.damping.mass", f"{number(entry.damping.mass)} 1/s",
-                                 _term(names, "inertia")))
-        if entry.damping.stiffness > 0.0:
-            listed.append(Effect(f"{key}.damping.stiffness",
-                                 f"{number(entry.damping.stiffness)} s", term))
-    return listed
+        yield from _damping_effects(key, entry.damping, _term(names, "inertia"), term)
 
 
-def _place_on(at: str | int) -> str:
-    return at if isinstance(at, str) else f"point {at}"
-
-
-def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
-    listed = []
+def _rigid_effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     for part in simulation.model.rigid:
-        made = "no unknowns, moves as commanded"
-        if part.is_free:
-            made = f"6 unknowns, {_term(names, 'rigid')}"
-        listed.append(Effect(f"rigid_bodies: {part.name}", describe_rigid_body(part.entry), made))
-    listed += [Effect(f"obstacles: {entry.name}", describe_shape(entry), "fixed")
-               for entry in simulation.scene.obstacles]
-    return listed
+        made = f"6 unknowns, {_term(names, 'rigid')}"
+        yield Effect(f"rigid_bodies: {part.name}", describe_rigid_body(part.entry),
+                     made if part.is_free else "no unknowns, moves as commanded")
+    for entry in simulation.scene.obstacles:
+        yield Effect(f"obstacles: {entry.name}", describe_shape(entry), "fixed")
 
 
-def _sealed_effects(simulation: Simulation) -> list[Effect]:
-    listed, entries = [], simulation.scene.sealed_cavities
+def _sealed_effects(simulation: Simulation) -> Iterator[Effect]:
+    entries = simulation.scene.sealed_cavities
     for term in simulation.terms if entries else ():
         if term.name != SealedGas.name:
             continue
@@ -689,26 +650,24 @@ def _sealed_effects(simulation: Simulation) -> list[Effect]:
             content = (f"{wall_details(entry, volume, area)}, gas at "
                        f"{number(1e-3 * entry.pressure)} kPa above "
                        f"{number(1e-3 * entry.ambient_pressure)} kPa at rest")
-            listed.append(Effect(f"sealed_cavities: {entry.name}", content, f"term {term.name}"))
-    return listed
+            yield Effect(f"sealed_cavities: {entry.name}", content, f"term {term.name}")
 
 
-def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
+def _contact_effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     """The pairs that may touch, and their common settings."""
     term, entry = simulation.model.contacts, simulation.scene.contact
     # Slides use the contact solver, also in a scene without contact.
     if term is None or entry is None:
-        return []
-    listed = [Effect("contact", describe_contact(entry),
-                     f"{_term(names, 'contacts')}, {_describe_rows(term)}, stage detect")]
-    for pair in term.pairs:
+        return
+    yield Effect("contact", describe_contact(entry),
+                 f"{_term(names, 'contacts')}, {_describe_rows(term)}, stage detect")
+    for index, pair in enumerate(term.pairs):
         first, second = pair.names
-        places = f", {count(entry.points, 'point')} given in advance"
-        known = "between" if len(listed) <= len(entry.between) else "points"
-        search = type(pair).__name__ + (places if known == "points" else "")
-        listed.append(Effect(f"contact.{known}: {first}, {second}",
-                             f"friction {number(pair.friction)}", f"found by {search}"))
-    return listed
+        is_searched = index < len(entry.between)
+        places = "" if is_searched else f", {count(entry.points, 'point')} given in advance"
+        yield Effect(f"contact.{'between' if is_searched else 'points'}: {first}, {second}",
+                     f"friction {number(pair.friction)}",
+                     f"found by {type(pair).__name__}{places}")
 
 
 def terms(simulation: Simulation) -> list[TermLine]:
@@ -789,11 +748,11 @@ def thinnest_parts(simulation: Simulation) -> list[ThinnestPart]:
 
 def thin_warnings(simulation: Simulation) -> list[str]:
     """A warning for elements with four nodes that are too few across the thinnest part of a body."""
-    thin: dict[str, list[str]] = {}
-    for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True):
-        element = body.entry.element
-        if element in FOUR_NODES and part.elements < LEAST_ACROSS - 0.05:
-            thin.setdefault(_across(part, element), []).append(body.name)
+    thin = by_key(
+        (_across(part, body.entry.element), body.name)
+        for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True)
+        if body.entry.element in FOUR_NODES and part.elements < LEAST_ACROSS - 0.05
+    )  # fmt: skip
     return [f"{_named(names)}: thinnest part {words}; with fewer than {LEAST_ACROSS:.0f} it bends "
             "far too stiffly: use a finer mesh or quadratic elements"
             for words, names in thin.items()]
@@ -807,11 +766,9 @@ def rest_paths(simulation: Simulation) -> list[tuple[str, str]]:
     kind_of, paths = simulation.actuators.kind_of, simulation.actuator_paths()
     rest = dict(zip(simulation.actuator_names, simulation.rest_setpoints, strict=True))
     cables = {name: path for name, path in paths.items() if kind_of[name].effort.unit == "N"}
-    alike: dict[object, list[str]] = {}
-    for name, path in cables.items():
-        many = len(cables) > 2 * _MOST_ROWS
-        stem = (re.sub(r"\d+", "#", name), len(path))
-        alike.setdefault(stem if many else name, []).append(name)
+    many = len(cables) > 2 * _MOST_ROWS
+    alike = by_key(((re.sub(r"\d+", "#", name), len(path)) if many else name, name)
+                   for name, path in cables.items())  # fmt: skip
     rows = []
     for names in alike.values():
         path = cables[names[0]]
@@ -868,11 +825,8 @@ def _own_mass(entry, simulation: Simulation) -> float:
 
 def _by_value(what: str, values: list[tuple[str, str]]) -> list[tuple[str, str]]:
     """Rows of a quantity, one for all names that have the same value."""
-    alike: dict[str, list[str]] = {}
-    for name, value in values:
-        alike.setdefault(value, []).append(name)
     return [(f"{what} {'each of ' if len(names) > 1 else ''}{_named(names)}", value)
-            for value, names in alike.items()]  # fmt: skip
+            for value, names in by_key((value, name) for name, value in values).items()]
 
 
 def _term_size(term) -> str:
@@ -898,12 +852,9 @@ def _term(names: list[str], word: str) -> str:
 
 def grouped_terms(lines: list[TermLine]) -> list[tuple[str, str]]:
     """Name, and kind, class and size of each term; alike ones are one row."""
-    alike: dict[TermLine, int] = {}
-    for line in lines:
-        alike[line] = alike.get(line, 0) + 1
     return [(line.name if many == 1 else f"{line.name} ({many})",
              f"{line.kind}, {line.size}, by {line.built_from.rpartition('.')[2]}")
-            for line, many in alike.items()]
+            for line, many in Counter(lines).items()]
 
 
 def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,

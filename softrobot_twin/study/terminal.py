@@ -6,9 +6,9 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import TextIO
+from typing import TextIO, TypeVar
 
 from rich import box
 from rich.console import Console
@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+Key, Value = TypeVar("Key"), TypeVar("Value")
 _PIPED_WIDTH = 200
 """Columns of a piped table: wide enough that nothing is cut or wrapped."""
 
@@ -40,6 +41,14 @@ def table(title: str, *columns: str, piped: bool | None = None) -> Table:
     for column in columns:
         made.add_column(column)
     return made
+
+
+def by_key(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
+    """Values by their keys, in order: what is alike shares a row."""
+    found: dict[Key, list[Value]] = {}
+    for key, value in pairs:
+        found.setdefault(key, []).append(value)
+    return found
 
 
 # Widest first column of a listing on a terminal.
