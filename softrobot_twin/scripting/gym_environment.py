@@ -21,8 +21,8 @@ from softrobot_twin.scripting.named_commands import finite_numbers, unknown
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study.figure import MissingExtraError
-from softrobot_twin.study.rasterization import LAYERS, Triangles, camera_at, rasterize
-from softrobot_twin.study.scene_picture import Solid, take_snapshot, tube
+from softrobot_twin.study.rasterization import Triangles, camera_at, rasterize
+from softrobot_twin.study.scene_picture import Solid, layers_of, take_snapshot, tube
 
 try:
     import gymnasium
@@ -308,21 +308,10 @@ def _layers(simulation: Simulation, targets: np.ndarray) -> dict[str, Triangles]
     solids += [Solid(tube(cable.points, 0.006 * shown.size, shown.size), _CABLE_COLOUR, "thin")
                for cable in shown.cables]
     solids += [Solid(walls.triangles, _CAVITY_COLOUR, "rigid") for walls in shown.cavities]
-    light = _CAMERA.eye - 0.4 * _CAMERA.right + 0.5 * _CAMERA.up
-    light /= np.linalg.norm(light)
-    layers = {}
-    for layer in set(LAYERS.values()):
-        own = [solid for solid in solids if LAYERS[solid.look] == layer]
-        corners = np.concatenate([np.empty((0, 3, 3)), *(solid.triangles for solid in own)])
-        counts = [len(solid.triangles) for solid in own]
-        colours = np.repeat(np.array([solid.colour for solid in own]).reshape(-1, 3), counts, 0)
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        lengths = np.maximum(np.linalg.norm(normals, axis=1), 1.0e-300)
-        bright = 0.65 + 0.4 * np.clip(normals @ light / lengths, 0.0, None)
-        looks = np.repeat([solid.look for solid in own], counts)
-        layers[layer] = Triangles(_CAMERA.project(corners), np.clip(bright[:, None] * colours, 0.0, 1.0),
-                                  np.isin(looks, ("mesh", "clear")))  # fmt: skip
-    return layers
+    direction = _CAMERA.eye - 0.4 * _CAMERA.right + 0.5 * _CAMERA.up
+    direction /= np.linalg.norm(direction)
+    return layers_of(solids, _CAMERA, lambda normals, _: (
+        0.65 + 0.4 * np.clip(normals @ direction, 0.0, None)))
 
 
 def _within(name: str, value: float, least: float, most: float) -> float:

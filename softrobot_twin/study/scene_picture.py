@@ -9,7 +9,7 @@ in a picture, the drawing.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -24,6 +24,7 @@ from softrobot_twin.simulation.effects.touches import touch_term
 from softrobot_twin.study.figure import load_pyplot, save_figure
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize
+from softrobot_twin.study.terminal import by_key
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
@@ -53,8 +54,7 @@ def tube(path: np.ndarray, radius: float, segment_length: float) -> np.ndarray:
 def _straight_tube(start: np.ndarray, end: np.ndarray, radius: float,
                    segment_length: float) -> np.ndarray:
     direction = (end - start) / np.linalg.norm(end - start)
-    across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    across /= np.linalg.norm(across)
+    across = across_of(direction)
     angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
     ring = radius * (np.outer(np.cos(angles), across)
                      + np.outer(np.sin(angles), np.cross(direction, across)))
@@ -62,6 +62,12 @@ def _straight_tube(start: np.ndarray, end: np.ndarray, radius: float,
     centres = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - start)
     rings = centres[:, None, :] + ring[None, :, :]
     return _grid_triangles(rings)
+
+
+def across_of(axis: np.ndarray) -> np.ndarray:
+    """A unit vector at right angles to an axis, shape (3,)."""
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    return across / np.linalg.norm(across)
 
 
 def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
@@ -73,9 +79,7 @@ def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
                       np.broadcast_to(np.cos(polar)[:, None], (len(polar), len(turn)))], axis=2)
     # Triangles at the poles have no area and are left out.
     triangles = _grid_triangles(centre + radius * rings)
-    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0],
-                                    triangles[:, 2] - triangles[:, 0]), axis=1)
-    return triangles[areas > 1e-9 * radius**2]
+    return triangles[np.linalg.norm(_doubled_areas(triangles), axis=1) > 1e-9 * radius**2]
 
 
 def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
@@ -94,8 +98,7 @@ def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
 
 def ring_around(centre: np.ndarray, radius: float, axis: np.ndarray, width: float) -> np.ndarray:
     """Triangles of a thin ring about an axis, corners [m], shape (triangle_count, 3, 3)."""
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    across /= np.linalg.norm(across)
+    across = across_of(axis)
     angles = np.linspace(0.0, 2.0 * np.pi, 25)
     points = centre + radius * (np.outer(np.cos(angles), across)
                                 + np.outer(np.sin(angles), np.cross(axis, across)))
@@ -120,9 +123,7 @@ def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarr
     Returns:
         Ends of the edges [m], shape (crease_count, 2, 3).
     """
-    corners = points[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    normals = _normals(points[triangles])
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     of = np.repeat(np.arange(len(triangles)), 3)
     order = np.lexsort(edges.T)
@@ -130,6 +131,17 @@ def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarr
     twin = np.flatnonzero((edges[:-1] == edges[1:]).all(axis=1))
     cosines = np.einsum("ei,ei->e", normals[of[twin]], normals[of[twin + 1]])
     return points[edges[twin[cosines < np.cos(angle)]]]
+
+
+def _doubled_areas(triangles: np.ndarray) -> np.ndarray:
+    """Normals of triangles, as long as twice their areas, shape (triangle_count, 3)."""
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def _normals(triangles: np.ndarray) -> np.ndarray:
+    """Unit normals of triangles, shape (triangle_count, 3)."""
+    normals = _doubled_areas(triangles)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
 def _grid_triangles(rings: np.ndarray) -> np.ndarray:
@@ -142,21 +154,30 @@ def _grid_triangles(rings: np.ndarray) -> np.ndarray:
 
 
 BODY_COLOUR = np.array([0.60, 0.78, 0.84])
-FIXED_COLOUR = np.array([0.36, 0.36, 0.40])
 FREE_COLOUR = np.array([0.93, 0.73, 0.42])
 GUIDED_COLOUR = np.array([0.72, 0.72, 0.74])
 OBSTACLE_COLOUR = np.array([0.80, 0.79, 0.75])
-SPRING_COLOUR = np.array([0.45, 0.45, 0.50])
-PULL_POINT_COLOUR = np.array([0.10, 0.10, 0.10])
-HOLD_COLOUR = np.array([0.55, 0.15, 0.50])
-AXIS_COLOUR = np.array([0.25, 0.25, 0.28])
-EFFECTOR_COLOUR = np.array([0.10, 0.25, 0.45])
-MARKER_COLOUR = np.array([0.15, 0.50, 0.30])
-TOUCH_COLOUR = np.array([0.80, 0.45, 0.10])
-TARGET_COLOUR = np.array([0.85, 0.22, 0.15])
-FORCE_COLOUR = np.array([0.70, 0.07, 0.25])
 AXIS_COLOURS = np.array([[0.80, 0.25, 0.22], [0.25, 0.60, 0.28], [0.20, 0.38, 0.75]])
 """Of the axes x, y and z of an orientation."""
+LEGEND = {
+    kind: (mark, np.array(colour), text) for kind, mark, colour, text in (
+        ("fixed", "o", (0.36, 0.36, 0.40), "fixed"),
+        ("cable", "_", (0.16, 0.05, 0.52), "cable"),
+        ("pull point", "o", (0.10, 0.10, 0.10), "pull point"),
+        ("hold", "ring", (0.55, 0.15, 0.50), "hold radius"),
+        ("thread", "_", (0.45, 0.45, 0.50), "tube or fibre"),
+        ("spring", "_", (0.45, 0.45, 0.50), "spring"),
+        ("axis", "_", (0.25, 0.25, 0.28), "motor axis"),
+        ("cavity", "s", (0.59, 0.60, 0.62), "cavity"),
+        ("frame", "axes", AXIS_COLOURS[0], "frame: x, y, z"),
+        ("marker", "o", (0.15, 0.50, 0.30), "marker"),
+        ("touch", "ring", (0.80, 0.45, 0.10), "touch"),
+        ("effector", "o", (0.10, 0.25, 0.45), "effector"),
+        ("target", "+", (0.85, 0.22, 0.15), "target"),
+        ("force", "_", (0.70, 0.07, 0.25), "contact force"),
+    )
+}  # fmt: skip
+"""Mark, colour and text of each kind of thing, in the order of the legend."""
 # Length of the facets of round shapes, as a share of their radius.
 _FACETS = 0.2
 # Edges of a rigid surface with a larger angle [rad] are drawn.
@@ -255,22 +276,19 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
     """
     size = _size(simulation)
     shown = [] if targets is None else [t for t in targets if np.isfinite(t).all()]
-    solids = [*_bodies(simulation), *_fixed(simulation, size), *_beams(simulation, size),
+    solids = [*_bodies(simulation), *_fixed(simulation, size), *_beams(simulation),
               *_rigid(simulation, size), *_springs(simulation, size)]
     obstacles, planes = _obstacles(simulation, size)
     solids += obstacles
-    solids += [Solid(sphere(point, 0.008 * size), MARKER_COLOUR, "thin", "marker")
-               for point in simulation.marker_positions()]
-    solids += [Solid(sphere(point, 0.014 * size), EFFECTOR_COLOUR, "thin", "effector")
-               for point in simulation.effector_positions()]
+    solids += _balls(simulation.marker_positions(), 0.008 * size, "marker")
+    solids += _balls(simulation.effector_positions(), 0.014 * size, "effector")
     solids += _axes_of_effectors(simulation, size)
-    solids += [Solid(cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin", "target")
-               for point in shown]
+    solids += [_mark(cross(point, 0.08 * size, 0.0035 * size), "target") for point in shown]
     efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
     paths, kind_of = simulation.actuator_paths(), simulation.actuators.kind_of
     cables = [CableLine(path, float(efforts[name])) for name, path in paths.items()
               if kind_of[name].effort.unit == "N"]
-    solids += [Solid(tube(path, 0.008 * size, 0.04 * size), AXIS_COLOUR, "thin", "axis")
+    solids += [_mark(tube(path, 0.008 * size, 0.04 * size), "axis")
                for name, path in paths.items() if kind_of[name].effort.unit != "N"]
     cavities = [CavityWalls(points[skin.triangles], float(pressure))
                 for skin, points, pressure in zip(
@@ -311,38 +329,45 @@ def _bodies(simulation: Simulation) -> list[Solid]:
     return [Solid(surface[triangles], BODY_COLOUR, look)]
 
 
+def _mark(triangles: np.ndarray, kind: str) -> Solid:
+    """A mark or line of a kind, in the colour of the legend."""
+    return Solid(triangles, LEGEND[kind][1], "thin", kind)
+
+
+def _balls(places: Iterable[np.ndarray], radius: float, kind: str) -> list[Solid]:
+    """Marks at places."""
+    return [_mark(sphere(place, radius), kind) for place in places]
+
+
 def _fixed(simulation: Simulation, size: float) -> list[Solid]:
     """Balls at the fixed nodes of the surfaces, and at fixed ends of beams."""
     model, positions = simulation.model, simulation.state.positions
-    solids = [Solid(sphere(place, 0.0055 * size), FIXED_COLOUR, "thin", "fixed")
-              for body in model.bodies for place in fixed_places(body, positions)]
-    solids += [Solid(sphere(place, 0.014 * size), FIXED_COLOUR, "thin", "fixed")
-               for place in fixed_ends(model.beams)]
-    return solids
+    nodes = [place for body in model.bodies for place in fixed_places(body, positions)]
+    return [*_balls(nodes, 0.0055 * size, "fixed"),
+            *_balls(fixed_ends(model.beams), 0.014 * size, "fixed")]
 
 
 def _beam_skins(simulation: Simulation) -> tuple:
     return simulation.skins[len(simulation.model.bodies):]
 
 
-def _beams(simulation: Simulation, size: float) -> list[Solid]:
+def _beams(simulation: Simulation) -> list[Solid]:
     positions = simulation.state.positions
     return [Solid(skin.positions(positions)[skin.triangles], BODY_COLOUR, "rigid")
             for skin in _beam_skins(simulation)]
 
 
-def _rigid(simulation: Simulation, size: float) -> list[Solid]:
+def _rigid(simulation: Simulation, size: float) -> Iterator[Solid]:
     """Rigid bodies with their frames, not longer than the body."""
-    solids = []
+    positions = simulation.state.positions
     for part in simulation.model.rigid:
-        frame = simulation.state.positions[part.first_node : part.first_node + 4]
+        frame = positions[part.first_node : part.first_node + 4]
         colour = FREE_COLOUR if part.is_free else GUIDED_COLOUR
         shape = _solid_shape(part.shape, frame[0], (frame[1:] - frame[0]).T, colour, size)
         extent = float(np.ptp(shape[0].triangles.reshape(-1, 3), axis=0).max())
-        solids += shape
-        origin, rotation = part.entry_pose(simulation.state.positions)
-        solids += _frame(origin, rotation.T, AXIS_COLOURS, min(0.09 * size, 0.7 * extent))
-    return solids
+        origin, rotation = part.entry_pose(positions)
+        yield from shape
+        yield from _frame(origin, rotation.T, AXIS_COLOURS, min(0.09 * size, 0.7 * extent))
 
 
 def _frame(origin: np.ndarray, axes, colours, length: float) -> list[Solid]:
@@ -375,13 +400,13 @@ def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list[t
     return solids, planes
 
 
-def _axes_of_effectors(simulation: Simulation, size: float) -> list[Solid]:
+def _axes_of_effectors(simulation: Simulation, size: float) -> Iterator[Solid]:
     """Axes of the effectors with orientation, x red, y green, z blue; of one that points, it alone.
     """
     turns = simulation.effector_orientations()
     if turns is None:
-        return []
-    solids, places = [], simulation.effector_positions()
+        return
+    places = simulation.effector_positions()
     for effector, place, turn in zip(simulation.scene.effectors, places, turns, strict=True):
         if effector.orientation is None:
             continue
@@ -389,19 +414,16 @@ def _axes_of_effectors(simulation: Simulation, size: float) -> list[Solid]:
         if effector.orientation.pointing is not None:
             axis = np.array(effector.orientation.pointing)
             axes, colours = [axis / np.linalg.norm(axis)], AXIS_COLOURS[2:]
-        solids += _frame(place, Rotation.from_quat(turn).apply(axes), colours, 0.1 * size)
-    return solids
+        yield from _frame(place, Rotation.from_quat(turn).apply(axes), colours, 0.1 * size)
 
 
-def _springs(simulation: Simulation, size: float) -> list[Solid]:
+def _springs(simulation: Simulation, size: float) -> Iterator[Solid]:
     """Bars for all springs, thin ones for tubes and fibres; balls at the points of masses."""
-    scene, positions, solids = simulation.scene, simulation.state.positions, []
+    scene, positions = simulation.scene, simulation.state.positions
     first = sum(body.mesh.node_count for body in simulation.model.bodies if not body.vertebrae)
-    for entry in scene.mass_springs:
-        points = positions[first : first + len(entry.points)]
-        first += len(entry.points)
-        solids += [Solid(sphere(point, 0.012 * size), SPRING_COLOUR, "rigid")
-                   for point in points]
+    count = sum(len(entry.points) for entry in scene.mass_springs)
+    for point in positions[first : first + count]:
+        yield Solid(sphere(point, 0.012 * size), LEGEND["spring"][1], "rigid")
     for term in simulation.terms:
         if not isinstance(term, Springs):
             continue
@@ -411,10 +433,8 @@ def _springs(simulation: Simulation, size: float) -> list[Solid]:
         threads = slice(len(scene.springs), len(ends) - masses)
         for own, radius, kind in ((ends[threads], 0.0015, "thread"),
                                   (np.delete(ends, threads, axis=0), 0.004, "spring")):
-            bars = [tube(pair, radius * size, size) for pair in own]
-            if bars:
-                solids.append(Solid(np.concatenate(bars), SPRING_COLOUR, "thin", kind))
-    return solids
+            if len(own):
+                yield _mark(np.concatenate([tube(pair, radius * size, size) for pair in own]), kind)
 
 
 def _held(simulation: Simulation, paths: dict[str, np.ndarray]) -> Iterator[Held]:
@@ -470,9 +490,9 @@ def labels(simulation: Simulation, paths: dict[str, np.ndarray], planes) -> Iter
     yield from _grouped("obstacle", [
         (entry.name, _on_plane(simulation, *next(level)) if isinstance(entry.shape, PlaneShape)
          else np.array(entry.position) + _middle(entry, scene)) for entry in scene.obstacles])
-    for nouns, group in _actuator_nouns(simulation):
-        yield from _grouped(nouns, [(name, paths[name][:2].mean(axis=0))
-                                    for name in group if name in paths])
+    for group in simulation.actuators.groups:
+        yield from _grouped(group.kind.noun, [(name, paths[name][:2].mean(axis=0))
+                                              for name in group.names if name in paths])
     driven = len(scene.cavities)
     walls = [(skin.name, points[skin.triangles].mean(axis=(0, 1)))
              for skin, points in zip(simulation.cavities.skins, simulation.cavity_positions())]
@@ -483,11 +503,6 @@ def labels(simulation: Simulation, paths: dict[str, np.ndarray], planes) -> Iter
     yield from _grouped("touch", list(zip(simulation.touch_names, _touches(simulation)[0])))
     yield from _grouped("marker", [(str(number), place) for number, place in zip(
         simulation.marker_ids, simulation.marker_positions())])
-
-
-def _actuator_nouns(simulation: Simulation) -> Iterator[tuple[str, tuple[str, ...]]]:
-    for group in simulation.actuators.groups:
-        yield group.kind.noun, group.names
 
 
 def _middle(entry, scene) -> np.ndarray:
@@ -513,10 +528,8 @@ _PLURALS = {"body": "bodies", "rigid body": "rigid bodies", "cavity": "cavities"
 
 def _grouped(noun: str, things: list[tuple[str, np.ndarray]]) -> Iterator[Label]:
     """A label for each thing, or one for all with alike names where there are many."""
-    alike: dict[str, list[tuple[str, np.ndarray]]] = {}
-    for name, place in things:
-        key = name if len(things) <= _MOST_LABELS else re.sub(r"\d+", "#", name)
-        alike.setdefault(key, []).append((name, place))
+    alike = by_key((name if len(things) <= _MOST_LABELS else re.sub(r"\d+", "#", name),
+                    (name, place)) for name, place in things)  # fmt: skip
     for members in alike.values():
         (first, place), (last, _) = members[0], members[-1]
         if len(members) == 1:
@@ -529,23 +542,6 @@ def _grouped(noun: str, things: list[tuple[str, np.ndarray]]) -> Iterator[Label]
 
 _VIEW = (24.0, -58.0)
 """Elevation and azimuth of the eye [degrees]."""
-LEGEND = {
-    "fixed": ("o", FIXED_COLOUR, "fixed"),
-    "cable": ("_", np.array([0.16, 0.05, 0.52]), "cable"),
-    "pull point": ("o", PULL_POINT_COLOUR, "pull point"),
-    "hold": ("ring", HOLD_COLOUR, "hold radius"),
-    "thread": ("_", SPRING_COLOUR, "tube or fibre"),
-    "spring": ("_", SPRING_COLOUR, "spring"),
-    "axis": ("_", AXIS_COLOUR, "motor axis"),
-    "cavity": ("s", np.array([0.59, 0.60, 0.62]), "cavity"),
-    "frame": ("axes", AXIS_COLOURS[0], "frame: x, y, z"),
-    "marker": ("o", MARKER_COLOUR, "marker"),
-    "touch": ("ring", TOUCH_COLOUR, "touch"),
-    "effector": ("o", EFFECTOR_COLOUR, "effector"),
-    "target": ("+", TARGET_COLOUR, "target"),
-    "force": ("_", FORCE_COLOUR, "contact force"),
-}
-"""Mark, colour and text of each kind of thing, in the order of the legend."""
 # Length of the longest arrow, as a share of the scene's size.
 _LONGEST_ARROW = 0.16
 _PLANE_CELLS = 8
@@ -694,23 +690,22 @@ def _all_solids(snapshot: Snapshot, maps: ColourMaps, camera: Camera, most: floa
     for cable in snapshot.cables:
         colour = np.array(maps.tension.to_rgba(cable.tension)[:3])
         solids += [Solid(tube(cable.points, 0.004 * size, size), colour, "thin", "cable"),
-                   Solid(sphere(cable.points[0], 0.010 * size), PULL_POINT_COLOUR, "thin",
-                         "pull point")]
+                   _mark(sphere(cable.points[0], 0.010 * size), "pull point")]
     # Rings face the viewer.
-    solids += [Solid(ring_around(centre, radius, camera.eye, 0.004 * size), HOLD_COLOUR, "thin",
-                     "hold") for centre, radius in snapshot.held]
-    solids += [Solid(ring_around(place, 0.02 * size, camera.eye, 0.006 * size), TOUCH_COLOUR,
-                     "thin", "touch") for place in snapshot.touches[0]]
+    solids += [_mark(ring_around(centre, radius, camera.eye, 0.004 * size), "hold")
+               for centre, radius in snapshot.held]
+    solids += [_mark(ring_around(place, 0.02 * size, camera.eye, 0.006 * size), "touch")
+               for place in snapshot.touches[0]]
     for cavity in snapshot.cavities:
         colour = np.array(maps.pressure.to_rgba(1e-3 * cavity.pressure)[:3])
         solids.append(Solid(cavity.triangles, colour, "rigid", "cavity"))
     if most > 0.0:
         for positions, forces in (snapshot.forces, snapshot.touches):
             arrows = forces * (_LONGEST_ARROW * size / most)
-            solids += [Solid(arrow(start, vector, 0.005 * size), FORCE_COLOUR, "thin", "force")
+            solids += [_mark(arrow(start, vector, 0.005 * size), "force")
                        for start, vector in zip(positions, arrows) if vector.any()]
     if snapshot.effector_path is not None and len(snapshot.effector_path) > 1:
-        solids += [Solid(tube(path, 0.0022 * size, size), EFFECTOR_COLOUR, "thin")
+        solids += [Solid(tube(path, 0.0022 * size, size), LEGEND["effector"][1], "thin")
                    for path in np.moveaxis(snapshot.effector_path, 1, 0)]
     return solids
 
@@ -835,36 +830,46 @@ def _sharpness(snapshots: Sequence[Snapshot]) -> int:
 
 def _add_image(axes, solids: list[Solid], camera: Camera, sheet: _Sheet, dpi: int) -> None:
     """Draws all solids, lit from the viewer's upper left."""
+
+    def light(normals: np.ndarray, layer: str) -> np.ndarray:
+        share = _brightness(normals, camera)
+        return 0.6 + 0.4 * share if layer == "marks" else share
+
+    shape = (round(sheet.height * dpi), round(sheet.width * dpi))
+    image = rasterize(layers_of(solids, camera, light, 1e3), sheet.window, shape)
+    axes.imshow(image, extent=sheet.window, interpolation="none", zorder=2, aspect="auto")
+
+
+def layers_of(
+    solids: Sequence[Solid], camera: Camera, light: Callable[[np.ndarray, str], np.ndarray],
+    scale: float = 1.0,
+) -> dict[str, Triangles]:  # fmt: skip
+    """Solids as `rasterize` takes them.
+
+    Args:
+        solids: What is drawn.
+        camera: The view.
+        light: Share of light that triangles reflect, by their unit normals and their layer.
+        scale: Unit of the picture [1/m].
+    """
     layers = {}
-    for layer in ("solid", "marks", "clear"):
+    for layer in set(LAYERS.values()):
         own = [solid for solid in solids if LAYERS[solid.look] == layer]
         triangles = np.concatenate([np.empty((0, 3, 3)), *(solid.triangles for solid in own)])
         counts = [len(solid.triangles) for solid in own]
         look = np.repeat([solid.look for solid in own], counts)
         base = np.repeat(np.array([solid.colour for solid in own]).reshape(-1, 3), counts, axis=0)
-        light = _brightness(triangles, camera)[:, None]
-        if layer == "marks":
-            light = 0.6 + 0.4 * light
-        layers[layer] = Triangles(camera.project(1e3 * triangles),
-                                  np.clip(base * light, 0.0, 1.0),
+        colours = np.clip(base * light(_normals(triangles), layer)[:, None], 0.0, 1.0)
+        layers[layer] = Triangles(camera.project(scale * triangles), colours,
                                   np.isin(look, ("mesh", "clear")))
-    shape = (round(sheet.height * dpi), round(sheet.width * dpi))
-    image = rasterize(layers, sheet.window, shape)
-    axes.imshow(image, extent=sheet.window, interpolation="none", zorder=2, aspect="auto")
+    return layers
 
 
-def _brightness(triangles: np.ndarray, camera: Camera) -> np.ndarray:
-    """Share of light reflected by each triangle, shape (triangle_count,)."""
-    normals = _normals(triangles)
+def _brightness(normals: np.ndarray, camera: Camera) -> np.ndarray:
+    """Share of light reflected by triangles with these unit normals, shape (triangle_count,)."""
     light = 0.75 * camera.eye - 0.45 * camera.right + 0.5 * camera.up
     light /= np.linalg.norm(light)
     return 0.62 + 0.42 * np.clip(normals @ light, 0.0, None) + 0.08 * normals[:, 2]
-
-
-def _normals(triangles: np.ndarray) -> np.ndarray:
-    """Unit normals of triangles, shape (triangle_count, 3)."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
 def _square(point: np.ndarray, normal: np.ndarray, box) -> tuple[np.ndarray, list]:
@@ -872,8 +877,7 @@ def _square(point: np.ndarray, normal: np.ndarray, box) -> tuple[np.ndarray, lis
     low, high = box
     middle = 0.5 * (low + high)
     middle = middle + ((1e3 * point - middle) @ normal) * normal
-    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    across /= np.linalg.norm(across)
+    across = across_of(normal)
     # A level plane is aligned with the scene's axes.
     along = np.cross(normal, across)
     half = 0.6 * (high - low)[:2].max()
