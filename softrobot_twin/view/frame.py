@@ -68,8 +68,9 @@ class Surface:
                             f"its triangles need at least ({needed}, 3)")
 
 
-def _none() -> np.ndarray:
-    return np.empty((0, 3))
+def _none(*shape: int) -> np.ndarray:
+    """A field that is empty by default."""
+    return field(default_factory=lambda: np.empty(shape))
 
 
 class OtherActuator(NamedTuple):
@@ -128,7 +129,7 @@ class Stage:
     shows_contact: bool = False
     force_scale: float = 0.1
     axis_length: float = 0.0
-    fixed_points: np.ndarray = field(default_factory=_none)
+    fixed_points: np.ndarray = _none(0, 3)
 
     def __post_init__(self) -> None:
         for solid in (*self.rigid_bodies, *self.obstacles):
@@ -211,17 +212,17 @@ class Frame:
     residual: float
     linearization_error: float = float("nan")
     discretization_error: float = float("nan")
-    rigid_positions: np.ndarray = field(default_factory=_none)
-    rigid_quaternions: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+    rigid_positions: np.ndarray = _none(0, 3)
+    rigid_quaternions: np.ndarray = _none(0, 4)
     cavity_positions: tuple[np.ndarray, ...] = ()
-    cavity_pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
-    cavity_volumes: np.ndarray = field(default_factory=lambda: np.empty(0))
-    other_setpoints: np.ndarray = field(default_factory=lambda: np.empty(0))
-    other_efforts: np.ndarray = field(default_factory=lambda: np.empty(0))
-    effector_orientations: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
-    target_orientations: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
-    contact_positions: np.ndarray = field(default_factory=_none)
-    contact_forces: np.ndarray = field(default_factory=_none)
+    cavity_pressures: np.ndarray = _none(0)
+    cavity_volumes: np.ndarray = _none(0)
+    other_setpoints: np.ndarray = _none(0)
+    other_efforts: np.ndarray = _none(0)
+    effector_orientations: np.ndarray = _none(0, 4)
+    target_orientations: np.ndarray = _none(0, 4)
+    contact_positions: np.ndarray = _none(0, 3)
+    contact_forces: np.ndarray = _none(0, 3)
 
     def check_against(self, stage: Stage) -> None:
         """Checks that the shapes of all arrays agree with the stage.
@@ -229,35 +230,25 @@ class Frame:
         Raises:
             ViewError: An array does not have the shape that the stage requires.
         """
-        cable_count = len(stage.cable_names)
-        cavity_count = len(stage.cavities)
-        effector_shape = (len(stage.effector_names), 3)
-        turn_shape = (len(stage.effector_names) if stage.axis_length else 0, 4)
-        marker_shape = (len(stage.marker_ids), 3)
-        rigid_count = len(stage.rigid_bodies)
-        contact_shape = (len(self.contact_positions) if stage.shows_contact else 0, 3)
+        cables, cavities = len(stage.cable_names), len(stage.cavities)
+        effectors, markers = len(stage.effector_names), len(stage.marker_ids)
+        others, rigid = len(stage.other_actuators), len(stage.rigid_bodies)
+        turned = effectors if stage.axis_length else 0
+        contacts = len(self.contact_positions) if stage.shows_contact else 0
         expected = {
-            "cable_paths": (len(self.cable_paths), cable_count),
-            "cable_lengths": (np.shape(self.cable_lengths), (cable_count,)),
-            "cable_tensions": (np.shape(self.cable_tensions), (cable_count,)),
-            "cavity_positions": (len(self.cavity_positions), cavity_count),
-            "cavity_pressures": (np.shape(self.cavity_pressures), (cavity_count,)),
-            "cavity_volumes": (np.shape(self.cavity_volumes), (cavity_count,)),
-            "other_setpoints": (np.shape(self.other_setpoints), (len(stage.other_actuators),)),
-            "other_efforts": (np.shape(self.other_efforts), (len(stage.other_actuators),)),
-            "effector_positions": (np.shape(self.effector_positions), effector_shape),
-            "targets": (np.shape(self.targets), effector_shape),
-            "effector_orientations": (np.shape(self.effector_orientations), turn_shape),
-            "target_orientations": (np.shape(self.target_orientations), turn_shape),
-            "predicted_markers": (np.shape(self.predicted_markers), marker_shape),
-            "measured_markers": (np.shape(self.measured_markers), marker_shape),
-            "surface_positions": (len(self.surface_positions), len(stage.bodies)),
-            "rigid_positions": (np.shape(self.rigid_positions), (rigid_count, 3)),
-            "rigid_quaternions": (np.shape(self.rigid_quaternions), (rigid_count, 4)),
-            "contact_positions": (np.shape(self.contact_positions), contact_shape),
-            "contact_forces": (np.shape(self.contact_forces), contact_shape),
-        }
-        for key, (found, wanted) in expected.items():
+            "cable_paths": cables, "cable_lengths": (cables,), "cable_tensions": (cables,),
+            "cavity_positions": cavities, "cavity_pressures": (cavities,),
+            "cavity_volumes": (cavities,), "other_setpoints": (others,), "other_efforts": (others,),
+            "effector_positions": (effectors, 3), "targets": (effectors, 3),
+            "effector_orientations": (turned, 4), "target_orientations": (turned, 4),
+            "predicted_markers": (markers, 3), "measured_markers": (markers, 3),
+            "surface_positions": len(stage.bodies), "rigid_positions": (rigid, 3),
+            "rigid_quaternions": (rigid, 4), "contact_positions": (contacts, 3),
+            "contact_forces": (contacts, 3),
+        }  # fmt: skip
+        for key, wanted in expected.items():
+            value = getattr(self, key)
+            found = len(value) if isinstance(wanted, int) else np.shape(value)
             if found != wanted:
                 raise ViewError(key, found, f"the stage requires {wanted}")
         for body, positions in zip(stage.bodies, self.surface_positions):

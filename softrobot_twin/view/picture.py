@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from itertools import cycle, islice
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from scipy import sparse
 
+from softrobot_twin.mechanics.rotation import rotation_from_quaternion
 from softrobot_twin.view.colours import (
     CLEAR_SURFACE_COLOUR,
     EFFECTOR_COLOUR,
@@ -25,7 +27,7 @@ from softrobot_twin.view.colours import (
     pressure_legend,
     tension_colours,
 )
-from softrobot_twin.view.frame import Frame, OtherActuator, Stage, Surface
+from softrobot_twin.view.frame import Frame, Stage, Surface
 from softrobot_twin.view.recording import Recording, past_range, time_panel
 
 
@@ -93,6 +95,14 @@ class RecentPath:
         return [path[:, effector] for effector in range(path.shape[1])]
 
 
+def name_curves(
+    recording: Recording, path: str, names: Sequence[str], colours: Sequence | None = None
+) -> None:  # fmt: skip
+    """Names the curves of a plot, in colours that repeat."""
+    chosen = cycle(_CURVE_COLOURS if colours is None else colours)
+    recording.name_series(path, names, list(islice(chosen, len(names))))
+
+
 RIGID_BODIES = "/rigid_bodies"
 OBSTACLES = "/obstacles"
 
@@ -150,8 +160,8 @@ class ContactDrawing:
         force_scale: Length of the arrow of a force [m/N].
     """
 
-    def __init__(self, recording: Recording, force_scale: float):
-        self._recording, self._force_scale = recording, force_scale
+    def __init__(self, recording: Recording, stage: Stage):
+        self._recording, self._force_scale = recording, stage.force_scale
         radius = rr.Radius.ui_points
         recording.log(CONTACT_POINTS, rr.Points3D.from_fields(
             colors=[_CONTACT_COLOUR], radii=[radius(3.0)]), static=True)
@@ -186,8 +196,8 @@ class AxesDrawing:
         length: Length of an axis [m].
     """
 
-    def __init__(self, recording: Recording, length: float):
-        self._recording, self._length = recording, length
+    def __init__(self, recording: Recording, stage: Stage):
+        self._recording, self._length = recording, stage.axis_length
         for path in (EFFECTOR_AXES, TARGET_AXES):
             recording.log(path, rr.Arrows3D.from_fields(radii=[rr.Radius.ui_points(1.5)]),
                           static=True)
@@ -201,17 +211,10 @@ class AxesDrawing:
 
     def _draw(self, path: str, places: np.ndarray, turns: np.ndarray, colours) -> None:
         known = np.isfinite(turns).all(axis=1) & np.isfinite(places).all(axis=1)
-        axes = np.concatenate([np.empty((0, 3)), *(rotation_of(turn).T for turn in turns[known])])
+        axes = np.concatenate([np.empty((0, 3)), *(rotation_from_quaternion(turn).T for turn in turns[known])])
         self._recording.log(path, rr.Arrows3D.from_fields(
             origins=np.repeat(places[known], 3, axis=0).astype(np.float32),
             vectors=(self._length * axes).astype(np.float32), colors=colours * int(known.sum())))
-
-
-def rotation_of(quaternion: np.ndarray) -> np.ndarray:
-    """Matrix of a unit quaternion (x, y, z, w), shape (3, 3)."""
-    x, y, z, w = quaternion
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
 
 
 CAVITIES = "/robot/cavities"
@@ -238,11 +241,9 @@ class CavityDrawing:
             triangles = np.asarray(cavity.triangles, dtype=np.uint32)
             recording.log(f"{CAVITIES}/{cavity.name}",
                           rr.Mesh3D.from_fields(triangle_indices=triangles), static=True)
-        colours = [_CAVITY_COLOURS[index % len(_CAVITY_COLOURS)]
-                   for index in range(len(stage.cavities))]
         for plot, unit in ((PRESSURE_PLOT, "kPa"), (VOLUME_PLOT, "cm³")):
             names = [f"{cavity.name} [{unit}]" for cavity in stage.cavities]
-            recording.name_series(plot, names, colours)
+            name_curves(recording, plot, names, _CAVITY_COLOURS)
 
     def log(self, frame: Frame) -> None:
         """Draws the cavities of a frame."""
@@ -275,15 +276,13 @@ class ActuatorCurves:
         actuators: The actuators.
     """
 
-    def __init__(self, recording: Recording, actuators: Sequence[OtherActuator]):
-        self._recording = recording
+    def __init__(self, recording: Recording, stage: Stage):
+        self._recording, actuators = recording, stage.other_actuators
         in_metres = np.array([one.setpoint_unit == "m" for one in actuators], bool)
         self._factors = np.where(in_metres, 1e3, 1.0)
         curves = [f"{one.name} [{unit}]" for one, metres in zip(actuators, in_metres, strict=True)
                   for unit in ("mm" if metres else one.setpoint_unit, one.effort_unit)]
-        colours = [_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)]
-                   for index in range(len(curves))]
-        recording.name_series(ACTUATOR_PLOT, curves, colours)
+        name_curves(recording, ACTUATOR_PLOT, curves, _ACTUATOR_COLOURS)
 
     def log(self, frame: Frame) -> None:
         """Draws the other actuators of a frame."""
@@ -336,15 +335,13 @@ class Picture:
         self._time_names: list[str] = []
         self._status: str | None = None
         self._log_stage()
-        solid = stage.rigid_bodies or stage.obstacles
-        self._solids = SolidDrawing(recording, stage) if solid else None
-        self._cavities = CavityDrawing(recording, stage) if stage.cavities else None
-        others = stage.other_actuators
-        self._others = ActuatorCurves(recording, others) if others else None
-        length = stage.axis_length
-        self._axes = AxesDrawing(recording, length) if length else None
-        shows_contact = stage.shows_contact
-        self._contacts = ContactDrawing(recording, stage.force_scale) if shows_contact else None
+        # What only some robots have.
+        drawings = [drawing for is_shown, drawing in (
+            (stage.rigid_bodies or stage.obstacles, SolidDrawing), (stage.cavities, CavityDrawing),
+            (stage.other_actuators, ActuatorCurves), (stage.shows_contact, ContactDrawing),
+            (stage.axis_length, AxesDrawing),
+        ) if is_shown]  # fmt: skip
+        self._drawings = [drawing(recording, stage) for drawing in drawings]
 
     def _log_stage(self) -> None:
         stage, log = self._stage, self._recording.log
@@ -374,10 +371,10 @@ class Picture:
                 static=True)
             log(CABLES, rr.LineStrips3D.from_fields(
                 labels=stage.cable_names, radii=[radius(2.5)], show_labels=True), static=True)
-            self._name_curves(LENGTH_PLOT, stage.cable_names)
-            self._name_curves(TENSION_PLOT, stage.cable_names)
-        self._name_curves(ERROR_PLOT, _ERRORS)
-        self._name_curves(RESIDUAL_PLOT, ["residual"])
+            name_curves(self._recording, LENGTH_PLOT, stage.cable_names)
+            name_curves(self._recording, TENSION_PLOT, stage.cable_names)
+        name_curves(self._recording, ERROR_PLOT, _ERRORS)
+        name_curves(self._recording, RESIDUAL_PLOT, ["residual"])
 
     def log(self, frame: Frame) -> None:
         """Draws one frame.
@@ -388,16 +385,8 @@ class Picture:
         frame.check_against(self._stage)
         self._recording.set_time(frame.step, frame.time_ns)
         self._log_bodies(frame)
-        if self._solids is not None:
-            self._solids.log(frame)
-        if self._cavities is not None:
-            self._cavities.log(frame)
-        if self._others is not None:
-            self._others.log(frame)
-        if self._contacts is not None:
-            self._contacts.log(frame)
-        if self._axes is not None:
-            self._axes.log(frame)
+        for drawing in self._drawings:
+            drawing.log(frame)
         self._log_points(frame)
         self._log_curves(frame)
         if frame.status != self._status:
@@ -444,12 +433,8 @@ class Picture:
         new_names = [name for name in times if name not in self._time_names]
         if new_names:
             self._time_names += new_names
-            self._name_curves(TIME_PLOT, self._time_names)
+            name_curves(self._recording, TIME_PLOT, self._time_names)
         log_series(TIME_PLOT, [1e3 * times.get(name, np.nan) for name in self._time_names])
-
-    def _name_curves(self, path: str, names: Sequence[str]) -> None:
-        colours = [_CURVE_COLOURS[index % len(_CURVE_COLOURS)] for index in range(len(names))]
-        self._recording.name_series(path, names, colours)
 
 
 def _points(positions: np.ndarray) -> rr.Points3D:

@@ -25,8 +25,6 @@ STEP = "step"
 
 # Whether this rerun can serve on this machine only without blocking the sender.
 CAN_SERVE = hasattr(rr, "GrpcServerSink")
-# Features of newer versions: typed times, several curves per entity, streams as objects.
-_SINCE_0_23 = hasattr(rr, "Scalars")
 _START_TIMEOUT = 5.0
 # Interval at which a server sends [s]. With rerun's 0.2 s the picture jumps; with 0.008 s, one
 # chunk per entity and frame, it sent nine times as many bytes.
@@ -46,12 +44,8 @@ class Recording:
 
     def set_time(self, step: int, time_ns: int) -> None:
         """Sets the time on both timelines for what this thread logs next."""
-        if _SINCE_0_23:
-            self._stream.set_time(TIME, timestamp=np.datetime64(time_ns, "ns"))
-            self._stream.set_time(STEP, sequence=step)
-        else:
-            self._stream.set_time_nanos(TIME, time_ns)
-            self._stream.set_time_sequence(STEP, step)
+        self._stream.set_time(TIME, timestamp=np.datetime64(time_ns, "ns"))
+        self._stream.set_time(STEP, sequence=step)
 
     def log(self, path: str, *archetypes: object, static: bool = False) -> None:
         """Logs archetypes at an entity path; static ones are valid at all times."""
@@ -65,21 +59,12 @@ class Recording:
             names: Curve names.
             colours: sRGB colours, one for each name.
         """
-        if _SINCE_0_23:
-            style = rr.SeriesLines(names=list(names), colors=np.array(colours, dtype=np.uint8))
-            self._stream.log(path, style, static=True)
-            return
-        for index, (name, colour) in enumerate(zip(names, colours)):
-            self._stream.log(f"{path}/{index}", rr.SeriesLine(name=name, color=colour),
-                             static=True)
+        style = rr.SeriesLines(names=list(names), colors=np.array(colours, dtype=np.uint8))
+        self._stream.log(path, style, static=True)
 
     def log_series(self, path: str, values: Sequence[float] | np.ndarray) -> None:
         """Logs the present value of every curve of a plot, in the order of its names."""
-        if _SINCE_0_23:
-            self._stream.log(path, rr.Scalars(np.asarray(values, dtype=float)))
-            return
-        for index, value in enumerate(values):
-            self._stream.log(f"{path}/{index}", rr.Scalar(float(value)))
+        self._stream.log(path, rr.Scalars(np.asarray(values, dtype=float)))
 
     def close(self, timeout: float) -> None:
         """Sends the remaining data within a timeout [s] and ends the stream.
@@ -171,8 +156,6 @@ def past_range(seconds: float) -> rrb.VisibleTimeRange | None:
 
 
 def _new_stream(application: str, **settings: object) -> rr.RecordingStream:
-    if not _SINCE_0_23:
-        return rr.new_recording(application)
     stream = rr.RecordingStream(application, **settings)
     if hasattr(stream, "set_log_time_enabled"):
         # The time of logging is not recorded, because every frame has its own time.

@@ -77,6 +77,11 @@ def _fixed_points(simulation: Simulation) -> np.ndarray:
     return np.concatenate([*places, fixed_ends(model.beams)])
 
 
+def _solids(skins) -> tuple[Surface, ...]:
+    """Surfaces of rigid bodies or obstacles, with their points."""
+    return tuple(Surface(skin.name, skin.triangles, skin.points) for skin in skins)
+
+
 class SimulationFrames:
     """The stage of a simulation, and frames of its states.
 
@@ -103,9 +108,7 @@ class SimulationFrames:
             bodies=self._bodies.surfaces,
             cable_names=simulation.actuator_names[self._cables],
             tension_range=tension_range(simulation),
-            cavities=tuple(
-                Surface(skin.name, skin.triangles) for skin in simulation.cavities.skins
-            ),
+            cavities=tuple(Surface(skin.name, skin.triangles) for skin in simulation.cavities.skins),
             pressure_range=pressure_range(simulation),
             other_actuators=tuple(
                 OtherActuator(name, kind.setpoint.unit, kind.effort.unit)
@@ -113,14 +116,8 @@ class SimulationFrames:
             ),
             effector_names=simulation.effector_names,
             marker_ids=simulation.marker_ids,
-            rigid_bodies=tuple(
-                Surface(skin.name, skin.triangles, skin.points)
-                for skin in simulation.rigid_skins()
-            ),
-            obstacles=tuple(
-                Surface(skin.name, skin.triangles, skin.points)
-                for skin in simulation.obstacle_skins()
-            ),
+            rigid_bodies=_solids(simulation.rigid_skins()),
+            obstacles=_solids(simulation.obstacle_skins()),
             shows_contact=simulation.scene.contact is not None,
             axis_length=AXIS_SHARE * simulation.model.nodes.size if self._is_oriented else 0.0,
             force_scale=force_scale,
@@ -169,35 +166,21 @@ class SimulationFrames:
             residual=result.report.residual,
             linearization_error=result.report.linearization_error,
             discretization_error=discretization_error,
-            **self._of_cavities(),
-            **self._of_solids(result),
-            **self._of_orientations(result, target_orientations),
+            **self._optional_fields(result, target_orientations),
         )
 
-    def _of_orientations(self, result: StepResult, targets: np.ndarray) -> dict:
-        """Turns of effectors and targets as fields of a frame, for scenes that ask for them."""
-        if not self._is_oriented:
-            return {}
-        return {
-            "effector_orientations": result.effector_orientations, "target_orientations": targets
-        }
-
-    def _of_cavities(self) -> dict:
-        """Walls, pressures and volumes of cavities as fields of a frame, for scenes with them."""
-        simulation = self._simulation
-        if not simulation.cavities.skins:
-            return {}
-        return {
-            "cavity_positions": simulation.cavity_positions(),
-            "cavity_pressures": simulation.cavities.pressures(simulation.state),
-            "cavity_volumes": simulation.cavities.volumes(simulation.state),
-        }
-
-    def _of_solids(self, result: StepResult) -> dict:
-        """Rigid poses and contacts as fields of a frame, for scenes that have them."""
-        shown = {}
-        if self._simulation.rigid_names:
-            shown["rigid_positions"], shown["rigid_quaternions"] = self._simulation.rigid_poses()
+    def _optional_fields(self, result: StepResult, target_orientations: np.ndarray) -> dict:
+        """Fields of a frame for scenes with orientations, cavities, rigid bodies or contact."""
+        shown, simulation = {}, self._simulation
+        if self._is_oriented:
+            shown["effector_orientations"] = result.effector_orientations
+            shown["target_orientations"] = target_orientations
+        if simulation.cavities.skins:
+            shown["cavity_positions"] = simulation.cavity_positions()
+            shown["cavity_pressures"] = simulation.cavities.pressures(simulation.state)
+            shown["cavity_volumes"] = simulation.cavities.volumes(simulation.state)
+        if simulation.rigid_names:
+            shown["rigid_positions"], shown["rigid_quaternions"] = simulation.rigid_poses()
         if result.contacts is not None:
             shown["contact_positions"] = result.contacts.positions
             shown["contact_forces"] = result.contacts.forces
