@@ -5,7 +5,6 @@ This file contains the tables, the picture and the command; `accuracy_study` mea
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,15 +25,12 @@ from softrobot_twin.study.accuracy_study import (
     AccuracyRow,
     Limits,
     MeshLevel,
-    ReducedModel,
     Reference,
     Study,
-    approximate_duration,
     check_one_body,
     hexahedral_family,
     mesh_family,
     only_body,
-    print_to_stderr,
     shown_progress,
     study_meshes,
     study_parts,
@@ -53,7 +49,13 @@ from softrobot_twin.study.reduced_models import (
     reduced_models,
     train_level,
 )
-from softrobot_twin.study.terminal import console, table
+from softrobot_twin.study.terminal import (
+    approximate_duration,
+    console,
+    print_to_stderr,
+    report_activity,
+    table,
+)
 
 _CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
                "weightless": "displacements, no gravity"}
@@ -386,7 +388,8 @@ def accuracy(
         models += [train_level(scene_path, level, output / "reduced") for level in trained]
     report_activity("settings besides the mesh")
     displacement = study.references["lengths"].displacement
-    rows = [*study.rows, *_reduced_rows(models, study, limits),
+    rows = [*study.rows,
+            *(study_reduced(model, study, limits.timed_steps, report_activity) for model in models),
             *vary_knobs(held, displacement, KNOB_STEPS)]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
@@ -404,12 +407,6 @@ def accuracy(
     draw_accuracy(output / "accuracy.png", scene.name, rows, conditions)
     shown.print(f"written: {output / 'accuracy.csv'}, {output / 'accuracy.png'}")
     return 0
-
-
-def _reduced_rows(
-    models: Sequence[ReducedModel], study: Study, limits: Limits
-) -> list[AccuracyRow]:
-    return [study_reduced(model, study, limits.timed_steps, report_activity) for model in models]
 
 
 def level_named(name: str, levels: Sequence[MeshLevel]) -> MeshLevel:
@@ -444,8 +441,3 @@ def hold_radius(scene: Scene) -> float:
     without bound as the mesh is refined.
     """
     return round(HOLD_SHARE * only_body(scene).size, 6)
-
-
-def report_activity(text: str) -> None:
-    """Prints the present activity on standard error."""
-    print(f"{text} …", file=sys.stderr, flush=True)

@@ -10,8 +10,7 @@ from __future__ import annotations
 import csv
 import os
 import re
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.actuator_entries import Cable, Cavity
 from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
 from softrobot_twin.scene.entry import expanded
 from softrobot_twin.scene.loading import read_yaml, written_out
@@ -56,7 +56,7 @@ from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection
 from softrobot_twin.study.output_file import OutputError, cell, csv_output
 from softrobot_twin.study.run_summary import Spread, spread
-from softrobot_twin.study.terminal import approximate_duration, progress, warn
+from softrobot_twin.study.terminal import progress, warn
 
 
 class AccuracyError(SoftRobotTwinError):
@@ -120,9 +120,34 @@ def write_scene_copy(
         raise OutputError(path, error.strerror or str(error)) from error
 
 
+def replaced(
+    scene: Scene, *, body: dict | None = None, solver: dict | None = None,
+    cables: Callable[[Cable], dict] | None = None,
+    cavities: Callable[[Cavity], dict] | None = None, **own: object,
+) -> Scene:  # fmt: skip
+    """The same scene with entries replaced.
+
+    Args:
+        scene: The scene.
+        body: Entries of its one body.
+        solver: Entries of its solver.
+        cables: Gives entries of each cable.
+        cavities: Gives entries of each cavity.
+        own: Entries of the scene itself.
+    """
+    for name, entries in (("body", body), ("solver", solver)):
+        if entries is not None:
+            own[name] = getattr(scene, name).model_copy(update=entries)
+    for name, of_each in (("cables", cables), ("cavities", cavities)):
+        if of_each is not None:
+            own[name] = tuple(entry.model_copy(update=of_each(entry))
+                              for entry in getattr(scene, name))
+    return scene.model_copy(update=own)
+
+
 def with_mesh_file(scene: Scene, file: Path) -> Scene:
     """The same scene with another mesh file, placed by the same transformation."""
-    return _with_body(scene, mesh=scene.body.mesh.model_copy(update={"file": file}))
+    return replaced(scene, body={"mesh": scene.body.mesh.model_copy(update={"file": file})})
 
 
 def _own_level(scene: Scene) -> MeshLevel:
@@ -132,21 +157,9 @@ def _own_level(scene: Scene) -> MeshLevel:
     return _level(scene.mesh_name, scene, True)
 
 
-def with_placed_mesh(scene: Scene, file: Path, fixed: tuple[Region, ...]) -> Scene:
-    """The same scene with a mesh that is already placed, in metres."""
-    placed = {"file": file, "box": None, "size": None, "scale": 1.0, "rotation": (0.0,) * 3,
-              "translation": (0.0,) * 3}  # fmt: skip
-    return _with_body(scene, mesh=scene.body.mesh.model_copy(update=placed), fixed=fixed)
-
-
-def with_reduction(scene: Scene, file: Path) -> Scene:
-    """The same scene, its body reduced by a file of ``reduce``."""
-    return _with_body(scene, reduced=Reduced(file=file.resolve()))
-
-
 def with_element(scene: Scene, element: str) -> Scene:
     """The same scene with other elements of tetrahedra."""
-    return _with_body(scene, element=element)
+    return replaced(scene, body={"element": element})
 
 
 def with_law(scene: Scene, law: str) -> Scene:
@@ -154,7 +167,8 @@ def with_law(scene: Scene, law: str) -> Scene:
     material = scene.body.material
     if law == material.law:
         return scene
-    return _with_body(scene, material=material.model_copy(update=_constants_of(material, law)))
+    changed = material.model_copy(update=_constants_of(material, law))
+    return replaced(scene, body={"material": changed})
 
 
 def _constants_of(material: Material, law: str) -> dict:
@@ -168,51 +182,41 @@ def _constants_of(material: Material, law: str) -> dict:
 
 def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
     """The same scene with a number of linearizations per step and a residual tolerance [N]."""
-    changed = {"newton_iterations": iterations, "residual_tolerance": tolerance}
-    return scene.model_copy(update={"solver": scene.solver.model_copy(update=changed)})
+    return replaced(scene, solver={"newton_iterations": iterations, "residual_tolerance": tolerance})
 
 
 def with_hold_radius(scene: Scene, radius: float) -> Scene:
     """The same scene; cable forces at points are spread over a radius [m]."""
-    return _with_cables(scene, lambda cable: {"hold_radius": cable.hold_radius or radius})
+    return replaced(scene, cables=lambda cable: {"hold_radius": cable.hold_radius or radius})
 
 
-def without_rate_limits(scene: Scene) -> Scene:
-    """The same scene without limits on the rate of actuators."""
-    without = _with_cables(scene, lambda _: {"rate": None})
-    return _with_cavities(without, {"rate": None, "flow": None})
+def unlimited(scene: Scene, efforts: bool = False, displacements: bool = False) -> Scene:
+    """The same scene without limits on rates; the volumes of its cavities are commanded.
 
-
-def with_volumes(scene: Scene) -> Scene:
-    """The same scene; the volumes of its cavities are commanded."""
-    return _with_cavities(scene, {"control": "volume"})
-
-
-def without_effort_limits(scene: Scene) -> Scene:
-    """The same scene without limits on tension and pressure, because stiff coarse meshes need large
-    forces.
+    Args:
+        scene: The scene.
+        efforts: Whether limits on tension and pressure go too: stiff coarse meshes need large forces.
+        displacements: Whether those of displacements go too, which are free when forces are
+            prescribed.
     """
-    free = _with_cables(scene, lambda cable: {"tension": (0.0, 1e3 * cable.tension[1] or 1e3)})
-    return _with_cavities(free, {"pressure": (-np.inf, np.inf)})
+
+    def of_cable(cable: Cable) -> dict:
+        free: dict = {"rate": None}
+        if efforts:
+            free["tension"] = 0.0, 1e3 * cable.tension[1] or 1e3
+        return free | ({"shortening": (-10.0, 10.0)} if displacements else {})
+
+    of_cavity: dict = {"rate": None, "flow": None, "control": "volume"}
+    if efforts:
+        of_cavity["pressure"] = -np.inf, np.inf
+    if displacements:
+        of_cavity |= {"growth": (-np.inf, np.inf), "volume": (0.0, np.inf)}
+    return replaced(scene, cables=of_cable, cavities=lambda _: of_cavity)
 
 
 def weightless(scene: Scene) -> Scene:
     """The same scene without gravity."""
-    return scene.model_copy(update={"gravity": (0.0, 0.0, 0.0)})
-
-
-def _with_body(scene: Scene, **changes) -> Scene:
-    return scene.model_copy(update={"body": scene.body.model_copy(update=changes)})
-
-
-def _with_cables(scene: Scene, change) -> Scene:
-    cables = tuple(cable.model_copy(update=change(cable)) for cable in scene.cables)
-    return scene.model_copy(update={"cables": cables})
-
-
-def _with_cavities(scene: Scene, changes: dict) -> Scene:
-    cavities = tuple(cavity.model_copy(update=changes) for cavity in scene.cavities)
-    return scene.model_copy(update={"cavities": cavities})
+    return replaced(scene, gravity=(0.0, 0.0, 0.0))
 
 
 def given_words(scene: Scene) -> tuple[str, str]:
@@ -348,12 +352,6 @@ Round = Callable[[], np.ndarray]
 """A function that runs some steps and returns their times [s], shape (step_count,)."""
 
 
-class _Timed(NamedTuple):
-    reference: float
-    median: float
-    p99: float
-
-
 class RobustTiming:
     """Times rounds of several settings and removes the slowdown caused by other programs.
 
@@ -369,7 +367,7 @@ class RobustTiming:
             reference: Runs the steps of the reference.
         """
         self._reference = reference
-        self._rounds: dict[object, list[_Timed]] = {}
+        self._rounds: dict[object, list[tuple[float, float, float]]] = {}
         self._references: list[float] = []
 
     def add_round(self, key: object, steps: Round) -> None:
@@ -383,15 +381,14 @@ class RobustTiming:
         times = steps()
         after = float(np.median(self._reference()))
         self._references += [before, after]
-        made = _Timed(0.5 * (before + after), *np.percentile(times, (50.0, 99.0)))
+        made = 0.5 * (before + after), *np.percentile(times, (50.0, 99.0))
         self._rounds.setdefault(key, []).append(made)
 
     def spread(self, key: object) -> Spread:
         """Median and 99th percentile of a step of a setting when nothing else runs [s]."""
-        best = min(self._references)
-        rounds = np.array([(timed.median, timed.p99) for timed in self._rounds[key]])
-        shares = np.array([best / timed.reference for timed in self._rounds[key]])
-        median, p99 = np.median(rounds * shares[:, None], axis=0)
+        rounds = np.array(self._rounds[key])
+        shares = min(self._references) / rounds[:, :1]
+        median, p99 = np.median(rounds[:, 1:] * shares, axis=0)
         return Spread(float(median), float(p99), float(p99))
 
     @property
@@ -429,18 +426,23 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
     unit, size = median(times), dof_count(probe)
 
     seconds = 0.0
+    for element, dof in _planned(levels):
+        step = unit * (dof / size) ** _GROWTH
+        equilibria = step * (_LINEARIZATIONS + _BUILDING)
+        timing = min(_MOST_TIMING, limits.timed_steps * step) + step * _BUILDING
+        if element == "quadratic" and dof <= limits.reference_dof:
+            seconds += equilibria
+        if dof <= limits.timed_dof:
+            # Both laws are measured; the equilibria of the reference are already solved.
+            seconds += 2.0 * timing + (1 + (element != "quadratic")) * equilibria
+    return seconds
+
+
+def _planned(levels: Sequence[MeshLevel]) -> Iterator[tuple[str, int]]:
+    """Elements and dof of each setting of a study of meshes of tetrahedra."""
     for element in ELEMENTS:
         for level in levels:
-            dof = dof_count(level._replace(scene=with_element(level.scene, element)))
-            step = unit * (dof / size) ** _GROWTH
-            equilibria = step * (_LINEARIZATIONS + _BUILDING)
-            timing = min(_MOST_TIMING, limits.timed_steps * step) + step * _BUILDING
-            if element == "quadratic" and dof <= limits.reference_dof:
-                seconds += equilibria
-            if dof <= limits.timed_dof:
-                # Both laws are measured; the equilibria of the reference are already solved.
-                seconds += 2.0 * timing + (1 + (element != "quadratic")) * equilibria
-    return seconds
+            yield element, dof_count(level._replace(scene=with_element(level.scene, element)))
 
 
 @contextmanager
@@ -471,17 +473,10 @@ def study_parts(
 ) -> int:
     """Number of activities of a study: reference meshes, and meshes with an element and a law."""
     count = sum(2 * (dof_count(level) <= limits.timed_dof) for level in hexahedra)
-    for element in ELEMENTS:
-        for level in levels:
-            dof = dof_count(level._replace(scene=with_element(level.scene, element)))
-            count += 2 * (dof <= limits.timed_dof)
-            count += element == "quadratic" and dof <= limits.reference_dof
+    for element, dof in _planned(levels):
+        count += 2 * (dof <= limits.timed_dof)
+        count += element == "quadratic" and dof <= limits.reference_dof
     return count
-
-
-def print_to_stderr(text: str) -> None:
-    """Prints a line on standard error, also when it is no terminal."""
-    print(text, file=sys.stderr, flush=True)
 
 
 MESH, NEWTON, QP, PRECISION = "mesh", "newton", "qp tolerance", "factor precision"
@@ -715,7 +710,7 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
     size = only_body(by_corners).size
     material = scene.body.material
     stiffness = law_at_rest(material, material.law).young_modulus * size**2
-    free = without_effort_limits(without_rate_limits(with_volumes(scene)))
+    free = unlimited(scene, efforts=True)
     return Simulation(with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness), **parts)
 
 
@@ -730,8 +725,7 @@ def solve_for_displacements(scene: Scene, poses: np.ndarray) -> Poses:
 
 def solve_for_efforts(scene: Scene, poses: np.ndarray) -> Poses:
     """Equilibria at given efforts of the actuators [N, Pa]."""
-    loose = _without_displacement_limits(scene)
-    simulation = exact_simulation(loose)
+    simulation = exact_simulation(unlimited(scene, displacements=True))
     return _solve(simulation, [
         [CommandEfforts(share * pose, _LONG) for share in _shares()] for pose in poses])
 
@@ -752,12 +746,6 @@ def _solve(simulation: Simulation, loads: list) -> Poses:
         positions.append(result.effector_positions if good else np.full_like(rest, np.nan))
         efforts.append(result.efforts)
     return Poses(np.array(positions), rest, np.array(efforts))
-
-
-def _without_displacement_limits(scene: Scene) -> Scene:
-    """The same scene without limits of displacements, which are free when forces are prescribed."""
-    loose = _with_cables(scene, lambda _: {"shortening": (-10.0, 10.0)})
-    return _with_cavities(loose, {"growth": (-np.inf, np.inf), "volume": (0.0, np.inf)})
 
 
 # Speed of a cable without a rate limit [m/s]; otherwise half of its limit.
@@ -843,9 +831,7 @@ def follow_lengths(
     its start.
     """
     simulation = _ready(scene, start, iterations, parts)
-    commands = [CommandSetpoints(simulation.actuators.setpoints(moved), path.time_step)
-                for moved in path.displacements[1:]]
-    return _follow(simulation, commands, None)
+    return _follow(simulation, _along(simulation, path), None)
 
 
 def follow_targets(
@@ -860,9 +846,7 @@ def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
     """Time of a step along a path, repeated for a few seconds [s]."""
     simulation = _ready(scene, None, iterations, {})
     simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
-    commands = [CommandSetpoints(simulation.actuators.setpoints(moved), path.time_step)
-                for moved in path.displacements[1:]]
-    return _follow(simulation, commands, _SECONDS).times
+    return _follow(simulation, _along(simulation, path), _SECONDS).times
 
 
 def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], np.ndarray]:
@@ -872,26 +856,18 @@ def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], n
     """
     simulation = _ready(scene, None, iterations, {"now": thread_time})
     simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
-    start = simulation.state
-    commands = [CommandSetpoints(simulation.actuators.setpoints(moved), path.time_step)
-                for moved in path.displacements[1:]]
+    start, commands = simulation.state, _along(simulation, path)
 
     def steps() -> np.ndarray:
         simulation.restore(start)
-        times: list[float] = []
-        with without_garbage_collection():
-            for command in commands:
-                times.append(simulation.step(command).report.compute_time)
-                if sum(times) > _ROUND_SECONDS and len(times) >= _FEWEST_STEPS:
-                    break
-        return np.array(times)
+        return np.array(_timed_steps(simulation, commands, _ROUND_SECONDS, []))
 
     return steps
 
 
 def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> Simulation:
     # With a tolerance that is never reached, every step makes all its iterations.
-    tuned = with_newton(without_rate_limits(with_volumes(scene)), iterations, 1.0e-300)
+    tuned = with_newton(unlimited(scene), iterations, 1.0e-300)
     simulation = Simulation(tuned, **parts)
     simulation.warm_up()
     if start is not None:
@@ -899,8 +875,23 @@ def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> S
     return simulation
 
 
+def _along(simulation: Simulation, path: LengthPath) -> list[CommandSetpoints]:
+    """Commands of the steps of a path."""
+    return [CommandSetpoints(simulation.actuators.setpoints(moved), path.time_step)
+            for moved in path.displacements[1:]]
+
+
 def _follow(simulation: Simulation, commands: list, seconds: float | None) -> FollowedPath:
-    positions, times = [], []
+    positions: list[np.ndarray] = []
+    times = _timed_steps(simulation, commands, seconds, positions)
+    return FollowedPath(np.array(positions), spread(np.array(times)))
+
+
+def _timed_steps(
+    simulation: Simulation, commands: list, seconds: float | None, positions: list[np.ndarray]
+) -> list[float]:  # fmt: skip
+    """Times of steps [s], of as many as fit into some time, and the effectors after each."""
+    times: list[float] = []
     with without_garbage_collection():
         for command in commands:
             result = simulation.step(command)
@@ -908,7 +899,7 @@ def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Fo
             times.append(result.report.compute_time)
             if seconds is not None and sum(times) > seconds and len(times) >= _FEWEST_STEPS:
                 break
-    return FollowedPath(np.array(positions), spread(np.array(times)))
+    return times
 
 
 VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
@@ -949,7 +940,13 @@ class ReducedModel(NamedTuple):
     @property
     def scene(self) -> Scene:
         """The scene with it."""
-        return with_reduction(self.level.scene, self.path)
+        return replaced(self.level.scene, body={"reduced": Reduced(file=self.path.resolve())})
+
+    @property
+    def columns(self) -> dict[str, object]:
+        """What a row of errors says of it."""
+        return {"knob": REDUCED, "setting": f"{self.mode_count} modes, {self.point_count} points",
+                "file": self.name, "mode_count": self.mode_count, "point_count": self.point_count}
 
 
 class MeshLevel(NamedTuple):
@@ -997,17 +994,7 @@ def mesh_family(
         SoftRobotTwinError: A mesh cannot be used, or a mesh with cavities has no family.
     """
     own = _own_level(scene)
-    levels = [own]
-    for path in _siblings(scene):
-        try:
-            level = _level(path.stem, with_mesh_file(scene, path.resolve()), False)
-        except SoftRobotTwinError as error:
-            report_skipped(f"{path.name} is left out: {error}")
-            continue
-        if reason := _difference(own, level):
-            report_skipped(f"{path.name} is left out, not the body of {own.name}: {reason}")
-        else:
-            levels.append(level)
+    levels = [own, *_family(own, _siblings(scene), "linear", report_skipped)]
     if len(levels) == 1:
         if scene.cavities or scene.sealed_cavities:
             raise AccuracyError(scene.name, f"{scene.body.mesh.label} has no family, and a mesh with "
@@ -1037,18 +1024,24 @@ def hexahedral_family(
     if scene.body.mesh.box is not None:
         return [_level(f"{scene.mesh_name}_hexa", scene, False, HEXAHEDRAL)]
     own = _own_level(scene)
-    levels = []
-    for path in _siblings(scene, HEXAHEDRAL_NAME):
+    levels = _family(own, _siblings(scene, HEXAHEDRAL_NAME), HEXAHEDRAL, report_skipped)
+    return sorted(levels, key=lambda level: level.tet_count)
+
+
+def _family(
+    own: MeshLevel, files: Iterable[Path], element: str, report_skipped: Callable[[str], None]
+) -> Iterator[MeshLevel]:  # fmt: skip
+    """The meshes of files that are of the same body as the scene's own."""
+    for path in files:
         try:
-            level = _level(path.stem, with_mesh_file(scene, path.resolve()), False, HEXAHEDRAL)
+            level = _level(path.stem, with_mesh_file(own.scene, path.resolve()), False, element)
         except SoftRobotTwinError as error:
             report_skipped(f"{path.name} is left out: {error}")
             continue
         if reason := _difference(own, level):
             report_skipped(f"{path.name} is left out, not the body of {own.name}: {reason}")
         else:
-            levels.append(level)
-    return sorted(levels, key=lambda level: level.tet_count)
+            yield level
 
 
 def _siblings(scene: Scene, word: str = "") -> list[Path]:
@@ -1109,7 +1102,10 @@ def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
         folder.mkdir(parents=True, exist_ok=True)
         write_mesh(file, mesh)
         nodes = tuple(int(node) for node in np.flatnonzero(is_fixed))
-        finer = with_placed_mesh(scene, file, (Region(nodes=nodes),))
+        placed = scene.body.mesh.model_copy(update={
+            "file": file, "box": None, "size": None, "scale": 1.0, "rotation": (0.0,) * 3,
+            "translation": (0.0,) * 3})
+        finer = replaced(scene, body={"mesh": placed, "fixed": (Region(nodes=nodes),)})
         levels.append(_level(file.stem, finer, False))
     return levels
 
@@ -1357,8 +1353,7 @@ def _limits(scene: Scene, case: str, loads: Loads) -> np.ndarray:
     """
     forces_given = case == "tensions"
     scene = weightless(scene) if case == "weightless" else scene
-    scene = _without_displacement_limits(scene) if forces_given else scene
-    free = without_effort_limits(without_rate_limits(with_volumes(scene)))
+    free = unlimited(scene, efforts=True, displacements=forces_given)
     estimator, actuators, found = MeshErrorEstimator(free), Simulation(free).actuators, []
     for pose in loads.pressed if forces_given else loads.moved:
         wanted = [share * pose for share in _shares()]
@@ -1398,10 +1393,7 @@ def study_reduced(
     level = reduced.level._replace(scene=reduced.scene)
     row = _judge(level, reduced.law, study.loads, study.references, None, timed_steps,
                  report_activity)  # fmt: skip
-    return replace(
-        row, knob=REDUCED, setting=f"{reduced.mode_count} modes, {reduced.point_count} points",
-        file=reduced.name, mode_count=reduced.mode_count, point_count=reduced.point_count,
-    )  # fmt: skip
+    return replace(row, **reduced.columns)
 
 
 class Differences(NamedTuple):

@@ -5,7 +5,6 @@ picture.
 from __future__ import annotations
 
 import csv
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -30,7 +29,7 @@ from softrobot_twin.study.bench_measurement import (
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import OutputError, cell, csv_output
-from softrobot_twin.study.terminal import announce, console, table
+from softrobot_twin.study.terminal import announce, by_key, console, report_activity, table
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
     """Writes all sizes as CSV; unknown values are left empty.
@@ -156,10 +155,7 @@ def growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
 
 def families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
     """Sizes by family, in their order."""
-    families: dict[str, list[SizeMeasurement]] = {}
-    for size in sizes:
-        families.setdefault(size.case.family, []).append(size)
-    return families
+    return by_key((size.case.family, size) for size in sizes)
 
 
 def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
@@ -485,8 +481,7 @@ def _measure_all(cases: Sequence[BenchCase], steps: int) -> list[SizeMeasurement
     sizes, begin = [], time.monotonic()
     for number, case in enumerate(cases, start=1):
         # One line instead of a progress bar, whose thread would disturb the timing.
-        print(f"{case.name}, {number} of {len(cases)}: {steps} steps …", file=sys.stderr,
-              flush=True)
+        report_activity(f"{case.name}, {number} of {len(cases)}: {steps} steps")
         sizes.append(measure(case, steps))
         if number == 1:
             announce((len(cases) - 1) * (time.monotonic() - begin),

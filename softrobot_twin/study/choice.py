@@ -24,7 +24,7 @@ from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.reduced_body import without_reductions
-from softrobot_twin.study.accuracy import hold_radius, report_activity
+from softrobot_twin.study.accuracy import hold_radius
 from softrobot_twin.study.accuracy_study import (
     MESH,
     REDUCED,
@@ -35,7 +35,6 @@ from softrobot_twin.study.accuracy_study import (
     ReducedModel,
     RobustTiming,
     Setting,
-    approximate_duration,
     check_one_body,
     differences,
     follow_exactly,
@@ -44,7 +43,6 @@ from softrobot_twin.study.accuracy_study import (
     length_path,
     hexahedral_family,
     mesh_family,
-    print_to_stderr,
     read_rows,
     rounds_of,
     shown_progress,
@@ -71,7 +69,14 @@ from softrobot_twin.study.reduced_models import (
     reduced_row,
     with_ranges,
 )
-from softrobot_twin.study.terminal import console, table, warn
+from softrobot_twin.study.terminal import (
+    approximate_duration,
+    console,
+    print_to_stderr,
+    report_activity,
+    table,
+    warn,
+)
 from softrobot_twin.study.training_options import TargetBox, TrainingOptions
 
 STEPS = 120

@@ -14,11 +14,17 @@ from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, CommandEfforts,
 from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.unit_checks import unlikely_commands
-from softrobot_twin.study.offline_run import end_of_run, load_with_notes, print_run, run_file
+from softrobot_twin.study.offline_run import (
+    end_of_run,
+    load_with_notes,
+    print_run,
+    recorded,
+    run_file,
+)
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import FirstSteps, progress, terminal_status, warn
+from softrobot_twin.study.terminal import terminal_status, warn
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
@@ -170,17 +176,14 @@ def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: fl
     wanted = _wanted_times(picture, commanded)
     columns = RunColumns(simulation, None, () if body_readouts is None else body_readouts.columns)
     with run_file(output, columns) as write:
-        with progress() as bar:
-            task = bar.add_task(simulation.scene.name, total=count, note="")
-            first = FirstSteps(count, "steps", "a lower --rate or a shorter time shortens it")
-            for row in run_commands(simulation, commanded, rate, columns):
-                write(row if body_readouts is None else row._replace(observed=body_readouts.read()))
-                summary.add(row)
-                bar.update(task, advance=1, note=row.result.status.value)
-                first.add()
-                while wanted and row.time >= wanted[0] - 1e-9:
-                    time = f"{wanted.pop(0):g} s"
-                    shots.append(take_snapshot(simulation, row.result.contacts, time))
+        rows = run_commands(simulation, commanded, rate, columns)
+        if body_readouts is not None:
+            rows = (row._replace(observed=body_readouts.read()) for row in rows)
+        for row in recorded(rows, simulation, count, "steps",
+                            "a lower --rate or a shorter time shortens it", write, summary):
+            while wanted and row.time >= wanted[0] - 1e-9:
+                time = f"{wanted.pop(0):g} s"
+                shots.append(take_snapshot(simulation, row.result.contacts, time))
         if picture is not None:
             draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
 

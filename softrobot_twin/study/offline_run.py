@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable
 
 import numpy as np
 
@@ -17,14 +16,7 @@ from softrobot_twin.study.explain import print_mesh_error, print_reduction_error
 from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.run_summary import BAD_END, RunSummary
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import (
-    FirstSteps,
-    console,
-    progress,
-    table,
-    terminal_status,
-    warn,
-)
+from softrobot_twin.study.terminal import console, table, terminal_status, tracked, warn
 
 
 def run(simulation: Simulation, table: TargetTable, settle: int = 0,
@@ -91,6 +83,28 @@ def run_file(path: Path | str, columns: RunColumns) -> Iterator[Callable[[RunRow
         yield lambda row: write(columns.texts(row))
 
 
+def recorded(
+    rows: Iterable[RunRow], simulation: Simulation, count: int, what: str, shorter: str,
+    write: Callable[[RunRow], None], summary: RunSummary,
+) -> Iterator[RunRow]:  # fmt: skip
+    """Rows of a run as they are computed: each is written and summed up, and the progress is shown.
+
+    Args:
+        rows: The rows.
+        simulation: What runs.
+        count: Number of rows.
+        what: What the rows are called.
+        shorter: What makes the run shorter.
+        write: Writes a row.
+        summary: Sums the run up.
+    """
+    for row in tracked(rows, simulation.scene.name, count, what, shorter,
+                       lambda row: row.result.status.value):
+        write(row)
+        summary.add(row)
+        yield row
+
+
 def load_with_notes(scene: Path) -> Simulation:
     """Builds the simulation of a scene file and prints its notes."""
     simulation = Simulation.from_scene_file(scene)
@@ -141,15 +155,9 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     columns = columns_of(simulation, rows)
     with run_file(output, columns) as write:
-        with progress() as bar:
-            task = bar.add_task(simulation.scene.name, total=len(rows.times), note="")
-            first = FirstSteps(len(rows.times), "rows", "fewer rows of targets shorten it")
-            for row in run(simulation, rows, settle, columns):
-                write(row)
-                summary.add(row)
-                effector_path[row.step] = row.result.effector_positions
-                bar.update(task, advance=1, note=row.result.status.value)
-                first.add()
+        for row in recorded(run(simulation, rows, settle, columns), simulation, len(rows.times),
+                            "rows", "fewer rows of targets shorten it", write, summary):
+            effector_path[row.step] = row.result.effector_positions
         if picture is not None:
             _draw(simulation, rows, effector_path, picture)
 

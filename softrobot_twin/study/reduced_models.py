@@ -28,7 +28,6 @@ from softrobot_twin.simulation.building.body_reduction import (
 from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
 from softrobot_twin.study.accuracy_study import (
     POSE_SHARES,
-    REDUCED,
     AccuracyError,
     AccuracyRow,
     Differences,
@@ -148,9 +147,7 @@ def _model_of(path: Path, levels: Sequence[MeshLevel]) -> ReducedModel | None:
 def reduced_row(row: AccuracyRow, model: ReducedModel, added: Differences) -> AccuracyRow:
     """What is known of a reduced model: the errors of its full one, and how far it is from it."""
     return replace(
-        row, knob=REDUCED, setting=f"{model.mode_count} modes, {model.point_count} points",
-        file=model.name, mode_count=model.mode_count, point_count=model.point_count,
-        dof_count=model.mode_count, error_lengths=row.error_lengths + added.moved,
+        row, **model.columns, dof_count=model.mode_count, error_lengths=row.error_lengths + added.moved,
         error_weightless=row.error_weightless + added.moved,
         error_tensions=row.error_tensions + added.pressed,
     )  # fmt: skip

@@ -47,6 +47,7 @@ from softrobot_twin.study.workspace import (
     SampleProgress,
     closed,
     scene_fingerprint,
+    setpoints_between,
     shifted_sobol,
 )
 
@@ -233,11 +234,7 @@ def samples_of(
         if with_corners and 2 ** len(axes) <= MOST_CORNERS * (count - 1):
             corners = np.array(list(np.ndindex((2,) * len(axes))), float)
             points[: len(corners), :own] = corners
-        for sample, shares in zip(setpoints[1:], points[:, :own], strict=True):
-            drives = simulation.actuators.drives(simulation.rest_setpoints)
-            for axis, share in zip(axes, shares, strict=True):
-                drives[list(axis.places)] = axis.low + share * (axis.high - axis.low)
-            sample[:] = simulation.actuators.setpoints(drives)
+        setpoints[1:] = setpoints_between(simulation, axes, points[:, :own])
     if sampling.load:
         loaded = np.arange(2, count, 2)
         which = (loaded // 2) % columns.load_count

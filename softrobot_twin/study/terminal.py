@@ -194,8 +194,7 @@ def announce(seconds: float, what: str, shorter: str) -> None:
         shorter: What makes it shorter.
     """
     if seconds > LONG_WORK:
-        print(f"{what}: {approximate_duration(seconds)} on this machine; {shorter}",
-              file=sys.stderr, flush=True)
+        print_to_stderr(f"{what}: {approximate_duration(seconds)} on this machine; {shorter}")
 
 
 class FirstSteps:
@@ -227,6 +226,39 @@ class FirstSteps:
             each = elapsed / self._done
             self._tell(each * (self._total - self._done),
                        f"{self._total} {self._what} of {1e3 * each:.3g} ms", self._shorter)
+
+
+def tracked(
+    items: Iterable[Value], title: str, total: int, what: str, shorter: str,
+    note: Callable[[Value], str] = lambda _: "",
+) -> Iterator[Value]:  # fmt: skip
+    """Items of long work, with its progress, and from the first ones how long the whole takes.
+
+    Args:
+        items: What is computed one by one; each is counted when the next one is asked for.
+        title: What is done.
+        total: Number of items.
+        what: What they are called.
+        shorter: What makes the work shorter.
+        note: Text behind the numbers.
+    """
+    with progress() as bar:
+        task = bar.add_task(title, total=total, note="")
+        first = FirstSteps(total, what, shorter)
+        for item in items:
+            yield item
+            bar.update(task, advance=1, note=note(item))
+            first.add()
+
+
+def print_to_stderr(text: str) -> None:
+    """Prints a line on standard error, also when it is no terminal."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def report_activity(text: str) -> None:
+    """Prints the present activity on standard error."""
+    print_to_stderr(f"{text} …")
 
 
 def warn(text: str) -> None:

@@ -44,7 +44,7 @@ from softrobot_twin.study.superelement_fit import (
     sample,
     sample_count,
 )
-from softrobot_twin.study.terminal import FirstSteps, console, progress, table, warn
+from softrobot_twin.study.terminal import console, table, tracked, warn
 from softrobot_twin.study.training_options import TEST_STATES
 
 # States of the full model that show which deformations occur.
@@ -249,24 +249,20 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
     brought_to(full, rest_full)
     start, errors, displacements, ranges, estimates = places.of_full(), [], [], [], []
     lost = 0
-    with progress() as bar:
-        task = bar.add_task("full and reduced model", total=count, note="")
-        duration = FirstSteps(count, "states", "fewer --states shorten it")
-        for place, setpoints in enumerate(setpoints_within(full, count, seed)):
-            bar.advance(task)
-            duration.add(min(place, 1))
-            if not brought_to(full, setpoints):
-                warn("the full model found no equilibrium at a state; it is left out")
-                continue
-            if not brought_to(reduced, setpoints - rest_full + rest_reduced):
-                lost += 1
-                continue
-            at = places.of_full()
-            errors.append(np.linalg.norm(places.of_reduced() - at, axis=1))
-            displacements.append(np.linalg.norm(at - start, axis=1))
-            states = reduced.reduction_state().values()
-            ranges.append(max(state.range for state in states))
-            estimates.append(max(state.error for state in states))
+    for setpoints in tracked(setpoints_within(full, count, seed), "full and reduced model", count,
+                             "states", "fewer --states shorten it"):
+        if not brought_to(full, setpoints):
+            warn("the full model found no equilibrium at a state; it is left out")
+            continue
+        if not brought_to(reduced, setpoints - rest_full + rest_reduced):
+            lost += 1
+            continue
+        at = places.of_full()
+        errors.append(np.linalg.norm(places.of_reduced() - at, axis=1))
+        displacements.append(np.linalg.norm(at - start, axis=1))
+        states = reduced.reduction_state().values()
+        ranges.append(max(state.range for state in states))
+        estimates.append(max(state.error for state in states))
     if not errors:
         raise ReductionError(
             f"full and reduced model have an equilibrium in common at no setpoints of seed {seed}"
@@ -373,19 +369,15 @@ def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, o
     full = Simulation(without_vertebrae(full_scene(scene)), with_warnings=False)
     first_nodes = _first_nodes(scene, full)
     occurring, efforts = [[] for _ in found], []
-    with progress() as bar:
-        task = bar.add_task("full model", total=RANGE_STATES, note="")
-        duration = FirstSteps(RANGE_STATES, "states", "a coarser mesh shortens it")
-        for place, setpoints in enumerate(setpoints_within(full, RANGE_STATES, seed)):
-            bar.advance(task)
-            duration.add(min(place, 1))
-            if not brought_to(full, setpoints):
-                warn(f"the full model found no equilibrium at setpoints {setpoints}; left out")
-                continue
-            efforts.append(full.state.efforts)
-            for own, division, first in zip(occurring, found, first_nodes, strict=True):
-                nodes = full.state.positions[first : first + len(division.positions)]
-                own.append(occurring_deformations(division, nodes))
+    for setpoints in tracked(setpoints_within(full, RANGE_STATES, seed), "full model", RANGE_STATES,
+                             "states", "a coarser mesh shortens it"):
+        if not brought_to(full, setpoints):
+            warn(f"the full model found no equilibrium at setpoints {setpoints}; left out")
+            continue
+        efforts.append(full.state.efforts)
+        for own, division, first in zip(occurring, found, first_nodes, strict=True):
+            nodes = full.state.positions[first : first + len(division.positions)]
+            own.append(occurring_deformations(division, nodes))
     if not efforts:
         raise ReductionError("the full model found an equilibrium at none of its setpoints")
     out.print(f"full model: {len(efforts)} states in {time.perf_counter() - begin:.1f} s, "

@@ -199,17 +199,31 @@ def sampled_setpoints(
     Returns:
         Each in the unit of its kind, shape (count, actuator_count).
     """
-    actuators = simulation.actuators
     setpoints = np.tile(simulation.rest_setpoints, (count, 1))
-    if count < 2:
-        return setpoints
-    points = shifted_sobol(len(axes), count - 1, seed)
-    for sample, point in zip(setpoints[1:], points, strict=True):
-        drives = actuators.drives(simulation.rest_setpoints)
-        for axis, share in zip(axes, point, strict=True):
-            drives[list(axis.places)] = axis.low + share * (axis.high - axis.low)
-        sample[:] = actuators.setpoints(drives)
+    if count > 1:
+        shares = shifted_sobol(len(axes), count - 1, seed)
+        setpoints[1:] = setpoints_between(simulation, axes, shares)
     return setpoints
+
+
+def setpoints_between(
+    simulation: Simulation, axes: Sequence[Axis], shares: np.ndarray
+) -> np.ndarray:
+    """Setpoints at shares of the axes of a box.
+
+    Args:
+        simulation: The simulation.
+        axes: Of the box.
+        shares: From 0 at the lower to 1 at the upper bound, shape (count, axis_count).
+
+    Returns:
+        Shape (count, actuator_count).
+    """
+    actuators = simulation.actuators
+    drives = np.tile(actuators.drives(simulation.rest_setpoints), (len(shares), 1))
+    for axis, share in zip(axes, shares.T, strict=True):
+        drives[:, list(axis.places)] = (axis.low + share * (axis.high - axis.low))[:, None]
+    return actuators.setpoints(drives)
 
 
 # --- the row of a sample -------------------------------------------------------------------------
@@ -242,13 +256,13 @@ class SampleComputer:
 
         Args:
             scene: Scene file.
-            content: Its fingerprint, see `fingerprint_of`; empty where it need not be checked.
+            content: Its fingerprint, see `scene_fingerprint`; empty where it need not be checked.
 
         Raises:
             SoftRobotTwinError: The scene cannot be used, or is not that of the fingerprint.
         """
         self.simulation = Simulation.from_scene_file(scene)
-        if content and fingerprint_of(self.simulation) != content:
+        if content and scene_fingerprint(self.simulation.scene) != content:
             raise WorkspaceError(scene, "is not the scene of this run, or one of its files is not")
         self._compliance = EffectorCompliance(self.simulation)
 
@@ -283,11 +297,6 @@ class SampleComputer:
     def _rest(self, setpoints: np.ndarray, way: int) -> Rest:
         self.simulation.reset()
         return bring_to_rest(self.simulation, setpoints, way)
-
-
-def fingerprint_of(simulation: Simulation) -> str:
-    """Hash of a scene and of the content of all files that it names."""
-    return scene_fingerprint(simulation.scene)
 
 
 def scene_fingerprint(scene: Scene) -> str:
@@ -608,7 +617,7 @@ def workspace(
         raise WorkspaceError(scene, "there are no effectors, whose places could be told")
     axes = sampled_axes(simulation, ranges)
     setpoints = sampled_setpoints(simulation, axes, samples, seed)
-    content = fingerprint_of(simulation)
+    content = scene_fingerprint(simulation.scene)
     header = workspace_header(simulation)
     run = {"scene": content, "seed": seed, "number of samples": samples,
            "range": [[axis.name, axis.low, axis.high] for axis in axes],

@@ -22,16 +22,15 @@ from softrobot_twin.study.accuracy_study import (
     AccuracyError,
     Limits,
     Setting,
-    approximate_duration,
     differences,
     mesh_family,
     read_rows,
     study_meshes,
     study_reduced,
     with_hold_radius,
+    write_mesh,
     write_rows,
     write_scene_copy,
-    write_mesh,
 )
 from softrobot_twin.study.bench_measurement import default_scene_path
 from softrobot_twin.study.body_training import reduce
@@ -47,6 +46,7 @@ from softrobot_twin.study.reduced_models import (
     with_ranges,
     write_training_scene,
 )
+from softrobot_twin.study.terminal import approximate_duration
 
 CELLS = {10: (1, 1, 5), 20: (2, 2, 10), 30: (3, 3, 15)}
 

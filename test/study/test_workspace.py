@@ -166,8 +166,8 @@ def test_what_is_no_unfinished_run_is_left_alone(tmp_path):
 def test_a_fingerprint_depends_on_the_mesh_and_not_on_the_folder(column, tmp_path):
     def run_of(folder):
         computer = SampleComputer(folder / column.name)
-        from softrobot_twin.study.workspace import fingerprint_of
-        return fingerprint_of(computer.simulation)
+        from softrobot_twin.study.workspace import scene_fingerprint
+        return scene_fingerprint(computer.simulation.scene)
 
     shutil.copytree(column.parent, tmp_path / "copy")
     assert run_of(tmp_path / "copy") == run_of(column.parent)
