@@ -34,7 +34,7 @@ setup(
         *shared_files("launch", {".py"}),
         *shared_files("meshes"),
     ],
-    package_data={PACKAGE: ["py.typed", "scene/material_presets.json"]},
+    package_data={PACKAGE: ["py.typed", "scene/material_presets.json", "study/first_scene.yaml"]},
     python_requires=">=3.12",
     # Each lower bound is installed and tested: requirements/oldest.txt.
     install_requires=[

@@ -8,7 +8,6 @@ in turn, so that what else the machine does falls on both.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
@@ -275,7 +274,7 @@ def print_effects(scene: Path, given: Sequence[str] = ()) -> int:
     shown = table("What each effect costs, and what changes without it", "effect", "µs a step",
                   "share", "on the way, mm", "at the end, mm", "as a force, N")  # fmt: skip
     for row in rows:
-        shown.add_row(row.name, *_told(row))
+        shown.add_row(row.name, *told(row))
     output.print(shown)
     output.print(
         "\nA cost is the median time of a step with all effects, less that without this one, driven "
@@ -288,28 +287,7 @@ def print_effects(scene: Path, given: Sequence[str] = ()) -> int:
     return 0
 
 
-def _told(row: EffectCost) -> list[str]:
+def told(row: EffectCost) -> list[str]:
     """Its numbers in µs, %, mm and N; empty where one is not known."""
     scaled = (1e6 * row.cost, 100.0 * row.share, 1e3 * row.on_the_way, 1e3 * row.at_the_end, row.force)
     return ["" if value != value else f"{value:.3g}" for value in scaled]
-
-
-def page_lines(scenes: Sequence[Path]) -> Iterator[str]:
-    """The table of docs/accuracy.md.
-
-    Args:
-        scenes: Scene files.
-    """
-    yield "| scene | effect | µs a step | share | on the way, mm | at the end, mm | as a force, N |"
-    yield "|---|---|---|---|---|---|---|"
-    for scene in scenes:
-        for row in effect_costs(load_scene(scene)):
-            told = _told(row)
-            told[1] += " %" * bool(told[1])
-            reason = "cannot be left out" if row.cost != row.cost else row.reason
-            yield f"| {scene.stem} | {row.name}{': ' * bool(reason)}{reason} | {' | '.join(told)} |"
-
-
-if __name__ == "__main__":
-    for line in page_lines([Path(name) for name in sys.argv[1:]]):
-        print(line, flush=True)

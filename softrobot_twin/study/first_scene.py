@@ -11,6 +11,7 @@ import re
 import shlex
 from itertools import combinations
 from pathlib import Path
+from string import Template
 from textwrap import wrap
 from typing import NamedTuple
 
@@ -253,9 +254,15 @@ def _cable(mesh, points, tets, axis: int, at_high: bool, side: float) -> np.ndar
 # --- the text of the scene ------------------------------------------------------------------------
 
 
+# The texts of a scene, of one of its cavities, and of an example of a cable; comments say what is
+# guessed.
+_SCENE, _CAVITY, _CABLE = (
+    Template(part) for part in
+    (Path(__file__).with_suffix(".yaml")).read_text(encoding="utf-8").split("%%\n")
+)  # fmt: skip
 _ELEMENTS = {
-    False: "  element: quadratic                   # linear is faster, but far too stiff in bending",
-    True: "  element: hexahedral                  # as the cells of the file",
+    False: "quadratic                   # linear is faster, but far too stiff in bending",
+    True: "hexahedral                  # as the cells of the file",
 }
 
 
@@ -264,101 +271,51 @@ def scene_text(name: str, source: MeshSource, file: str, found: Guess) -> str:
 
     Args:
         name: Name of the robot.
-        source: Its mesh.
-        file: Path of the mesh file as the scene names it.
-        found: The guesses.
+        source: How the mesh is read.
+        file: Mesh file as the scene names it.
+        found: What was guessed.
     """
-    preset = MATERIAL_PRESETS[PRESET]
+    preset, others = MATERIAL_PRESETS[PRESET], [name for name in MATERIAL_PRESETS if name != PRESET]
     mesh = [f"file: {_quoted(file)}"]
     if source.size is not None:
         mesh.append(f"size: {_number(source.size)}")
     if source.scale != 1.0:
         mesh.append(f"scale: {_number(source.scale)}")
-    low, high = found.fixed
-    lines = [
-        f"# First scene of {Path(file).name}, written by `softrobot_twin init`. All values are SI.",
-        "# What is marked as guessed fits the shape of the mesh only: check it.",
-        f"name: {name}",
-        "gravity: [0.0, 0.0, -9.81]             # m/s²",
-        "# integration: dynamic                 # motion with inertia; by default equilibria",
-        "solver: {newton_iterations: 10}        # at most, in a step; 1 is faster, but lags",
-        "",
-        "body:",
-        f"  mesh: {{{', '.join(mesh)}}}",
-        *_remarks(*source.remarks),
-        _ELEMENTS[found.of_hexahedra],
-        "  material:",
-        f"    preset: {PRESET}             # guessed: law {preset.law}, {preset.density:g} kg/m³",
-        *_remarks("others: " + ", ".join(name for name in MATERIAL_PRESETS if name != PRESET),
-                  "or law, young_modulus [Pa], poisson_ratio, density [kg/m³]"),
-        *_region_lines(found),
-        f"  fixed:                               # guessed: {found.end}, {found.fixed_nodes} nodes",
-        f"    - box: {{minimum: {_vector(low)}, maximum: {_vector(high)}}}  # m",
-        "",
-        "effectors:                             # what follows targets",
-        f"  - {{name: tip, points: [{_vector(found.tip)}]}}  # m, guessed: the far end",
-        "",
-    ]
-    lines += _cavity_lines(found)
-    lines += _example_lines(found)
-    return "\n".join(lines) + "\n"
+    regions = [f"  #   - {{region: {name}, preset: {others[0]}}}\n" for name in found.regions]
+    if regions:
+        regions.insert(0, f"{'  # materials:':39s}# of the regions that the mesh names\n")
+    cavities = [_CAVITY.substitute(name=name, most=_number(PRESSURE)) for name in found.cavities]
+    if cavities:
+        cavities.insert(0, f"{'cavities:':39s}# closed surfaces that the mesh names\n")
+        cavities.append("\n")
+    return _SCENE.substitute(
+        file=Path(file).name, name=name, mesh=", ".join(mesh), remarks=_remarks(*source.remarks),
+        element=_ELEMENTS[found.of_hexahedra], preset=PRESET, law=preset.law,
+        density=f"{preset.density:g}",
+        others=_remarks("others: " + ", ".join(others),
+                        "or law, young_modulus [Pa], poisson_ratio, density [kg/m³]"),
+        regions="".join(regions), end=found.end, count=found.fixed_nodes,
+        low=_vector(found.fixed[0]), high=_vector(found.fixed[1]), tip=_vector(found.tip),
+        cavities="".join(cavities),
+        cables="".join(_cable_text(word, points, found.hold_radius)
+                       for word, points in zip(("first", "second"), found.cables, strict=True)),
+    )  # fmt: skip
 
 
-def _remarks(*remarks: str) -> list[str]:
+def _remarks(*remarks: str) -> str:
     """Comments on lines of their own, at the column of the others."""
     space = " " * 39
-    return [space + "# " + line for remark in remarks for line in wrap(remark, 58)]
+    return "".join(space + f"# {line}\n" for remark in remarks for line in wrap(remark, 58))
 
 
-def _region_lines(found: Guess) -> list[str]:
-    """An example of materials of parts, as a comment."""
-    if not found.regions:
-        return []
-    other = next(name for name in MATERIAL_PRESETS if name != PRESET)
-    return ["  # materials:                         # of the regions that the mesh names",
-            *(f"  #   - {{region: {name}, preset: {other}}}" for name in found.regions)]  # fmt: skip
-
-
-def _cavity_lines(found: Guess) -> list[str]:
-    if not found.cavities:
-        return []
-    lines = ["cavities:                              # closed surfaces that the mesh names"]
-    for name in found.cavities:
-        lines += [
-            f"  - name: {name}",
-            f"    walls: [{{part: {name}}}]",
-            f"    pressure: [0.0, {_number(PRESSURE)}]          # Pa, gauge; guessed",
-            f"    rate: {_number(PRESSURE)}                     # Pa/s; guessed",
-        ]
-    return [*lines, ""]
-
-
-def _example_lines(found: Guess) -> list[str]:
-    """Cables and markers as comments, at places inside this body."""
-    lines = ["# Examples at places of this part; remove the # in front of what it has.", "",
-             "# cables:                             # from the pull point to the last point",
-             ]  # fmt: skip
-    for name, points in zip(("first", "second"), found.cables, strict=True):
-        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        path = [_vector(point) for point in points[1:]]
-        lines += [
-            f"#   - name: {name}",
-            f"#     pull_point: {_vector(points[0])}  # m, fixed in the world",
-            f"#     points: [{', '.join(path[:2])},",
-            *(f"#              {', '.join(path[start : start + 2])},"
-              for start in range(2, len(path) - 2, 2)),
-            f"#              {', '.join(path[(len(path) - 1) // 2 * 2 :])}]  # m, at rest",
-            f"#     hold_radius: {_number(found.hold_radius)}      # m, material that takes the force",
-            f"#     shortening: [0.0, {_number(0.2 * length)}]  # m",
-            "#     rate: 0.05                      # m/s",
-            "#     tension: [0.0, 20.0]            # N",
-        ]
-    lines += [
-        "#",
-        "# markers:                            # points that a motion-capture system sees",
-        "#   - {id: 0, point: " + _vector(found.tip) + "}  # m; the effector: measured_by: [0]",
-    ]
-    return lines
+def _cable_text(name: str, points: np.ndarray, hold_radius: float) -> str:
+    """A cable as a comment, at places inside this body."""
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    path = [_vector(point) for point in points[1:]]
+    pairs = [", ".join(path[start : start + 2]) for start in range(0, len(path), 2)]
+    return _CABLE.substitute(
+        name=name, pull_point=_vector(points[0]), points=",\n#              ".join(pairs),
+        hold_radius=_number(hold_radius), shortening=_number(0.2 * length))
 
 
 def _number(value: float) -> str:
