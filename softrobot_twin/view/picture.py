@@ -14,8 +14,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from scipy import sparse
+from scipy.spatial.transform import Rotation
 
-from softrobot_twin.mechanics.rotation import rotation_from_quaternion
 from softrobot_twin.view.colours import (
     CLEAR_SURFACE_COLOUR,
     EFFECTOR_COLOUR,
@@ -211,7 +211,8 @@ class AxesDrawing:
 
     def _draw(self, path: str, places: np.ndarray, turns: np.ndarray, colours) -> None:
         known = np.isfinite(turns).all(axis=1) & np.isfinite(places).all(axis=1)
-        axes = np.concatenate([np.empty((0, 3)), *(rotation_from_quaternion(turn).T for turn in turns[known])])
+        matrices = [Rotation.from_quat(turn).as_matrix() for turn in turns[known]]
+        axes = np.concatenate([np.empty((0, 3)), *(matrix.T for matrix in matrices)])
         self._recording.log(path, rr.Arrows3D.from_fields(
             origins=np.repeat(places[known], 3, axis=0).astype(np.float32),
             vectors=(self._length * axes).astype(np.float32), colors=colours * int(known.sum())))
