@@ -187,6 +187,7 @@ class EffectorCompliance:
 
     def _holding(self, by_effort: np.ndarray | None) -> _Holding:
         """Which rows hold at the state; evaluates all rows there."""
+        self._simulation.finish_result()
         model, state = self._model, self._simulation.state
         rows, actuators, limits = model.rows, model.actuators, model.actuators.limits
         for part in self._simulation.parts:

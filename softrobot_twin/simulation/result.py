@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -130,9 +130,13 @@ class StepReport:
         return self.factor_age > 0 or self.is_late
 
 
+def _none() -> None:
+    """Default of an entry that may be made when it is read: a class has no attribute for it."""
+
+
 @dataclass(frozen=True)
 class StepResult:
-    """The outcome of one step.
+    """The outcome of one step. Most steps are read in part or not at all: it is made when first read.
 
     Attributes:
         state: The new state.
@@ -165,11 +169,40 @@ class StepResult:
     effector_positions: np.ndarray
     effector_errors: np.ndarray
     report: StepReport
-    contacts: ContactForces | None = None
-    effector_orientations: np.ndarray | None = None
-    orientation_errors: np.ndarray | None = None
-    effector_stiffness: np.ndarray | None = None
-    stiffness_errors: np.ndarray | None = None
+    contacts: ContactForces | None = field(default_factory=_none)
+    effector_orientations: np.ndarray | None = field(default_factory=_none)
+    orientation_errors: np.ndarray | None = field(default_factory=_none)
+    effector_stiffness: np.ndarray | None = field(default_factory=_none)
+    stiffness_errors: np.ndarray | None = field(default_factory=_none)
+
+    @classmethod
+    def when_read(cls, state: State, make: Callable[[], StepResult]) -> StepResult:
+        """A result of which all but the state is made when it is read first.
+
+        Args:
+            state: The new state.
+            make: Makes the result.
+        """
+        result = object.__new__(cls)
+        result.__dict__.update(state=state, _make=make)
+        return result
+
+    def make(self) -> None:
+        """Make what was not made yet, before that which it is made from changes."""
+        make = self.__dict__.get("_make")
+        if make is not None:
+            self.__dict__.update(make().__dict__)
+            self.__dict__.pop("_make", None)
+
+    def __getattr__(self, name: str):
+        if "_make" not in self.__dict__:
+            raise AttributeError(name)
+        self.make()
+        return getattr(self, name)
+
+    def __getstate__(self) -> dict:
+        self.make()
+        return self.__dict__
 
     @property
     def touches(self) -> TouchState | None:

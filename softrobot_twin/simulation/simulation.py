@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -155,6 +157,8 @@ class Simulation(Readouts):
             self._beginners = (*self._beginners, self.newton)
         self.inverse = build_inverse(self.model, self.direct, qp_solvers)
         self._optimises = "optimise" in self.model.stages
+        # The result of the last step, as long as somebody keeps it and nobody has read it.
+        self._unread: weakref.ref[StepResult] | None = None
         self._reading = Interpretation(self.model)
         self._find_surface()
         self.take_parts(parts)
@@ -193,6 +197,7 @@ class Simulation(Readouts):
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
+        self.finish_result()
         for part in self._parts_with["receive"]:
             part.receive(self, None)
         count = len(self.actuator_names)
@@ -220,6 +225,7 @@ class Simulation(Readouts):
         Raises:
             CommandError: The state is of another scene or mesh.
         """
+        self.finish_result()
         for part in self.parts:
             part.receive(self, state)
         if (
@@ -244,6 +250,7 @@ class Simulation(Readouts):
 
     def forget_solvers(self) -> None:
         """Let the solvers begin from the state alone."""
+        self.finish_result()
         self.is_balanced, self._goes_on = True, False
         self.newton.forget()
         self.direct.remember(self.state.efforts)
@@ -293,6 +300,7 @@ class Simulation(Readouts):
             CommandError: The command or what is measured does not fit this scene, or is not finite.
         """
         clock = StageClock(self.now)
+        self.finish_result()
         for part in self._parts_with["step_in_place"]:
             done = part.step_in_place(self, command, budget, measured, clock)
             if done is not None:
@@ -349,6 +357,13 @@ class Simulation(Readouts):
             done.residual, iterations, error, pressed,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
+
+    def finish_result(self) -> None:
+        """Make the result of the last step, if somebody keeps it, before the model changes."""
+        unread = None if self._unread is None else self._unread()
+        self._unread = None
+        if unread is not None:
+            unread.make()
 
     def stay(self, command: Command, measured=None) -> StepResult | None:
         """The result of a step that would keep the state, to the bit, without making it.
@@ -680,10 +695,11 @@ class Simulation(Readouts):
         )  # fmt: skip
         is_kept = self._is_kept(command, asked, outcome, state)
         self.state = before.kept_through(command.time_step) if is_kept else state
-        result = self._results.of_step(
-            command, asked, outcome, clock, before, self.state, self.effector_positions()
-        )
+        result = StepResult.when_read(self.state, partial(
+            self._results.of_step, command, asked, outcome, clock, before, self.state
+        ))  # fmt: skip
         self._note_rest(command, result, is_kept)
+        self._unread = weakref.ref(result)
         return result
 
     def _is_kept(
@@ -736,6 +752,7 @@ class Simulation(Readouts):
         before, self.kept = self.kept, None
         if not is_kept:
             return
+        result.make()
         is_again = before is not None and self.asks_as(before.command, command)
         count, follows = before.count + 1 if is_again else 0, isinstance(command, FollowTargets)
         if follows:

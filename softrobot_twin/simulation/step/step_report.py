@@ -90,9 +90,9 @@ class StepResults:
 
     def of_step(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
-        before: State, state: State, places: np.ndarray,
+        before: State, state: State,
     ) -> StepResult:  # fmt: skip
-        """The result of a step with a new state.
+        """The result of a step with a new state, before the model changes again.
 
         Args:
             command: What was asked.
@@ -101,9 +101,11 @@ class StepResults:
             clock: Booked the stages.
             before: The state that it began with.
             state: The new state.
-            places: Where the effectors are [m], shape (effector_count, 3).
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
+        places = np.empty((0, 3))
+        if model.effectors is not None:
+            places = model.effectors.positions(state.positions)
         errors = effector_errors(model.effectors, command, places)
         angles = orientation_errors(model.effectors, command, outcome.positions)
         told = [part.report(state) for part in self._parts]
