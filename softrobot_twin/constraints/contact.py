@@ -306,6 +306,7 @@ class Contacts:
         self._order = np.argsort(self.rows_of_pair, kind="stable").tolist()
         self._most_rows = int(self.rows_of_pair.max(initial=1))
         self.rubs = self._most_rows > 1
+        self.conserves = not self.rubs
         self.row_starts = np.zeros(1, np.int64)
         self.count, self.margin = 0, alarm_distance
         self._taken: set[int] = set()

@@ -290,7 +290,7 @@ class Simulation(Readouts):
         Args:
             command: What is asked. Its arrays must fit this scene.
             budget: Time for this step [s], or None.
-            measured: What is measured beside the state, such as the scene's touches; None without
+            measured: What is measured beside the state, such as loads of a hand; None without
                 any. A part may replace the command by it.
 
         Returns:
@@ -416,17 +416,16 @@ class Simulation(Readouts):
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
-        guided = NO_LOADS
-        if prescribing := self._parts_with["prescribed"]:
-            guided = np.concatenate([part.prescribed(positions) for part in prescribing])
+        prescribed = [part.prescribed(positions) for part in self._parts_with["prescribed"]]
+        places = np.concatenate(prescribed) if prescribed else NO_LOADS
         is_stable = not self.newton.projected_tangent
         loads = [part.loads for part in self._loading if part.loads is not None]
         if not loads:
-            self.inverse.begin_step(self.is_balanced, is_stable, guided=guided)
+            self.inverse.begin_step(self.is_balanced, is_stable, NO_LOADS, 0.0, places)
             return
         own = self._load_of_parts() + self.actuators.load(self.state.efforts)
         own += self.newton.constant_load
-        self.inverse.begin_step(self.is_balanced, is_stable, np.concatenate(loads), own, guided)
+        self.inverse.begin_step(self.is_balanced, is_stable, np.concatenate(loads), own, places)
 
     def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
         """Let all parts begin a step.

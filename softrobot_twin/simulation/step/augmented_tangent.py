@@ -709,9 +709,7 @@ def augmented_tangent_of(model: Model) -> AugmentedRows | None:
         first = own.stop
         if isinstance(term, HingeAngles):
             return AugmentedHinges(term, own, count, factorization)
-    contacts = model.contacts if rows.varies else None
-    if contacts is not None and contacts.rubs:
-        contacts = None
+    contacts = model.contacts if rows.varies and model.contacts.conserves else None
     is_held = ~actuators.is_effort_driven[:count]
     stretch = rows.stretch_compliance()
     may_be_held = is_held if stretch is None else is_held & ~(stretch > 0.0)

@@ -49,9 +49,9 @@ ROUND_OFF = 1.0e-9
 # In motion, a move dq along which forces change from r(0) to r(1) went too far where -r(1)·dq is
 # more than this share of r(0)·dq. Parts that turned are stretched then.
 OVERSHOOT = 0.1
-# With friction along cables a move went too far where -r(1)·dq is more than this share of r(0)·dq.
+# Where forces have no energy, a move went too far where -r(1)·dq is more than this share of r(0)·dq.
 # Tries of the share where r·dq is zero, and the share of r(0)·dq that counts as zero.
-OVERSHOOT_OF_SLIP, MOST_SLIP_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
+OVERSHOOT_WITHOUT_ENERGY, MOST_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
 # A move by a projected tangent was far too short where r(1)·dq is more than this share of r(0)·dq.
 # Factor by which it is lengthened, and the most tries.
 TOO_SHORT, LONGER, MOST_LENGTHENINGS = 0.9, 4.0, 8
@@ -104,7 +104,7 @@ class Newton:
         self._effector_columns = self._columns_of_effectors()
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
-            self._rows.varies and model.contacts.rubs and model.slides is None
+            self._rows.varies and not model.contacts.conserves and model.slides is None
             and model.actuators.conserves
         )
         self.move = Move(model)
@@ -155,9 +155,9 @@ class Newton:
         to rub within a step would change what the moves of the step are judged by.
         """
         model = self._model
-        rubs = self._rows.varies and model.contacts.rubs
+        conserves = all(term.conserves for term in self._rows.terms)
         is_slender = any(term.is_slender for term in model.forces)
-        return model.actuators.conserves and not (model.is_dynamic or rubs or is_slender)
+        return conserves and not (model.is_dynamic or is_slender)
 
     def _columns_of_effectors(self) -> np.ndarray | None:
         """Effector displacement by slide, shape (effector_row_count, slide_count)."""
@@ -399,7 +399,7 @@ class Newton:
         return None
 
     def _measure_stiffness(self, clock: StageClock) -> bool:
-        """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""
+        """Find how stiff the bodies are along the actuators in their rest shape; False if unstable."""
         if self._augmented.is_measured:
             return True
         rest, rows = self._model.nodes.rest_positions, self._rows
@@ -586,7 +586,7 @@ class Newton:
         """
         if share == 0.0 or self.inverts:
             return False
-        if self._judged is not None and self._left_slope() < -OVERSHOOT_OF_SLIP * abs(self._slope):
+        if self._judged is not None and self._left_slope() < -OVERSHOOT_WITHOUT_ENERGY * abs(self._slope):
             return False
         if self.merit is None or not self.merit.is_judging or self.merit.trusts(self.forces):
             return True
@@ -624,7 +624,7 @@ class Newton:
         is_judging = self.merit is not None and self.merit.is_judging
         settled = share
         if self._judged is not None and not self.inverts:
-            settled = self._slipping_share(positions, share)
+            settled = self._pushing_share(positions, share)
         elif self.inverts:
             settled *= self.upright_share(self.move.start, positions)
         elif not is_judging:
@@ -699,11 +699,11 @@ class Newton:
         """Work of the forces b + Hᵀλ that were taken last along the whole last move [J]."""
         return float(np.vdot(self.forces, self.move.displacement))
 
-    def _slipping_share(self, positions: np.ndarray, share: float) -> float:
-        """How much of a move the forces still push along, with friction along cables.
+    def _pushing_share(self, positions: np.ndarray, share: float) -> float:
+        """How much of a move the forces still push along, where they have no energy.
 
-        A cable that slipped one way may stick or slip the other way after a move, which the
-        linearization does not know. The share where the forces do no work along the move is found
+        What slipped one way may stick or slip the other way after a move, which the linearization
+        does not know. The share where the forces do no work along the move is found
         by bisection and false position.
 
         Args:
@@ -711,10 +711,10 @@ class Newton:
             share: Share of the move that was made.
         """
         begin, left = self._slope, self._left_slope()
-        if begin <= 0.0 or left >= -OVERSHOOT_OF_SLIP * begin:
+        if begin <= 0.0 or left >= -OVERSHOOT_WITHOUT_ENERGY * begin:
             return share
         low, high, at_low, at_high = 0.0, share, begin, left
-        for trial in range(MOST_SLIP_TRIALS):
+        for trial in range(MOST_TRIALS):
             share = 0.5 * (low + high)
             if trial % 2 == 0:
                 share = low + (high - low) * at_low / (at_low - at_high)
