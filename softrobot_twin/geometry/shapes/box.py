@@ -51,17 +51,6 @@ class Box(Shape):
         """Half the sides; see `Shape.extents`."""
         return 0.5 * self.size
 
-    def _own_distances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        beyond = np.abs(points) - 0.5 * self.size
-        signs = np.where(points >= 0.0, 1.0, -1.0)
-        distances = beyond.max(axis=1)
-        normals = np.eye(3)[beyond.argmax(axis=1)] * signs
-        outside = distances > 0.0
-        away = np.maximum(beyond[outside], 0.0)
-        distances[outside] = np.linalg.norm(away, axis=1)
-        normals[outside] = signs[outside] * away / distances[outside, None]
-        return distances, normals
-
     def _own_surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
         counts = np.maximum(1, np.ceil(self.size / resolution)).astype(np.int64)
         cells, triangles = [], []

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from softrobot_twin.geometry.mass_properties import MassProperties
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.shapes.shape import (
-    Shape,
-    axes_along,
-    positive,
-    revolve,
-    side_count,
-    vectors,
-)
+from softrobot_twin.geometry.shapes.shape import AxialShape, revolve, side_count
 
 
-@dataclass(frozen=True, eq=False)
-class Capsule(Shape):
+class Capsule(AxialShape):
     """A cylinder with a half-sphere at both ends.
 
     Attributes:
@@ -31,38 +21,7 @@ class Capsule(Shape):
         SceneError: A number is not finite, or the radius is not > 0.
     """
 
-    kind = CAPSULE
-    ends: np.ndarray
-    radius: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ends", vectors("capsule.ends", self.ends, (2, 3)))
-        object.__setattr__(self, "radius", positive("capsule.radius", self.radius))
-
-    @property
-    def length(self) -> float:
-        """Length of the segment [m]."""
-        return float(np.linalg.norm(self.ends[1] - self.ends[0]))
-
-    def frame(self) -> tuple[np.ndarray, np.ndarray]:
-        """See `Shape.frame`; the z axis runs from the first end to the second."""
-        along = self.ends[1] - self.ends[0]
-        axes = axes_along(along) if self.length > 0.0 else np.eye(3)
-        return self.ends.mean(axis=0), axes
-
-    def extents(self) -> np.ndarray:
-        """Radius and half length; see `Shape.extents`."""
-        return np.array([self.radius, 0.5 * self.length, 0.0])
-
-    def _own_distances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        half = 0.5 * self.length
-        away = points.copy()
-        away[:, 2] -= np.clip(points[:, 2], -half, half)
-        lengths = np.linalg.norm(away, axis=1)
-        normals = np.tile([1.0, 0.0, 0.0], (len(points), 1))
-        off_axis = lengths > 0.0
-        normals[off_axis] = away[off_axis] / lengths[off_axis, None]
-        return lengths - self.radius, normals
+    kind, noun = CAPSULE, "capsule"
 
     def _own_surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
         sides = side_count(self.radius, resolution)

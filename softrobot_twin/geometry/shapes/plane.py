@@ -67,6 +67,3 @@ class Plane(Shape):
             SceneError: Always.
         """
         raise SceneError(None, "plane", None, "", "a plane has no volume and no mass")
-
-    def _own_distances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return points[:, 2].copy(), np.tile([0.0, 0.0, 1.0], (len(points), 1))

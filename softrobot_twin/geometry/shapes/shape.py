@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.mass_properties import MassProperties
+from softrobot_twin.geometry.shapes.distance_kernels import shape_distance
 
 
 class Shape:
@@ -39,8 +41,10 @@ class Shape:
             equally short, one of them is returned.
         """
         origin, axes = self.frame()
-        distances, normals = self._own_distances((np.asarray(points, float) - origin) @ axes)
-        return distances, normals @ axes.T
+        extents, own = self.extents(), (np.asarray(points, float) - origin) @ axes
+        found = [shape_distance(self.kind, extents, tuple(place)) for place in own.tolist()]
+        normals = np.array([normal for _, normal in found]).reshape(-1, 3)
+        return np.array([distance for distance, _ in found]), normals @ axes.T
 
     def distances(self, points: np.ndarray) -> np.ndarray:
         """Computes the distances of points from the solid, zero inside [m]; points (count, 3)."""
@@ -75,14 +79,44 @@ class Shape:
         """Volume [m³]."""
         return self.mass_properties().volume
 
-    def _own_distances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        raise NotImplementedError
-
     def _own_surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
         raise NotImplementedError
 
     def _own_mass_properties(self) -> MassProperties:
         raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class AxialShape(Shape):
+    """A round shape along a segment.
+
+    Attributes:
+        noun: What it is called in messages.
+        ends: Ends of the segment [m], shape (2, 3).
+        radius: Radius [m], > 0.
+    """
+
+    noun: ClassVar[str]
+    ends: np.ndarray
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ends", vectors(f"{self.noun}.ends", self.ends, (2, 3)))
+        object.__setattr__(self, "radius", positive(f"{self.noun}.radius", self.radius))
+
+    @property
+    def length(self) -> float:
+        """Length of the segment [m]."""
+        return float(np.linalg.norm(self.ends[1] - self.ends[0]))
+
+    def frame(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `Shape.frame`; the z axis runs from the first end to the second."""
+        axes = axes_along(self.ends[1] - self.ends[0]) if self.length > 0.0 else np.eye(3)
+        return self.ends.mean(axis=0), axes
+
+    def extents(self) -> np.ndarray:
+        """Radius and half length; see `Shape.extents`."""
+        return np.array([self.radius, 0.5 * self.length, 0.0])
 
 
 def positive(key: str, value: float, infinite: bool = False) -> float:

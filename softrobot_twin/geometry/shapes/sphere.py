@@ -39,13 +39,6 @@ class Sphere(Shape):
         """The radius; see `Shape.extents`."""
         return np.array([self.radius, 0.0, 0.0])
 
-    def _own_distances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        lengths = np.linalg.norm(points, axis=1)
-        normals = np.tile([1.0, 0.0, 0.0], (len(points), 1))
-        off_centre = lengths > 0.0
-        normals[off_centre] = points[off_centre] / lengths[off_centre, None]
-        return lengths - self.radius, normals
-
     def _own_surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
         sides = side_count(self.radius, resolution)
         polar = np.linspace(0.0, np.pi, sides // 2 + 1)
