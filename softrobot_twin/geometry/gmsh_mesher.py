@@ -176,9 +176,7 @@ def refuse_size(size: float, extents: np.ndarray, volume: float, most_tets: int)
 
 def _mesh(gmsh) -> None:
     """Curves, surfaces, solids; a failure of one says which."""
-    for dimension, what in enumerate(("", "edges", "surfaces", "inside"), start=0):
-        if not dimension:
-            continue
+    for dimension, what in enumerate(("edges", "surfaces", "inside"), start=1):
         try:
             gmsh.model.mesh.generate(dimension)
         except Exception as error:

@@ -601,9 +601,7 @@ class Body(Entry):
         if self.reduced is not None and self.has_patches:
             raise refusal("volume", "patches", PATCHES_NOT_REDUCED)
         bodies = "bodies with vertebrae" if self.reduced is None else "reduced bodies"
-        entries = (("material", self.material),
-                   *((f"materials[{i}]", entry) for i, entry in enumerate(self.materials)))  # fmt: skip
-        for key, entry in entries:
+        for key, entry in self._materials_by_key().items():
             for name in ("viscosity", "softening"):
                 if getattr(entry, name):
                     raise refusal(f"{key}.{name}", self.name, f"is not built for {bodies}")
@@ -613,9 +611,7 @@ class Body(Entry):
     def _remembers(self):
         """Refuse viscosity and softening where they are not built."""
         base = self.material
-        entries: list[tuple[str, Any]] = [("material", base)]
-        entries += [(f"materials[{index}]", entry) for index, entry in enumerate(self.materials)]
-        for key, entry in entries:
+        for key, entry in self._materials_by_key().items():
             law = base.law if entry.law is None else entry.law
             viscosity = base.viscosity if entry.viscosity is None else entry.viscosity
             softening = base.softening if entry.softening is None else entry.softening
@@ -636,10 +632,11 @@ class Body(Entry):
                         f"{key}.{name}", law,
                         f"is not a law that {name} is built for: {', '.join(names)}",
                     )
-                if self.vertebrae is not None:
-                    raise refusal(f"{key}.{name}", self.name,
-                                  "is not built for bodies that are reduced to vertebrae")  # fmt: skip
         return self
+
+    def _materials_by_key(self) -> dict[str, Any]:
+        parts = {f"materials[{index}]": part for index, part in enumerate(self.materials)}
+        return {"material": self.material, **parts}
 
     @model_validator(mode="after")
     def _fits_the_laws_of_parts(self):

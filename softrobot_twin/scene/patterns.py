@@ -20,11 +20,13 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_v
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.helix import across
 from softrobot_twin.scene.entry import (
+    Direction,
     Entry,
     Form,
     Vector,
     expanded,
     forms_of,
+    not_zero,
     plain,
     refusal,
     unit,
@@ -58,7 +60,9 @@ class Pattern(Entry):
 
     count: Annotated[int | None, Field(ge=1, le=MOST_COPIES)] = None
     """Number of copies, with the entry itself; by default that of `names`."""
-    about: Annotated[tuple[float, float, float] | None, BeforeValidator(_axis), unit("")] = None
+    about: Annotated[
+        Direction | None, BeforeValidator(_axis), not_zero("an axis must not be zero")
+    ] = None
     """Axis of rotation: x, y, z, or a vector. The rotation is right-handed."""
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the axis."""
@@ -81,8 +85,6 @@ class Pattern(Entry):
             raise refusal("point", self.point, "is a point of the axis: about is required")
         if self.about is None and self.angle is not None:
             raise refusal("angle", self.angle, "is an angle about an axis: about is required")
-        if self.about is not None and not any(self.about):
-            raise refusal("about", self.about, "an axis must not be zero")
         if self.angle == 0.0 and not any(self.step):
             raise refusal("angle", self.angle, "its copies would have the same place")
         return self
@@ -392,12 +394,16 @@ def _named(value: Any, words: tuple[str, ...], key: str = "") -> Any:
     return MARK.sub(word, value)
 
 
+def _values_in(value: Any) -> Iterator[Any]:
+    """A value, and all values inside of its sections and lists."""
+    yield value
+    if isinstance(value, Mapping | list | tuple):
+        for inner in value.values() if isinstance(value, Mapping) else value:
+            yield from _values_in(inner)
+
+
 def _has_mark(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return any(map(_has_mark, value.values()))
-    if isinstance(value, list | tuple):
-        return any(map(_has_mark, value))
-    return isinstance(value, str) and "#" in value
+    return any(isinstance(one, str) and "#" in one for one in _values_in(value))
 
 
 def _copy(model: type[Entry], entry: dict, marked: list[str], words: tuple[str, ...], number: int,
@@ -481,16 +487,7 @@ def expand_patterns(mapping: Any, root: type[BaseModel], path: Path | None = Non
 
 
 def _has_pattern(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return "repeat" in value or any(map(_has_pattern, value.values()))
-    return isinstance(value, list | tuple) and any(map(_has_pattern, value))
-
-
-def _size(value: Any) -> int:
-    """Number of values in an entry."""
-    if isinstance(value, Mapping):
-        return 1 + sum(map(_size, value.values()))
-    return 1 + sum(map(_size, value)) if isinstance(value, list | tuple) else 1
+    return any(isinstance(one, Mapping) and "repeat" in one for one in _values_in(value))
 
 
 class _Expansion:
@@ -577,7 +574,7 @@ class _Expansion:
         if count > MOST_COPIES:
             raise self._refused((*place, "repeat"), f"{count} copies",
                                 f"an entry has at most {MOST_COPIES} copies")
-        self._made += count * _size(entry)
+        self._made += count * sum(1 for _ in _values_in(entry))
         if self._made > MOST_VALUES:
             raise self._refused((*place, "repeat"), f"{count} copies",
                                 f"the copies of the scene have more than {MOST_VALUES} values")

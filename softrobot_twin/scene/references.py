@@ -81,22 +81,18 @@ def check_references(scene) -> None:
     cables = [cable.name for cable in scene.cables]
     framed = rigid + [beam.name for beam in scene.beams]
     movable = deformable + framed + masses
-    for section, entries in scene.actuator_entries.items():
+    checked = {**scene.actuator_entries, "sealed_cavities": scene.sealed_cavities}
+    for section, entries in checked.items():
         for index, entry in enumerate(entries):
             entry.check_references(scene, f"{section}[{index}]")
-    for index, entry in enumerate(scene.sealed_cavities):
-        entry.check_references(scene, f"sealed_cavities[{index}]")
-    for section, word in (("effectors", "body"), ("tubes", "on")):
+    for section, word, others in (
+        ("effectors", "body", framed), ("tubes", "on", framed), ("touches", "body", []),
+        ("fibres", "on", []), ("markers", "body", framed),
+    ):  # fmt: skip
         for index, entry in enumerate(getattr(scene, section)):
-            check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),
-                          deformable, framed)  # fmt: skip
-    for index, touch in enumerate(scene.touches):
-        check_carrier(f"touches[{index}].body", touch.name, touch.body, deformable, [])
-    for index, fibre in enumerate(scene.fibres):
-        check_carrier(f"fibres[{index}].on", fibre.name, fibre.on, deformable, [])
-    for index, marker in enumerate(scene.markers):
-        check_carrier(f"markers[{index}].body", f"marker {marker.id}", marker.body, deformable,
-                      framed)  # fmt: skip
+            name = f"marker {entry.id}" if section == "markers" else entry.name
+            check_carrier(f"{section}[{index}].{word}", name, getattr(entry, word), deformable,
+                          others)  # fmt: skip
     for place, beam in enumerate(scene.beams):
         for index, joint in enumerate(beam.joined):
             others = [name for name in framed if name != beam.name]
