@@ -566,7 +566,7 @@ class Simulation(Readouts):
         return balance(
             done.residual, done.share == 1.0 and done.actuation.is_exact,
             budget is not None or solver.newton_iterations == 1, solver,
-            self.newton.constant_load + self._load(done.actuation),
+            lambda: self.newton.constant_load + self._load(done.actuation),
         )  # fmt: skip
 
     def _load(self, actuation: Actuation) -> float:

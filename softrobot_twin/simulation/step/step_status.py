@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
@@ -100,7 +101,7 @@ class Balance(Enum):
 
 
 def balance(
-    residual: float, whole: bool, may_stop_near: bool, solver: Solver, load: float
+    residual: float, whole: bool, may_stop_near: bool, solver: Solver, load: Callable[[], float]
 ) -> Balance:
     """Judge a step's residual.
 
@@ -111,11 +112,11 @@ def balance(
         may_stop_near: Whether the scene or the deadline stopped the linearizations before they
             could converge.
         solver: The scene's settings.
-        load: Sum of all loads' sizes [N].
+        load: Gives the sum of all loads' sizes [N], where it is needed.
     """
     if whole and residual <= solver.residual_tolerance:
         return Balance.REACHED
-    if whole and may_stop_near and residual <= NEAR_BALANCE * load:
+    if whole and may_stop_near and residual <= NEAR_BALANCE * load():
         return Balance.NEAR
     return Balance.MISSED
 
