@@ -329,6 +329,7 @@ class MarkerInput:
         refusals: Refused messages, by reason.
         unknown: Number of points with an id that the scene does not have; they are ignored.
         positions: Measured positions [m], shape (marker_count, 3); NaN for hidden markers.
+        hidden: The array that `measured` gives when they are too old, all NaN.
         stamp: Time of the measurement [ns].
     """
 
@@ -338,6 +339,7 @@ class MarkerInput:
         self._header = HeaderCheck(frame_id)
         self._order = np.argsort(marker_ids, kind="stable")
         self._sorted_ids = np.asarray(marker_ids, dtype=np.uint32)[self._order]
+        self.hidden = np.full((len(marker_ids), 3), np.nan)
         self.apply(settings)
         self.reset()
 
@@ -348,7 +350,7 @@ class MarkerInput:
 
     def reset(self) -> None:
         """Forgets the measurements; the counts stay."""
-        self.positions = np.full((len(self._sorted_ids), 3), np.nan)
+        self.positions = self.hidden
         self.stamp = 0
         self._newest = -math.inf
         self._header.forget()
@@ -394,9 +396,7 @@ class MarkerInput:
 
     def measured(self, now: float) -> np.ndarray:
         """Valid positions [m], shape (marker_count, 3): all NaN when they are too old."""
-        if self.age(now) > self._timeout:
-            return np.full_like(self.positions, np.nan)
-        return self.positions
+        return self.hidden if self.age(now) > self._timeout else self.positions
 
     @staticmethod
     def misfit(measured: np.ndarray, predicted: np.ndarray) -> Misfit:
