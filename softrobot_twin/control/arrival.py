@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from enum import Enum
 from typing import NamedTuple
+
+import numpy as np
 
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS, ClockWatch
@@ -166,3 +170,61 @@ class HeaderCheck:
             self._older_since = arrival.time
         self._older_stamp = arrival.stamp
         return arrival.time - self._older_since >= SENDER_ACCEPT_AFTER
+
+
+def refusal_of_vector(vector: np.ndarray, may_be_nan: bool = False) -> Refusal | None:
+    """The reason to refuse three numbers, or None.
+
+    Args:
+        vector: What is there of them, of any shape.
+        may_be_nan: Whether NaN has a meaning.
+    """
+    if vector.shape != (3,):
+        return Refusal.WRONG_SIZE
+    is_wrong = np.isinf(vector) if may_be_nan else ~np.isfinite(vector)
+    return Refusal.NOT_FINITE if is_wrong.any() else None
+
+
+class Input:
+    """What inputs have in common: headers are checked, and refused messages are counted.
+
+    Args:
+        settings: Limits and timeouts.
+        frame_id: The only accepted frame, or None where it is not checked.
+        keys: What tells apart the senders, whose stamps are in order each for itself.
+        refusals: Counts refused messages; None for counts of its own.
+
+    Attributes:
+        refusals: Refused messages, by reason.
+        settings: Limits and timeouts.
+    """
+
+    def __init__(
+        self, settings: LoopSettings, frame_id: str | None, keys: Iterable = (None,),
+        refusals: RefusalCounts | None = None,
+    ):  # fmt: skip
+        self.refusals = RefusalCounts() if refusals is None else refusals
+        self._headers = {key: HeaderCheck(frame_id) for key in keys}
+        self.apply(settings)
+        self.reset()
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed limits and timeouts from now on."""
+        self.settings = settings
+        for header in self._headers.values():
+            header.apply(settings)
+
+    def reset(self) -> None:
+        """Forgets what was received; the counts stay."""
+        self._newest = -math.inf
+        for header in self._headers.values():
+            header.forget()
+
+    def age(self, now: float) -> float:
+        """Time since the last accepted message [s]; infinite before the first."""
+        return now - self._newest
+
+    def _remember(self, arrival: Arrival, key: object = None) -> None:
+        """Records an accepted message of a sender."""
+        self._headers[key].remember(arrival)
+        self._newest = arrival.time

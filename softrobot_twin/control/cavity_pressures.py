@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal
+from softrobot_twin.control.arrival import Arrival, Input, Refusal
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.errors import ParameterError, SceneError
@@ -106,7 +106,7 @@ class CavityPressures:
         }
 
 
-class PressureInput:
+class PressureInput(Input):
     """Absolute pressures of single cavities, as commands or as measurements.
 
     A message concerns one cavity; everything else stays as it is. A command in another frame than
@@ -129,18 +129,7 @@ class PressureInput:
     ):
         self._cavities, self._keeper, self._frame_id = cavities, keeper, frame_id
         self._takes_by_volume = takes_by_volume
-        self._headers = {name: HeaderCheck(frame_id) for name in cavities.names}
-        self.apply(settings)
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed timeouts from now on."""
-        for header in self._headers.values():
-            header.apply(settings)
-
-    def reset(self) -> None:
-        """Forgets the order of the messages; `keeper` forgets the pressures."""
-        for header in self._headers.values():
-            header.forget()
+        super().__init__(settings, frame_id, cavities.names, keeper.refusals)
 
     def accept(self, name: str, pressure: float, arrival: Arrival) -> Refusal | None:
         """Checks one message and keeps its pressure.
@@ -160,8 +149,8 @@ class PressureInput:
             gauge = pressure - self._cavities.ambient_pressure
             refusal = self._keeper.put_pressure(self._cavities.places[name], gauge, arrival.time)
         if refusal is not None:
-            return self._keeper.refusals.add(refusal)
-        self._headers[name].remember(arrival)
+            return self.refusals.add(refusal)
+        self._remember(arrival, name)
         return None
 
     def _refusal(self, name: str, pressure: float, arrival: Arrival) -> Refusal | None:

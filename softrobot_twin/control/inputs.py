@@ -13,7 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.control.actuator_names import ActuatorNames, NameOrder
-from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal, RefusalCounts
+from softrobot_twin.control.arrival import (
+    Arrival,
+    Input,
+    Refusal,
+    RefusalCounts,
+    refusal_of_vector,
+)
 from softrobot_twin.control.loop_settings import LoopSettings
 
 _SMALLEST_COMPONENT = 1.0e-3
@@ -47,7 +53,7 @@ class TargetReading(NamedTuple):
     orientations: np.ndarray | None = None
 
 
-class TargetInput:
+class TargetInput(Input):
     """Target points, poses and velocities of the effectors.
 
     A point or a velocity moves the position alone: the orientation that a pose gave stays wanted.
@@ -60,7 +66,6 @@ class TargetInput:
         oriented: Whether each effector asks for an orientation; by default none does.
 
     Attributes:
-        point_refusals: Refused target points and poses, by reason.
         velocity_refusals: Refused velocities, by reason.
         clamped: How often a point or a velocity was limited to the workspace.
         slowed: How often a velocity was limited to `speed_limit`.
@@ -74,32 +79,21 @@ class TargetInput:
         self._orientations = None
         if any(self._oriented):
             self._orientations = np.full((effector_count, 4), np.nan)
-        self.point_refusals = RefusalCounts()
         self.velocity_refusals = RefusalCounts()
         self.clamped = self.slowed = 0
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)
-        self._headers = [HeaderCheck(frame_id) for _ in range(effector_count)]
-        self.apply(settings)
-        self.reset()
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed limits and timeouts from now on."""
-        self.settings = settings
-        for header in self._headers:
-            header.apply(settings)
+        super().__init__(settings, frame_id, range(effector_count))
 
     def reset(self) -> None:
         """Forgets all targets and velocities; the counts stay."""
+        super().reset()
         self._targets[:] = np.nan
         if self._orientations is not None:
             self._orientations[:] = np.nan
         self._velocity = np.zeros(3)
         self._velocity_time = -math.inf
-        self._newest = -math.inf
         self._source = "none"
-        for header in self._headers:
-            header.forget()
 
     def accept_point(self, effector: int, position, arrival: Arrival) -> Refusal | None:
         """Checks a target and keeps it.
@@ -113,14 +107,9 @@ class TargetInput:
             The reason to refuse it, or None.
         """
         position = np.asarray(position, dtype=float)
-        header = self._headers[effector]
-        refusal = header.refusal(arrival)
-        if refusal is None and position.shape != (3,):
-            refusal = Refusal.WRONG_SIZE
-        if refusal is None and not np.isfinite(position).all():
-            refusal = Refusal.NOT_FINITE
+        refusal = self._headers[effector].refusal(arrival) or refusal_of_vector(position)
         if refusal is not None:
-            return self.point_refusals.add(refusal)
+            return self.refusals.add(refusal)
         self._keep_position(effector, position, arrival, "point")
         return None
 
@@ -150,7 +139,7 @@ class TargetInput:
         if refusal is None and abs(length - 1.0) > _NOT_UNIT:
             refusal = Refusal.NO_ROTATION
         if refusal is not None:
-            return self.point_refusals.add(refusal)
+            return self.refusals.add(refusal)
         self._keep_position(effector, pose.position, arrival, "pose")
         self._orientations[effector] = pose.quaternion / length
         return None
@@ -159,10 +148,10 @@ class TargetInput:
         self, effector: int, position: np.ndarray, arrival: Arrival, source: str
     ) -> None:
         """Keeps a valid position [m], shape (3,); it replaces a velocity."""
-        self._headers[effector].remember(arrival)
+        self._remember(arrival, effector)
         self._targets[effector] = self.settings.in_workspace(position)
         self.clamped += bool((self._targets[effector] != position).any())
-        self._newest, self._source = arrival.time, source
+        self._source = source
         if effector == self._velocity_effector:
             self._velocity_time = -math.inf
 
@@ -173,10 +162,8 @@ class TargetInput:
             The reason to refuse it, or None.
         """
         velocity = np.asarray(velocity, dtype=float)
-        if velocity.shape != (3,):
-            return self.velocity_refusals.add(Refusal.WRONG_SIZE)
-        if not np.isfinite(velocity).all():
-            return self.velocity_refusals.add(Refusal.NOT_FINITE)
+        if (refusal := refusal_of_vector(velocity)) is not None:
+            return self.velocity_refusals.add(refusal)
         # The square of a very large component is infinite, which is above the limit too.
         with np.errstate(over="ignore"):
             self.slowed += bool(np.linalg.norm(velocity) > self.settings.speed_limit)
@@ -187,10 +174,6 @@ class TargetInput:
     def stop(self) -> None:
         """Ends the motion of a target by a velocity."""
         self._velocity_time = -math.inf
-
-    def age(self, now: float) -> float:
-        """Time since the last target or velocity arrived [s]; infinite before the first."""
-        return now - self._newest
 
     def is_moving(self, now: float) -> bool:
         """Whether a velocity is still valid."""
@@ -232,7 +215,7 @@ class TargetInput:
         self.clamped += bool((self._targets[self._velocity_effector] != moved).any())
 
 
-class StiffnessInput:
+class StiffnessInput(Input):
     """Wanted stiffnesses of the effectors, those of the scene until a message gives others.
 
     Args:
@@ -242,7 +225,6 @@ class StiffnessInput:
         settings: Timeouts.
 
     Attributes:
-        refusals: Refused messages, by reason.
         wanted: Stiffness of each effector along x, y and z [N/m], NaN where free, shape
             (effector_count, 3); None where no effector asks for one.
         is_given: True when a message has given one.
@@ -252,23 +234,14 @@ class StiffnessInput:
         self, scene_stiffness: np.ndarray, are_asked: Sequence[bool], frame_id: str,
         settings: LoopSettings,
     ):  # fmt: skip
-        self.refusals = RefusalCounts()
         self._scene_stiffness, self._are_asked = scene_stiffness, tuple(are_asked)
-        self._headers = [HeaderCheck(frame_id) for _ in self._are_asked]
-        self.apply(settings)
-        self.reset()
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed timeouts from now on."""
-        for header in self._headers:
-            header.apply(settings)
+        super().__init__(settings, frame_id, range(len(self._are_asked)))
 
     def reset(self) -> None:
         """Forgets all messages; the counts stay."""
+        super().reset()
         self.wanted = self._scene_stiffness.copy() if any(self._are_asked) else None
         self.is_given = False
-        for header in self._headers:
-            header.forget()
 
     def accept(self, effector: int, stiffness, arrival: Arrival) -> Refusal | None:
         """Checks a wanted stiffness and keeps it.
@@ -285,15 +258,12 @@ class StiffnessInput:
         refusal = self._headers[effector].refusal(arrival)
         if refusal is None and not self._are_asked[effector]:
             refusal = Refusal.WRONG_NAMES
-        if refusal is None and stiffness.shape != (3,):
-            refusal = Refusal.WRONG_SIZE
-        if refusal is None and np.isinf(stiffness).any():
-            refusal = Refusal.NOT_FINITE
+        refusal = refusal or refusal_of_vector(stiffness, may_be_nan=True)
         if refusal is None and (stiffness <= 0.0).any():
             refusal = Refusal.NOT_POSITIVE
         if refusal is not None:
             return self.refusals.add(refusal)
-        self._headers[effector].remember(arrival)
+        self._remember(arrival, effector)
         self.wanted[effector] = stiffness
         self.is_given = bool(np.isfinite(self.wanted).any())
         return None
@@ -317,7 +287,7 @@ class Misfit(NamedTuple):
     visible: int
 
 
-class MarkerInput:
+class MarkerInput(Input):
     """The newest measured position of each marker of the scene.
 
     Args:
@@ -326,7 +296,6 @@ class MarkerInput:
         settings: Timeouts.
 
     Attributes:
-        refusals: Refused messages, by reason.
         unknown: Number of points with an id that the scene does not have; they are ignored.
         positions: Measured positions [m], shape (marker_count, 3); NaN for hidden markers.
         hidden: The array that `measured` gives when they are too old, all NaN.
@@ -334,26 +303,16 @@ class MarkerInput:
     """
 
     def __init__(self, marker_ids: np.ndarray, frame_id: str, settings: LoopSettings):
-        self.refusals = RefusalCounts()
         self.unknown = 0
-        self._header = HeaderCheck(frame_id)
         self._order = np.argsort(marker_ids, kind="stable")
         self._sorted_ids = np.asarray(marker_ids, dtype=np.uint32)[self._order]
         self.hidden = np.full((len(marker_ids), 3), np.nan)
-        self.apply(settings)
-        self.reset()
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed timeouts from now on."""
-        self._timeout = settings.marker_timeout
-        self._header.apply(settings)
+        super().__init__(settings, frame_id)
 
     def reset(self) -> None:
         """Forgets the measurements; the counts stay."""
-        self.positions = self.hidden
-        self.stamp = 0
-        self._newest = -math.inf
-        self._header.forget()
+        super().reset()
+        self.positions, self.stamp = self.hidden, 0
 
     def accept(self, ids: np.ndarray, positions: np.ndarray, arrival: Arrival) -> Refusal | None:
         """Checks the markers of one message and keeps them.
@@ -366,7 +325,7 @@ class MarkerInput:
         Returns:
             The reason to refuse it, or None.
         """
-        refusal = self._header.refusal(arrival)
+        refusal = self._headers[None].refusal(arrival)
         if refusal is None and positions.shape != (len(ids), 3):
             refusal = Refusal.WRONG_SIZE
         if refusal is None and np.isinf(positions).any():
@@ -375,8 +334,7 @@ class MarkerInput:
             refusal = Refusal.DUPLICATE_ID
         if refusal is not None:
             return self.refusals.add(refusal)
-        self._header.remember(arrival)
-        self._newest = arrival.time
+        self._remember(arrival)
         self.stamp = arrival.stamp or arrival.ros_time
         measured = np.full_like(self.positions, np.nan)
         if len(self._sorted_ids):
@@ -390,13 +348,9 @@ class MarkerInput:
         self.positions = measured
         return None
 
-    def age(self, now: float) -> float:
-        """Time since markers last arrived [s]; infinite before the first."""
-        return now - self._newest
-
     def measured(self, now: float) -> np.ndarray:
         """Valid positions [m], shape (marker_count, 3): all NaN when they are too old."""
-        return self.hidden if self.age(now) > self._timeout else self.positions
+        return self.hidden if self.age(now) > self.settings.marker_timeout else self.positions
 
     @staticmethod
     def misfit(measured: np.ndarray, predicted: np.ndarray) -> Misfit:
@@ -413,7 +367,7 @@ class MarkerInput:
 # --- actuators -----------------------------------------------------------------------------------
 
 
-class ActuatorInput:
+class ActuatorInput(Input):
     """The newest setpoint or effort of every actuator; a message must name each of them once.
 
     It is used for direct commands and for measurements of a device. Slides accept setpoints but no
@@ -427,7 +381,6 @@ class ActuatorInput:
         settings: Timeouts.
 
     Attributes:
-        refusals: Refused messages, by reason.
         setpoints: Newest setpoints in the unit of each actuator's kind, shape (actuator_count,), or
             None; NaN where none was given, because only pressures of cavities were.
         efforts: Newest efforts in the unit of each actuator's kind, shape (actuator_count,), or
@@ -435,27 +388,19 @@ class ActuatorInput:
     """
 
     def __init__(self, names: ActuatorNames, settings: LoopSettings):
-        self.refusals = RefusalCounts()
         self._names = names
-        self._header = HeaderCheck(None)
         # The names of the last message and their order: they seldom change.
         self._known: tuple[tuple[str, ...], NameOrder | None] = ((), names.order_of(()))
-        self.apply(settings)
-        self.reset()
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed timeouts from now on."""
-        self._header.apply(settings)
+        super().__init__(settings, None)
 
     def reset(self) -> None:
         """Forgets what was received; the counts stay."""
+        super().reset()
         self.setpoints: np.ndarray | None = None
         self.efforts: np.ndarray | None = None
         # Pressures [Pa] of cavities and lengths [m] of wound cables that a message may omit; NaN
         # without one.
         self._pressures = np.full(len(self._names.by_pressure), np.nan)
-        self._newest = -math.inf
-        self._header.forget()
 
     def accept(
         self, names: Sequence[str], setpoints, efforts, arrival: Arrival
@@ -475,21 +420,16 @@ class ActuatorInput:
         setpoints = np.asarray(setpoints, dtype=float)
         efforts = np.asarray(efforts, dtype=float)
         order = self._order_of(tuple(names))
-        refusal = self._header.refusal(arrival)
+        refusal = self._headers[None].refusal(arrival)
         if refusal is None and (order is None or not self._names_fit(order, setpoints, efforts)):
             refusal = Refusal.WRONG_NAMES
         if refusal is None:
             refusal = self._refusal_of_values(order, len(names), setpoints, efforts)
         if refusal is not None:
             return self.refusals.add(refusal)
-        self._header.remember(arrival)
-        self._newest = arrival.time
+        self._remember(arrival)
         self._keep(order, setpoints, efforts)
         return None
-
-    def age(self, now: float) -> float:
-        """Time since the last accepted message [s]; infinite before the first."""
-        return now - self._newest
 
     def put_pressure(self, actuator: int, pressure: float, time: float) -> Refusal | None:
         """Keeps the pressure of one cavity; the other actuators keep what they were given.
@@ -654,7 +594,7 @@ def refusal_of_pose(pose: Pose) -> Refusal | None:
     return None if is_pose(pose) else Refusal.NO_ROTATION
 
 
-class PoseInput:
+class PoseInput(Input):
     """The newest commanded pose of every guided body.
 
     Args:
@@ -663,30 +603,18 @@ class PoseInput:
         settings: Timeouts and workspace.
 
     Attributes:
-        refusals: Refused messages, by reason.
         clamped: How often a pose was limited to the workspace.
         newest: The newest pose of each body that received one since the last reset, by name.
     """
 
     def __init__(self, names: Sequence[str], frame_id: str, settings: LoopSettings):
-        self.refusals = RefusalCounts()
         self.clamped = 0
-        self._headers = {name: HeaderCheck(frame_id) for name in names}
-        self.apply(settings)
-        self.reset()
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed timeouts and workspace from now on."""
-        self.settings = settings
-        for header in self._headers.values():
-            header.apply(settings)
+        super().__init__(settings, frame_id, names)
 
     def reset(self) -> None:
         """Forgets what was received; the counts stay."""
+        super().reset()
         self.newest: dict[str, Pose] = {}
-        self._time = -math.inf
-        for header in self._headers.values():
-            header.forget()
 
     def accept(self, name: str, position, quaternion, arrival: Arrival) -> Refusal | None:
         """Checks one message and keeps it.
@@ -704,16 +632,11 @@ class PoseInput:
         refusal = self._refusal(name, pose, arrival)
         if refusal is not None:
             return self.refusals.add(refusal)
-        self._headers[name].remember(arrival)
+        self._remember(arrival, name)
         inside = self.settings.in_workspace(pose.position)
         self.clamped += bool((inside != pose.position).any())
         self.newest[name] = pose._replace(position=inside)
-        self._time = arrival.time
         return None
-
-    def age(self, now: float) -> float:
-        """Time since the last accepted pose [s]; infinite before the first."""
-        return now - self._time
 
     def _refusal(self, name: str, pose: Pose, arrival: Arrival) -> Refusal | None:
         if name not in self._headers:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal
+from softrobot_twin.control.arrival import Arrival, Input, Refusal
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation.building.pulleys import Pulleys
 
 
-class AngleInput:
+class AngleInput(Input):
     """Angles of any pulleys, as commands or as measurements.
 
     A message concerns the pulleys that it names; everything else stays as it is.
@@ -31,16 +31,7 @@ class AngleInput:
     ):
         self._pulleys, self._keeper = pulleys, keeper
         self._takes_torques = takes_torques
-        self._header = HeaderCheck(None)
-        self.apply(settings)
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed timeouts from now on."""
-        self._header.apply(settings)
-
-    def reset(self) -> None:
-        """Forgets the order of the messages; `keeper` forgets the lengths."""
-        self._header.forget()
+        super().__init__(settings, None, refusals=keeper.refusals)
 
     def accept(
         self, names: Sequence[str], angles, torques, arrival: Arrival
@@ -59,14 +50,14 @@ class AngleInput:
         angles, torques = np.asarray(angles, dtype=float), np.asarray(torques, dtype=float)
         refusal = self._refusal(names, angles, torques, arrival)
         if refusal is not None:
-            return self._keeper.refusals.add(refusal)
+            return self.refusals.add(refusal)
         places = [self._pulleys.names.index(name) for name in names]
         driven = np.concatenate([self._pulleys.driven[place] for place in places])
         lengths = [self._pulleys.lengths(*pair) for pair in zip(places, angles, strict=True)]
         refusal = self._keeper.put_lengths(driven, np.concatenate(lengths), arrival.time)
         if refusal is not None:
-            return self._keeper.refusals.add(refusal)
-        self._header.remember(arrival)
+            return self.refusals.add(refusal)
+        self._remember(arrival)
         if len(torques):
             tensions = [self._pulleys.tensions(*pair)
                         for pair in zip(places, torques, strict=True)]  # fmt: skip
@@ -76,7 +67,7 @@ class AngleInput:
     def _refusal(
         self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray, arrival: Arrival
     ) -> Refusal | None:
-        refusal = self._header.refusal(arrival)
+        refusal = self._headers[None].refusal(arrival)
         if refusal is not None:
             return refusal
         unknown = any(name not in self._pulleys.names for name in names)

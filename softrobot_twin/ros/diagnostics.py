@@ -441,7 +441,7 @@ class TwinDiagnostics:
 
     def _of_target(self, now: float):
         loop, window = self._loop, self._window
-        inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
+        inputs = (loop.targets.refusals, loop.targets.velocity_refusals,
                   loop.direct.refusals, loop.selected.refusals, loop.poses.refusals,
                   loop.stiffness.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))

@@ -87,6 +87,40 @@ def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...
     return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
 
 
+def read_point(message: PointStamped) -> tuple[tuple[float, float, float]]:
+    """Position of a message [m], as it is."""
+    return (_coordinates(message.point),)
+
+
+def read_vector(message: Vector3Stamped) -> tuple[tuple[float, float, float]]:
+    """Vector of a message, as it is."""
+    return (_coordinates(message.vector),)
+
+
+def read_force(message: WrenchStamped) -> tuple[tuple[float, float, float]]:
+    """Force of a message [N], as it is."""
+    return (_coordinates(message.wrench.force),)
+
+
+def read_pressure(message: FluidPressure) -> tuple[float]:
+    """Absolute pressure of a message [Pa], as it is."""
+    return (message.fluid_pressure,)
+
+
+def read_joints(message: JointState) -> tuple:
+    """Names, positions and efforts of a message, as they are."""
+    return message.name, message.position, message.effort
+
+
+def read_measured(message: JointState) -> tuple | Refusal:
+    """The same of a measurement, which must have positions."""
+    return read_joints(message) if message.position else Refusal.WRONG_SIZE
+
+
+def _coordinates(point: Point | Vector3) -> tuple[float, float, float]:
+    return point.x, point.y, point.z
+
+
 def cables_message(
     names: Sequence[str], lengths: np.ndarray, tensions: np.ndarray, header: Header
 ) -> JointState:

@@ -6,19 +6,19 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -44,8 +44,14 @@ from softrobot_twin.ros.messages import (
     point_message,
     pose_message,
     pressure_message,
+    read_force,
+    read_joints,
     read_markers,
+    read_measured,
+    read_point,
     read_pose,
+    read_pressure,
+    read_vector,
     stamp_of,
     touch_message,
     vector_message,
@@ -415,60 +421,74 @@ class TwinNode(TickingNode):
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
 
     def _open_inputs(self) -> None:
-        self._commands: list[Subscription] = []
-        self._measurements: list[Subscription] = []
-        commands, measurements = self._commands, self._measurements
         loop, simulation = self.loop, self.loop.simulation
-        of_points, of_commands, of_device = (
-            loop.targets.point_refusals, self._actuator_commands.refusals, loop.device.refusals
-        )  # fmt: skip
-        if loop.mode is Mode.INVERSE:
-            for index, name in enumerate(simulation.effector_names):
-                take = partial(self._take_target, index)
-                commands.append(self._listen("~/target/<effector>", take, of_points, name))
-                if simulation.oriented_effectors[index]:
-                    take = partial(self._take_target_pose, index)
-                    commands.append(self._listen("~/target_pose/<effector>", take, of_points, name))
-                if simulation.stiff_effectors[index]:
-                    take, refusals = partial(self._take_target_stiffness, index), loop.stiffness.refusals
-                    commands.append(
-                        self._listen("~/target_stiffness/<effector>", take, refusals, name)
-                    )
-            if simulation.effector_names:
-                refusals = loop.targets.velocity_refusals
-                commands.append(self._listen("~/target_velocity", self._take_velocity, refusals))
-        commands.append(self._listen("~/command/cables", self._take_command, of_commands))
-        for name in simulation.guided_names:
-            take, refusals = partial(self._take_pose, name), loop.poses.refusals
-            commands.append(self._listen("~/command/pose/<guided body>", take, refusals, name))
-        for name in loop.cavities.names:
-            take, take_measured = (partial(take, name) for take in (
-                self._take_pressure, self._take_measured_pressure))  # fmt: skip
-            commands.append(
-                self._listen("~/command/pressures/<cavity>", take, of_commands, name)
-            )
-            measurements.append(
-                self._listen("~/measured_pressures/<cavity>", take_measured, of_device, name)
-            )
-        if loop.pulleys.count:
-            commands.append(self._listen("~/command/angles", self._take_angles, of_commands))
-            measurements.append(
-                self._listen("~/measured_angles", self._take_measured_angles, of_device)
-            )
-        for index, name in enumerate(loop.touches.names):
-            take_force, take_place = (partial(take, index) for take in (
-                self._take_touch_force, self._take_touch_position))  # fmt: skip
-            refusals = loop.touches.refusals
-            measurements.append(
-                self._listen("~/touch_force/<touch>", take_force, refusals, name)
-            )
-            measurements.append(
-                self._listen("~/touch_position/<touch>", take_place, refusals, name)
-            )
-        measurements.append(self._listen("~/markers", self._take_markers, loop.markers.refusals))
-        measurements.append(self._listen("~/measured_cables", self._take_measured, of_device))
+        targets, cavities, touches = loop.targets, loop.cavities.names, loop.touches
+        effectors = simulation.effector_names if loop.mode is Mode.INVERSE else ()
+        by_index = list(enumerate(effectors))
+        self._commands = [
+            *self._inputs("~/target/<effector>", targets, "accept_point", read_point, by_index),
+            *self._inputs(
+                "~/target_pose/<effector>", targets, "accept_pose", read_pose,
+                [one for one in by_index if simulation.oriented_effectors[one[0]]],
+            ),
+            *self._inputs(
+                "~/target_stiffness/<effector>", loop.stiffness, "accept", read_vector,
+                [one for one in by_index if simulation.stiff_effectors[one[0]]],
+            ),
+        ]  # fmt: skip
+        if effectors:
+            refusals = targets.velocity_refusals
+            self._commands.append(self._listen("~/target_velocity", self._take_velocity, refusals))
+        by_name, pulleys = [(name, name) for name in cavities], [()] * bool(loop.pulleys.count)
+        of_touches = list(enumerate(touches.names))
+        self._commands += [
+            *self._inputs("~/command/cables", self._actuator_commands, "accept", read_joints),
+            *self._inputs("~/command/pose/<guided body>", loop.poses, "accept", read_pose,
+                          [(name, name) for name in simulation.guided_names]),
+            *self._inputs("~/command/pressures/<cavity>", loop.pressures, "accept", read_pressure,
+                          by_name),
+            *self._inputs("~/command/angles", loop.angles, "accept", read_joints, pulleys),
+        ]  # fmt: skip
+        self._measurements = [
+            *self._inputs("~/measured_pressures/<cavity>", loop.measured_pressures, "accept",
+                          read_pressure, by_name),
+            *self._inputs("~/measured_angles", loop.measured_angles, "accept", read_joints, pulleys),
+            *self._inputs("~/touch_force/<touch>", touches, "accept_force", read_force, of_touches),
+            *self._inputs("~/touch_position/<touch>", touches, "accept_place", read_point,
+                          of_touches),
+            *self._inputs("~/markers", loop.markers, "accept", read_markers),
+            *self._inputs("~/measured_cables", loop.device, "accept", read_measured),
+        ]  # fmt: skip
         self.create_service(SetBool, "~/enable", self.enable)
         self.create_service(Trigger, "~/reset", self.reset)
+
+    def _inputs(
+        self, topic: str, owner: Any, method: str, read: Callable,
+        objects: Iterable[tuple] = ((),),
+    ) -> list[Subscription]:  # fmt: skip
+        """Receives a topic of the table, or one for each object of a kind.
+
+        Args:
+            topic: Its name.
+            owner: The input of the loop that takes the messages, and counts the refused ones.
+            method: Name of the method of `owner` that takes them.
+            read: Gives the values of a message, or the reason to refuse it.
+            objects: What the input calls each object, and its name; empty for a topic without.
+        """
+        return [
+            self._listen(topic, partial(self._take, owner, method, read, one[:1]), owner.refusals,
+                         *one[1:])
+            for one in objects
+        ]  # fmt: skip
+
+    def _take(
+        self, owner: Any, method: str, read: Callable, key: tuple, message: Any
+    ) -> Refusal | None:
+        """Passes a message on to an input of the loop; see `_inputs`."""
+        values = read(message)
+        if isinstance(values, Refusal):
+            return owner.refusals.add(values)
+        return getattr(owner, method)(*key, *values, self.arrival(message.header))
 
     @property
     def _actuator_commands(self) -> ActuatorInput:
@@ -493,81 +513,11 @@ class TwinNode(TickingNode):
             return
         loop.contest(name, sentence, is_of_device, self.monotonic())
 
-    def _take_target(self, effector: int, message: PointStamped) -> Refusal | None:
-        point = message.point
-        return self.loop.targets.accept_point(
-            effector, (point.x, point.y, point.z), self.arrival(message.header)
-        )
-
-    def _take_target_pose(self, effector: int, message: PoseStamped) -> Refusal | None:
-        return self.loop.targets.accept_pose(
-            effector, *read_pose(message), self.arrival(message.header)
-        )
-
-    def _take_target_stiffness(self, effector: int, message: Vector3Stamped) -> Refusal | None:
-        vector = message.vector
-        return self.loop.stiffness.accept(
-            effector, (vector.x, vector.y, vector.z), self.arrival(message.header)
-        )
-
     def _take_velocity(self, message: Twist) -> Refusal | None:
         velocity = message.linear
         return self.loop.targets.accept_velocity(
             (velocity.x, velocity.y, velocity.z), self.monotonic()
         )
-
-    def _take_command(self, message: JointState) -> Refusal | None:
-        return self._actuator_commands.accept(
-            message.name, message.position, message.effort, self.arrival(message.header)
-        )
-
-    def _take_pressure(self, name: str, message: FluidPressure) -> Refusal | None:
-        return self.loop.pressures.accept(
-            name, message.fluid_pressure, self.arrival(message.header)
-        )
-
-    def _take_measured_pressure(self, name: str, message: FluidPressure) -> Refusal | None:
-        return self.loop.measured_pressures.accept(
-            name, message.fluid_pressure, self.arrival(message.header)
-        )
-
-    def _take_angles(self, message: JointState) -> Refusal | None:
-        return self.loop.angles.accept(
-            message.name, message.position, message.effort, self.arrival(message.header)
-        )
-
-    def _take_measured_angles(self, message: JointState) -> Refusal | None:
-        return self.loop.measured_angles.accept(
-            message.name, message.position, message.effort, self.arrival(message.header)
-        )
-
-    def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
-        return self.loop.poses.accept(name, *read_pose(message), self.arrival(message.header))
-
-    def _take_measured(self, message: JointState) -> Refusal | None:
-        if not message.position:
-            return self.loop.device.refusals.add(Refusal.WRONG_SIZE)
-        return self.loop.device.accept(
-            message.name, message.position, message.effort, self.arrival(message.header)
-        )
-
-    def _take_touch_force(self, touch: int, message: WrenchStamped) -> Refusal | None:
-        force = message.wrench.force
-        return self.loop.touches.accept_force(
-            touch, (force.x, force.y, force.z), self.arrival(message.header)
-        )
-
-    def _take_touch_position(self, touch: int, message: PointStamped) -> Refusal | None:
-        point = message.point
-        return self.loop.touches.accept_place(
-            touch, (point.x, point.y, point.z), self.arrival(message.header)
-        )
-
-    def _take_markers(self, message: PointCloud2) -> Refusal | None:
-        content = read_markers(message)
-        if isinstance(content, Refusal):
-            return self.loop.markers.refusals.add(content)
-        return self.loop.markers.accept(*content, self.arrival(message.header))
 
     def _yield_to_rivals(self) -> None:
         """Disables the loop while another twin has precedence on these topics."""

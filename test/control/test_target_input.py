@@ -63,7 +63,7 @@ def test_a_point_is_the_target_of_its_effector_alone(targets):
 def test_an_invalid_point_changes_nothing_and_is_counted(targets, position, refusal):
     targets.accept_point(0, (0.0, 0.0, 0.13), at(0.0))
     assert targets.accept_point(0, position, at(0.1)) is refusal
-    assert targets.point_refusals.by_word() == {refusal.value: 1}
+    assert targets.refusals.by_word() == {refusal.value: 1}
     assert targets.read(0.2, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.13]
 
 
@@ -131,7 +131,7 @@ def test_a_target_outside_a_reduced_workspace_moves_only_inwards_and_without_a_j
 def test_a_point_outside_the_workspace_is_limited_to_it_and_counted(targets):
     assert targets.accept_point(0, (1e6, -0.005, 0.125), at(0.0)) is None
     assert targets.read(0.0, STEP, REST).targets[0].tolist() == [0.01, -0.005, 0.125]
-    assert targets.clamped == 1 and targets.point_refusals.total == 0
+    assert targets.clamped == 1 and targets.refusals.total == 0
     targets.accept_point(0, (0.0, 0.0, 0.125), at(0.1))
     assert targets.clamped == 1
 
@@ -177,7 +177,7 @@ def test_reset_clears_targets_velocities_and_order_but_keeps_counts(targets):
     targets.reset()
     assert np.isnan(targets.read(0.5, STEP, REST).targets).all()
     assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.4)) is None
-    assert targets.point_refusals.total == 1
+    assert targets.refusals.total == 1
 
 
 HALF = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
@@ -225,7 +225,7 @@ def test_an_invalid_pose_changes_nothing_and_is_counted(
 ):
     posed.accept_pose(0, (0.0, 0.0, 0.125), (0.0, 0.0, 0.0, 1.0), at(0.0))
     assert posed.accept_pose(effector, position, quaternion, at(0.1)) is refusal
-    assert posed.point_refusals.by_word() == {refusal.value: 1}
+    assert posed.refusals.by_word() == {refusal.value: 1}
     reading = posed.read(0.2, STEP, REST)
     assert reading.targets[0].tolist() == [0.0, 0.0, 0.125]
     assert reading.orientations[0].tolist() == [0.0, 0.0, 0.0, 1.0]

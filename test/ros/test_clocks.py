@@ -35,11 +35,11 @@ def test_a_clock_that_was_set_is_reported_and_its_stamps_are_accepted_at_once(
     assert loop.level in (b"\x01", b"\x02")
     way = "ahead" if seconds > 0.0 else "back"
     assert f"clock set {way} by {abs(seconds):.0f}" in loop.message
-    before = twin.loop.targets.point_refusals.total
+    before = twin.loop.targets.refusals.total
     targets.publish(world.target_message(INSIDE, seconds_ago=-seconds))
     target = diagnostics("target", lambda status: float(status.values["error_mm"]) < 0.1)
     assert float(target.values["age_s"]) < 60.0
-    assert twin.loop.targets.point_refusals.total == before
+    assert twin.loop.targets.refusals.total == before
     # It is reported only once.
     diagnostics("loop", lambda status: "clock set" not in status.message)
     assert twin.clock_steps == 1
@@ -115,7 +115,7 @@ def test_simulated_time_that_jumps_back_continues_within_a_second(world, make_tw
     send(INSIDE)
     simulated_time.turn(1.0)
     assert twin.tick_clock.ticks - before > 10
-    assert twin.loop.targets.point_refusals.of(Refusal.OUT_OF_ORDER) == 0
+    assert twin.loop.targets.refusals.of(Refusal.OUT_OF_ORDER) == 0
     assert 0.0 <= twin.loop.targets.age(twin.monotonic()) < 1.5
     assert twin.clock_steps == 1
 

@@ -62,7 +62,7 @@ def test_a_bad_target_pose_is_refused_and_moves_nothing(
 ):
     targets = world.speaker(PoseStamped, "/twin/target_pose/tip")
     targets.publish(world.pose_target(position, quaternion, **header))
-    world.until(lambda: twin.loop.targets.point_refusals.of(refusal) == 1)
+    world.until(lambda: twin.loop.targets.refusals.of(refusal) == 1)
     reading = twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3)))
     assert np.isnan(reading.targets).all() and np.isnan(reading.orientations).all()
 

@@ -99,7 +99,7 @@ def test_a_bad_target_is_refused_and_moves_nothing(world, make_twin, position, h
     cables = world.hear(JointState, "/twin/cables")
     targets = world.speaker(PointStamped, "/twin/target/tip")
     targets.publish(world.target_message(position, **header))
-    world.until(lambda: twin.loop.targets.point_refusals.of(refusal) == 1)
+    world.until(lambda: twin.loop.targets.refusals.of(refusal) == 1)
     world.until(lambda: len(cables) > 5)
     assert lengths_of(cables) == pytest.approx(
         np.tile(twin.loop.simulation.rest_setpoints, (len(cables), 1)), abs=1e-6
@@ -112,7 +112,7 @@ def test_an_overtaken_target_is_refused(world, make_twin):
     targets.publish(world.target_message(INSIDE))
     world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 10.0)
     targets.publish(world.target_message((0.0, 0.0, 0.13), seconds_ago=0.3))
-    world.until(lambda: twin.loop.targets.point_refusals.of(Refusal.OUT_OF_ORDER) == 1)
+    world.until(lambda: twin.loop.targets.refusals.of(Refusal.OUT_OF_ORDER) == 1)
 
 
 def test_invalid_markers_are_refused_and_counted(world, make_twin):
