@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.control.twin_loop import TickOutcome
-from softrobot_twin.simulation import State, StepResult
+from softrobot_twin.simulation import State
 
 ACTUATORS, EFFECTORS, MARKERS, TOUCHES, NOTHING = "actuators", "effectors", "markers", "touches", ""
 """What the rows of a quantity belong to."""
@@ -28,11 +29,13 @@ class Quantity(NamedTuple):
             numbers without a unit.
         rows: What its rows belong to.
         columns: What the columns of a row mean.
+        path: Where it stands in a `TickOutcome`, or what reads it there; empty for its own name.
     """
 
     unit: str = ""
     rows: str = NOTHING
     columns: str = ""
+    path: str | Callable[[TickOutcome], object] = ""
 
     @property
     def is_number(self) -> bool:
@@ -40,54 +43,69 @@ class Quantity(NamedTuple):
         return bool(self.unit)
 
 
+def _guided_poses(tick: TickOutcome) -> dict[str, list[np.ndarray]]:
+    return {name: [*pose] for name, pose in tick.guided_poses.items()}
+
+
 QUANTITIES: dict[str, Quantity] = {
     "activity": Quantity(),
     "cause": Quantity(),
-    "status": Quantity(),
-    "source": Quantity(),
+    "status": Quantity(path="result.status"),
+    "source": Quantity(path="reading.source"),
     "is_approaching": Quantity(),
-    "active_limits": Quantity(),
+    "active_limits": Quantity(path="result.report.active_limits"),
     "violated": Quantity(),
     "left_out": Quantity(),
-    "qp_solver": Quantity(),
-    "command_setpoints": Quantity(SETPOINT, ACTUATORS),
-    "command_efforts": Quantity(EFFORT, ACTUATORS),
-    "setpoints": Quantity(SETPOINT, ACTUATORS),
-    "efforts": Quantity(EFFORT, ACTUATORS),
-    "displacements": Quantity(SETPOINT, ACTUATORS),
-    "effector_positions": Quantity("m", EFFECTORS, "xyz"),
-    "effector_orientations": Quantity(ONE, EFFECTORS, "xyzw"),
-    "effector_stiffness": Quantity("N/m", EFFECTORS, "xyz"),
-    "targets": Quantity("m", EFFECTORS, "xyz"),
-    "target_orientations": Quantity(ONE, EFFECTORS, "xyzw"),
+    "qp_solver": Quantity(path="result.report.qp_solver"),
+    "command_setpoints": Quantity(SETPOINT, ACTUATORS, path="command.setpoints"),
+    "command_efforts": Quantity(EFFORT, ACTUATORS, path="command.efforts"),
+    "setpoints": Quantity(SETPOINT, ACTUATORS, path="result.setpoints"),
+    "efforts": Quantity(EFFORT, ACTUATORS, path="result.efforts"),
+    "displacements": Quantity(SETPOINT, ACTUATORS, path="result.displacements"),
+    "effector_positions": Quantity("m", EFFECTORS, "xyz", path="result.effector_positions"),
+    "effector_orientations": Quantity(ONE, EFFECTORS, "xyzw", path="result.effector_orientations"),
+    "effector_stiffness": Quantity("N/m", EFFECTORS, "xyz", path="result.effector_stiffness"),
+    "targets": Quantity("m", EFFECTORS, "xyz", path="reading.targets"),
+    "target_orientations": Quantity(ONE, EFFECTORS, "xyzw", path="reading.orientations"),
     "aims": Quantity("m", EFFECTORS, "xyz"),
     "measured_effectors": Quantity("m", EFFECTORS, "xyz"),
     "tracking_errors": Quantity("m", EFFECTORS),
     "orientation_errors": Quantity("rad", EFFECTORS),
-    "stiffness_errors": Quantity(ONE, EFFECTORS),
+    "stiffness_errors": Quantity(ONE, EFFECTORS, path="result.stiffness_errors"),
     "predicted_markers": Quantity("m", MARKERS, "xyz"),
     "measured_markers": Quantity("m", MARKERS, "xyz"),
-    "misfit_rms": Quantity("m"),
-    "guided_poses": Quantity(),
-    "contact_positions": Quantity("m", NOTHING, "xyz"),
-    "contact_forces": Quantity("N", NOTHING, "xyz"),
-    "touch_forces": Quantity("N", TOUCHES, "xyz"),
-    "touch_displacements": Quantity("m", TOUCHES, "xyz"),
-    "residual": Quantity("N"),
-    "linearization_error": Quantity("m"),
-    "iterations": Quantity(ONE),
-    "factor_age": Quantity(ONE),
-    "is_late": Quantity(),
-    "inverted_count": Quantity(ONE),
-    "contact_count": Quantity(ONE),
-    "figures": Quantity(),
-    "step_count": Quantity(ONE),
-    "time": Quantity("s"),
-    COMPUTE_TIME: Quantity("s"),
-    STATE_DIGEST: Quantity(),
+    "misfit_rms": Quantity("m", path="misfit.rms"),
+    "guided_poses": Quantity(path=_guided_poses),
+    "contact_positions": Quantity("m", NOTHING, "xyz", path="result.contacts.positions"),
+    "contact_forces": Quantity("N", NOTHING, "xyz", path="result.contacts.forces"),
+    "touch_forces": Quantity("N", TOUCHES, "xyz", path="result.touches.forces"),
+    "touch_displacements": Quantity("m", TOUCHES, "xyz", path="result.touches.displacements"),
+    "residual": Quantity("N", path="result.report.residual"),
+    "linearization_error": Quantity("m", path="result.report.linearization_error"),
+    "iterations": Quantity(ONE, path="result.report.iterations"),
+    "factor_age": Quantity(ONE, path="result.report.factor_age"),
+    "is_late": Quantity(path="result.report.is_late"),
+    "inverted_count": Quantity(ONE, path="result.report.inverted_count"),
+    "contact_count": Quantity(ONE, path="result.report.contact_count"),
+    "figures": Quantity(path=lambda tick: dict(tick.result.report.figures) or None),
+    "step_count": Quantity(ONE, path="result.state.step_count"),
+    "time": Quantity("s", path="result.state.time"),
+    COMPUTE_TIME: Quantity("s", path="result.report.compute_time"),
+    STATE_DIGEST: Quantity(path=lambda tick: state_digest(tick.result.state)),
 }
 """All that two ticks are compared by. `state_digest` stands for all nodes of the model; the time of
 the computation follows from the recorded readings of the clock."""
+_RECORDED = (
+    "activity", "cause", "command_setpoints", "command_efforts", "violated", "targets",
+    "target_orientations", "source", "aims", "predicted_markers", "measured_markers", "misfit_rms",
+    "measured_effectors", "tracking_errors", "orientation_errors", "guided_poses", "left_out",
+    "is_approaching", "status", "setpoints", "efforts", "displacements", "effector_positions",
+    "effector_orientations", "effector_stiffness", "stiffness_errors", "contact_positions",
+    "contact_forces", "touch_forces", "touch_displacements", "residual", "linearization_error",
+    "iterations", "active_limits", "factor_age", "is_late", "inverted_count", "contact_count",
+    "qp_solver", "figures", "step_count", "time", COMPUTE_TIME, STATE_DIGEST,
+)  # fmt: skip
+"""Their order in a file."""
 
 
 # --- JSON ----------------------------------------------------------------------------------------
@@ -140,63 +158,18 @@ def tick_values(outcome: TickOutcome) -> dict[str, object]:
     Args:
         outcome: The tick.
     """
-    result, command, reading = outcome.result, outcome.command, outcome.reading
-    values = {
-        "activity": outcome.activity.value,
-        "cause": outcome.cause,
-        "command_setpoints": None if command is None else command.setpoints,
-        "command_efforts": None if command is None else command.efforts,
-        "violated": outcome.violated,
-        "targets": reading.targets,
-        "target_orientations": reading.orientations,
-        "source": reading.source,
-        "aims": outcome.aims,
-        "predicted_markers": outcome.predicted_markers,
-        "measured_markers": outcome.measured_markers,
-        "misfit_rms": outcome.misfit.rms,
-        "measured_effectors": outcome.measured_effectors,
-        "tracking_errors": outcome.tracking_errors,
-        "orientation_errors": outcome.orientation_errors,
-        "guided_poses": {
-            name: [pose.position, pose.quaternion] for name, pose in outcome.guided_poses.items()
-        },
-        "left_out": outcome.left_out,
-        "is_approaching": outcome.is_approaching,
-        **_result_values(result),
-    }
-    return {name: plain(value) for name, value in values.items() if value is not None}
+    found = ((name, _value(outcome, QUANTITIES[name].path or name)) for name in _RECORDED)
+    return {name: plain(value) for name, value in found if value is not None}
 
 
-def _result_values(result: StepResult) -> dict[str, object]:
-    report, contacts, touches = result.report, result.contacts, result.touches
-    return {
-        "status": result.status,
-        "setpoints": result.setpoints,
-        "efforts": result.efforts,
-        "displacements": result.displacements,
-        "effector_positions": result.effector_positions,
-        "effector_orientations": result.effector_orientations,
-        "effector_stiffness": result.effector_stiffness,
-        "stiffness_errors": result.stiffness_errors,
-        "contact_positions": None if contacts is None else contacts.positions,
-        "contact_forces": None if contacts is None else contacts.forces,
-        "touch_forces": None if touches is None else touches.forces,
-        "touch_displacements": None if touches is None else touches.displacements,
-        "residual": report.residual,
-        "linearization_error": report.linearization_error,
-        "iterations": report.iterations,
-        "active_limits": report.active_limits,
-        "factor_age": report.factor_age,
-        "is_late": report.is_late,
-        "inverted_count": report.inverted_count,
-        "contact_count": report.contact_count,
-        "qp_solver": report.qp_solver,
-        "figures": dict(report.figures) or None,
-        "step_count": result.state.step_count,
-        "time": result.state.time,
-        COMPUTE_TIME: report.compute_time,
-        STATE_DIGEST: state_digest(result.state),
-    }
+def _value(outcome: TickOutcome, path: str | Callable[[TickOutcome], object]) -> object:
+    """What stands at a path of names in an outcome; None where something on it is None."""
+    if callable(path):
+        return path(outcome)
+    value: object = outcome
+    for name in path.split("."):
+        value = None if value is None else getattr(value, name)
+    return value
 
 
 def state_digest(state: State) -> str:
