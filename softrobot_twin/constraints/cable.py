@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.matrix3 import (
@@ -122,6 +122,24 @@ def evaluate_kernel(
                 set_row(blocks, e, scaled(r, -coefficients[s, a] * scale))
 
 
+@njit(**INLINED)
+def turning_stiffness(r, tension, least, rounding):
+    """1 - d dᵀ of one segment, and λ/‖r‖ [N/m], λ/ρ where it is smoothed; zero where it is not taut.
+
+    Args:
+        r: The segment [m], three numbers.
+        tension: λ [N].
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ [m].
+    """
+    length, d, k = norm(r), (0.0, 0.0, 0.0), 0.0
+    if tension > 0.0 and length < rounding:
+        k = tension / rounding
+    elif tension > 0.0 and length > least:
+        d, k = divided(r, length), tension / length
+    return add_outer(IDENTITY, negated(d), d), k
+
+
 @njit(**KERNEL)
 def add_stiffness_kernel(
     x, nodes, coefficients, constants, least, rounding, cable, tensions, offsets, strides, storage
@@ -143,21 +161,15 @@ def add_stiffness_kernel(
     """
     width = nodes.shape[1]
     for s in range(len(nodes)):
-        tension = tensions[cable[s]]
-        if tension <= 0.0:
-            continue
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
-        length = norm(r)
-        if length < rounding[s]:
-            d = (0.0, 0.0, 0.0)
-            k = tension / rounding[s]
-        elif length > least:
-            d = divided(r, length)
-            k = tension / length
-        else:
+        across, k = turning_stiffness(r, tensions[cable[s]], least, rounding[s])
+        if k == 0.0:
             continue
-        across, pair = add_outer(IDENTITY, negated(d), d), 0
+        pair = 0
         for b in range(width):
+            if offsets[s, pair] < 0:
+                pair += width - b
+                continue
             for a in range(b, width):
                 block = scaled_matrix(across, k * coefficients[s, a] * coefficients[s, b])
                 add_block(block, offsets[s, pair], strides[s, pair], storage)
@@ -182,14 +194,9 @@ def write_matrices(
         matrices: Takes the matrices [N/m], shape (segment_count, 3, 3).
     """
     for s in range(len(nodes)):
-        tension = tensions[cable[s]]
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
-        length, d, k = norm(r), (0.0, 0.0, 0.0), 0.0
-        if tension > 0.0 and length < rounding[s]:
-            k = tension / rounding[s]
-        elif tension > 0.0 and length > least:
-            d, k = divided(r, length), tension / length
-        set_rows(matrices[s], scaled_matrix(add_outer(IDENTITY, negated(d), d), k))
+        stiffness = turning_stiffness(r, tensions[cable[s]], least, rounding[s])
+        set_rows(matrices[s], scaled_matrix(*stiffness))
 
 
 @njit(**KERNEL)

@@ -96,7 +96,11 @@ def add_block(matrix, offset, stride, storage):
         stride: Distance between two of its columns.
         storage: The factorization's storage [N/m]; added to.
     """
-    if offset >= 0:
+    if offset >= 0 and stride == 3:
+        # Contiguous, and so added in vectors.
+        for entry in range(9):
+            storage[offset + entry] += matrix[entry % 3][entry // 3]
+    elif offset >= 0:
         for j in range(3):
             for i in range(3):
                 storage[offset + j * stride + i] += matrix[i][j]
