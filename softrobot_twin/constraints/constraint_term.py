@@ -29,6 +29,8 @@ class ConstraintTerm(Protocol):
         is_traceable: Whether `evaluate` and `add_stiffness` do nothing with numbers but by kernels;
             see `traced_stage.py`.
         conserves: Whether equilibria at held values of its rows are minima of an energy.
+        yields: Whether its rows yield by themselves: then the term is a `YieldingTerm`.
+        takes_efforts: Whether its rows depend on its efforts: then the term is an `EffortTerm`.
         memory_name: Under which name a state holds what it remembers, see `step_part`; else empty.
         row_count: Number of its rows k.
         entry_rows: Row of each entry of H, from 0, shape (entry_count,).
@@ -42,6 +44,8 @@ class ConstraintTerm(Protocol):
     varies: ClassVar[bool] = False
     is_traceable: ClassVar[bool] = False
     conserves: ClassVar[bool] = True
+    yields: ClassVar[bool] = False
+    takes_efforts: ClassVar[bool] = False
     memory_name: ClassVar[str] = ""
     row_count: int
     entry_rows: np.ndarray

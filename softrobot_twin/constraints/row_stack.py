@@ -96,14 +96,9 @@ class RowStack:
         self.row_count, self.values, self._multipliers = 0, np.zeros(0), np.zeros(0)
         self._written = self._rows, self._nodes, self._blocks = (np.empty(0),) * 3
         self._make_room()
-        self._told_parts = [
-            (term, rows) for term, _, rows in self._constant_parts
-            if getattr(term, "takes_efforts", False)
-        ]  # fmt: skip
-        self._yielding = [
-            (term, rows) for term, _, rows in self._constant_parts
-            if getattr(term, "yields", False)
-        ]  # fmt: skip
+        constant = [(term, rows) for term, _, rows in self._constant_parts]
+        self._told_parts = [(term, rows) for term, rows in constant if term.takes_efforts]
+        self._yielding = [(term, rows) for term, rows in constant if term.yields]
         self.told = self.is_told = None
         if self._told_parts:
             self.told = np.zeros(self.groups.actuators.stop)

@@ -13,7 +13,7 @@ NODES = 5
 class Points:
     """Rows that are coordinates of chosen nodes; a term as any other package could define it."""
 
-    name = "points"
+    name, yields, takes_efforts = "points", False, False
 
     def __init__(self, group, nodes, varies=False, share=1.0):
         self.group, self.varies, self.share = group, varies, share

@@ -319,6 +319,6 @@ def why_no_stiffness(model: Model) -> str:
         return "slides"
     if not model.actuators.conserves:
         return "friction along cables"
-    if rows.told is not None or any(getattr(term, "yields", False) for term in rows.terms):
+    if rows.told is not None or any(term.yields for term in rows.terms):
         return "actuators that yield, such as cables that stretch"
     return ""

@@ -132,11 +132,12 @@ class AugmentedRows:
         stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
         contact_stiffness: ρ of each contact, shape (contact_count,); empty where none is augmented.
         comes_first: Whether a scene begins with the augmented tangent.
+        margin: Share of the augmented tangent that A alone must have to serve again.
         serves_near: Whether it serves an inverse where the tangent alone is hardly definite.
         has_kernels: Whether kernels are compiled for it alone.
     """
 
-    comes_first, has_kernels, serves_near = False, True, True
+    comes_first, has_kernels, serves_near, margin = False, True, True, SAFELY_DEFINITE
 
     def __init__(
         self, factorization: Factorization, may_be_held: np.ndarray, own: np.ndarray | None = None,
@@ -266,7 +267,7 @@ class AugmentedRows:
             first_contact: First row of the contacts.
         """
         rows, root = self._augmented_rows(first_contact)
-        return not is_below(W, rows, root, 1.0 - SAFELY_DEFINITE)
+        return not is_below(W, rows, root, 1.0 - self.margin)
 
     def _augmented_rows(self, first_contact: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows of actuators and contacts that may be augmented, and √ρ of each."""
@@ -450,7 +451,7 @@ class AugmentedTangent(AugmentedRows):
         """
         super().__init__(factorization, np.ones(cables.row_count, bool), contacts=contacts)
         self._cables, self._share = cables, np.ones(cables.row_count)
-        self._stretches = getattr(cables, "yields", False)
+        self._stretches = cables.yields
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
         """See `AugmentedRows`."""
@@ -539,7 +540,7 @@ class AugmentedTangent(AugmentedRows):
         share[own] = self._share
         compliance[own, own] -= self._share[:, None] * self._cables.compliance
         compliance /= np.outer(share, share)
-        return not is_below(compliance, np.arange(len(rows)), root, 1.0 - SAFELY_DEFINITE)
+        return not is_below(compliance, np.arange(len(rows)), root, 1.0 - self.margin)
 
 
 class AugmentedLU(AugmentedRows):
@@ -653,7 +654,7 @@ class AugmentedHinges(AugmentedRows):
     The stiffness of the bodies along motors is known from the beams.
     """
 
-    comes_first, serves_near = True, False
+    comes_first, serves_near, margin = True, False, LEAST_DEFINITE
 
     def __init__(
         self, motors: HingeAngles, rows: slice, row_count: int, factorization: Factorization
@@ -674,12 +675,6 @@ class AugmentedHinges(AugmentedRows):
     def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
         """Add Hᵀ ρ H."""
         self._motors.add_row_stiffness(self.stiffness[self._motor_rows], storage)
-
-    def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
-        """Whether A is indefinite, or nearly singular."""
-        root = np.sqrt(self.stiffness)
-        left = np.eye(len(root)) - W[self.rows, self.rows] * np.outer(root, root)
-        return bool(np.linalg.eigvalsh(left)[0] < LEAST_DEFINITE)
 
 
 def _is_soft(W: np.ndarray, stiffness: np.ndarray) -> bool:
