@@ -13,7 +13,7 @@ import numpy as np
 
 from softrobot_twin.control.actuator_names import ActuatorNames, NameOrder
 from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.control.inputs import ActuatorInput
+from softrobot_twin.control.inputs import ActuatorInput, replaced
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.voices import LAG_RATE, LAG_SHARE, LAG_TIME, PlaceWatch
 from softrobot_twin.simulation.building.limits import ActuatorLimits
@@ -233,14 +233,11 @@ class MeasuredSetpoints(ActuatorInput):
         name = self._actuator_names[actuator]
         self._implausible.pop(name, None)
         if self._by_effort[actuator]:
-            measured = np.full(len(self._low), np.nan)
-            measured[actuator] = pressure
+            measured = replaced(None, actuator, pressure, len(self._low))
             if self._find_implausible(measured, name):
                 return Refusal.OUT_OF_RANGE
             self._take(~np.isnan(measured), measured, time)
-        efforts = np.full(len(self._low), np.nan) if self.efforts is None else self.efforts.copy()
-        efforts[actuator] = pressure
-        self.efforts = efforts
+        self.efforts = replaced(self.efforts, actuator, pressure, len(self._low))
         return None
 
     def put_lengths(self, actuators: np.ndarray, lengths: np.ndarray, time: float) -> Refusal | None:
@@ -248,8 +245,7 @@ class MeasuredSetpoints(ActuatorInput):
         """
         name = self._actuator_names[actuators[0]]
         self._implausible.pop(name, None)
-        measured = np.full(len(self._low), np.nan)
-        measured[actuators] = lengths
+        measured = replaced(None, actuators, lengths, len(self._low))
         if self._find_implausible(measured, name):
             return Refusal.OUT_OF_RANGE
         self._take(~np.isnan(measured), measured, time)
@@ -262,9 +258,7 @@ class MeasuredSetpoints(ActuatorInput):
             actuators: Indices of the cables.
             tensions: Their tensions [N], same shape.
         """
-        efforts = np.full(len(self._low), np.nan) if self.efforts is None else self.efforts.copy()
-        efforts[actuators] = tensions
-        self.efforts = efforts
+        self.efforts = replaced(self.efforts, actuators, tensions, len(self._low))
 
     def age(self, now: float) -> float:
         """Time since each actuator was measured [s]: the greatest; infinite before the first."""

@@ -444,9 +444,9 @@ class ActuatorInput(Input):
         """
         self._pressures[actuator] = pressure
         if self.efforts is not None:
-            self.efforts = _replaced(self.efforts, actuator, pressure)
+            self.efforts = replaced(self.efforts, actuator, pressure)
         if self.setpoints is not None or self.efforts is None:
-            self.setpoints = _replaced(self.setpoints, actuator, pressure, len(self._pressures))
+            self.setpoints = replaced(self.setpoints, actuator, pressure, len(self._pressures))
         self._newest = time
         return None
 
@@ -520,10 +520,10 @@ class ActuatorInput(Input):
         return self._known[1]
 
 
-def _replaced(
-    values: np.ndarray | None, place: int, value: float, count: int = 0
+def replaced(
+    values: np.ndarray | None, place: int | np.ndarray, value: float | np.ndarray, count: int = 0
 ) -> np.ndarray:
-    """A copy with one value replaced; of NaN, shape (count,), where there are none yet."""
+    """A copy with values replaced at a place, or at several; of NaN, shape (count,), where there are none yet."""
     values = np.full(count, np.nan) if values is None else values.copy()
     values[place] = value
     return values

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrobot_twin.control.actuator_names import ActuatorNames
+from softrobot_twin.control.arrival import Input
 from softrobot_twin.control.cavity_pressures import (
     STANDARD_ATMOSPHERE,
     CavityPressures,
@@ -327,13 +328,9 @@ class TwinLoop:
         """Uses changed settings from the next tick on."""
         self.check(settings)
         self.settings = settings
-        for part in (
-            self.targets, self.markers, self.device, self.direct, self.selected, self.poses,
-            self.pressures, self.measured_pressures, self.angles, self.measured_angles,
-            self.touches,
-            self.stiffness,
-        ):  # fmt: skip
-            part.apply(settings)
+        for part in vars(self).values():
+            if isinstance(part, Input):
+                part.apply(settings)
 
     @property
     def is_enabled(self) -> bool:

@@ -39,7 +39,7 @@ from softrobot_twin.ros.parameters import DEVICE, Entry, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import DEVICE_TOPICS as TOPICS
-from softrobot_twin.ros.topics import open_publisher
+from softrobot_twin.ros.topics import open_publisher, open_publishers
 from softrobot_twin.simulation import Simulation
 
 
@@ -132,16 +132,12 @@ class DeviceNode(TickingNode):
             self.device.actuator_names.index(name): open_publisher(self, pressures, name, twin)
             for name in measured
         }
-        self._effectors = [
-            open_publisher(self, TOPICS["~/effectors/<effector>"], name)
-            for name in self.device.effector_names
-        ]
+        effectors, topic = self.device.effector_names, TOPICS["~/effectors/<effector>"]
+        self._effectors = open_publishers(self, topic, effectors)
         self._open_touches(twin)
         carried = self._carried
-        self._bodies = [
-            open_publisher(self, TOPICS["~/bodies/<rigid body>"], name)
-            for name in (() if carried is None else carried.rigid_names)
-        ]
+        bodies = () if carried is None else carried.rigid_names
+        self._bodies = open_publishers(self, TOPICS["~/bodies/<rigid body>"], bodies)
         topic, names = TOPICS["<twin>/cables"], self.device.actuator_names
         commands = [self.listen(topic, self.take, self.refusals, "", twin, names)]
         topic = TOPICS["<twin>/poses/<guided body>"]

@@ -61,23 +61,24 @@ def arrival_of(header: Header, ros_time: int, time: float) -> Arrival:
     return Arrival(header.frame_id, stamp, ros_time, time)
 
 
+def coordinates(kind: type, numbers: np.ndarray):
+    """A message of a kind that has the fields x, y, z, or x, y, z, w."""
+    return kind(**dict(zip("xyzw", map(float, numbers))))
+
+
 def point_message(position: np.ndarray, header: Header) -> PointStamped:
     """A position [m], shape (3,), as a message."""
-    x, y, z = map(float, position)
-    return PointStamped(header=header, point=Point(x=x, y=y, z=z))
+    return PointStamped(header=header, point=coordinates(Point, position))
 
 
 def vector_message(vector: np.ndarray, header: Header) -> Vector3Stamped:
     """A vector, shape (3,), as a message."""
-    x, y, z = map(float, vector)
-    return Vector3Stamped(header=header, vector=Vector3(x=x, y=y, z=z))
+    return Vector3Stamped(header=header, vector=coordinates(Vector3, vector))
 
 
 def pose_message(position: np.ndarray, quaternion: np.ndarray, header: Header) -> PoseStamped:
     """A position [m], shape (3,), and a quaternion (x, y, z, w) as a message."""
-    x, y, z = map(float, position)
-    qx, qy, qz, qw = map(float, quaternion)
-    pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    pose = Pose(position=coordinates(Point, position), orientation=coordinates(Quaternion, quaternion))
     return PoseStamped(header=header, pose=pose)
 
 
@@ -89,17 +90,17 @@ def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...
 
 def read_point(message: PointStamped) -> tuple[tuple[float, float, float]]:
     """Position of a message [m], as it is."""
-    return (_coordinates(message.point),)
+    return (_xyz_of(message.point),)
 
 
 def read_vector(message: Vector3Stamped) -> tuple[tuple[float, float, float]]:
     """Vector of a message, as it is."""
-    return (_coordinates(message.vector),)
+    return (_xyz_of(message.vector),)
 
 
 def read_force(message: WrenchStamped) -> tuple[tuple[float, float, float]]:
     """Force of a message [N], as it is."""
-    return (_coordinates(message.wrench.force),)
+    return (_xyz_of(message.wrench.force),)
 
 
 def read_pressure(message: FluidPressure) -> tuple[float]:
@@ -117,7 +118,7 @@ def read_measured(message: JointState) -> tuple | Refusal:
     return read_joints(message) if message.position else Refusal.WRONG_SIZE
 
 
-def _coordinates(point: Point | Vector3) -> tuple[float, float, float]:
+def _xyz_of(point: Point | Vector3) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
 
@@ -177,8 +178,7 @@ def touch_message(touches: TouchState, index: int, header: Header) -> JointState
 
 def wrench_message(force: np.ndarray, header: Header) -> WrenchStamped:
     """A force [N], shape (3,), as a message without torque."""
-    x, y, z = map(float, force)
-    return WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=x, y=y, z=z)))
+    return WrenchStamped(header=header, wrench=Wrench(force=coordinates(Vector3, force)))
 
 
 def pressure_message(pressure: float, header: Header, variance: float = 0.0) -> FluidPressure:

@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
+from softrobot_twin.ros.messages import coordinates
 from softrobot_twin.ros.topics import TWIN_TOPICS
 from softrobot_twin.simulation import Simulation
 
@@ -66,10 +67,10 @@ def make_transforms(
     ):
         if not np.isfinite(position).all():
             continue
-        x, y, z = position
-        qx, qy, qz, qw = turn if np.isfinite(turn).all() else _UNTURNED
-        transform = Transform(translation=Vector3(x=x, y=y, z=z),
-                              rotation=Quaternion(x=qx, y=qy, z=qz, w=qw))  # fmt: skip
+        turn = turn if np.isfinite(turn).all() else _UNTURNED
+        transform = Transform(
+            translation=coordinates(Vector3, position), rotation=coordinates(Quaternion, turn)
+        )
         transforms.append(
             TransformStamped(header=header, child_frame_id=frame, transform=transform)
         )

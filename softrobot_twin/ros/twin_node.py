@@ -62,7 +62,7 @@ from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode, publishing_nodes
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
-from softrobot_twin.ros.topics import Topic, open_publisher
+from softrobot_twin.ros.topics import Topic, open_publisher, open_publishers
 from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
@@ -148,14 +148,10 @@ class SolidOutputs:
 
     def __init__(self, node: Node, simulation: Simulation, audience: Audience):
         self._simulation, self._audience = simulation, audience
-        self._bodies = [
-            open_publisher(node, TOPICS["~/bodies/<rigid body>"], name)
-            for name in simulation.rigid_names
-        ]
-        self._sent = {
-            name: open_publisher(node, TOPICS["~/poses/<guided body>"], name)
-            for name in simulation.guided_names
-        }
+        bodies, guided = simulation.rigid_names, simulation.guided_names
+        self._bodies = open_publishers(node, TOPICS["~/bodies/<rigid body>"], bodies)
+        sent = open_publishers(node, TOPICS["~/poses/<guided body>"], guided)
+        self._sent = dict(zip(guided, sent, strict=True))
         self.commands = tuple(self._sent.values())
         self._contacts = None
         if simulation.scene.contact is not None:
@@ -230,8 +226,8 @@ class ComplianceOutputs:
         self._loop, self._audience = loop, audience
         self._compliance: EffectorCompliance | None = None
         self._compliances, self._jacobians = (
-            [open_publisher(node, TOPICS[f"~/{topic}/<effector>"], name)
-             for name in loop.simulation.effector_names]
+            open_publishers(
+                node, TOPICS[f"~/{topic}/<effector>"], loop.simulation.effector_names)
             for topic in ("compliance", "jacobian")
         )  # fmt: skip
 
@@ -385,27 +381,20 @@ class TwinNode(TickingNode):
         if self.loop.pulleys.count:
             self._angles = open_publisher(self, TOPICS["~/angles"])
             self._angle_bytes = JointStateBytes(self.loop.pulleys.names, self.loop_frame)
-        self._effectors = [
-            open_publisher(self, TOPICS["~/effectors/<effector>"], name)
-            for name in simulation.effector_names
-        ]
-        self._effector_poses = {
-            index: open_publisher(self, TOPICS["~/effector_poses/<effector>"], name)
-            for index, name in enumerate(simulation.effector_names)
-            if simulation.oriented_effectors[index]
-        }
-        self._stiffness = {
-            index: open_publisher(self, TOPICS["~/stiffness/<effector>"], name)
-            for index, name in enumerate(simulation.effector_names)
-            if simulation.stiff_effectors[index]
-        }
+        effectors = simulation.effector_names
+        self._effectors = open_publishers(self, TOPICS["~/effectors/<effector>"], effectors)
+        self._effector_poses, self._stiffness = (
+            {index: open_publisher(self, TOPICS[topic], effectors[index])
+             for index in np.flatnonzero(asked).tolist()}
+            for topic, asked in (
+                ("~/effector_poses/<effector>", simulation.oriented_effectors),
+                ("~/stiffness/<effector>", simulation.stiff_effectors),
+            )
+        )  # fmt: skip
         self._markers = None
         if len(simulation.marker_ids):
             self._markers = open_publisher(self, TOPICS["~/predicted_markers"])
-        self._touches = [
-            open_publisher(self, TOPICS["~/touch/<touch>"], name)
-            for name in simulation.touch_names
-        ]
+        self._touches = open_publishers(self, TOPICS["~/touch/<touch>"], simulation.touch_names)
         self._solids = SolidOutputs(self, simulation, self._audience)
         self._compliances = ComplianceOutputs(self, self.loop, self._audience)
         self._cable_paths = CablePathOutput(self, simulation, self._audience)
@@ -745,16 +734,8 @@ class TwinNode(TickingNode):
         """Closes the view, the recording and the process that estimates the mesh's error, then
         destroys the node.
         """
-        if self.claim is not None:
-            self.claim.close()
-        if self.last_command is not None:
-            self.last_command.close()
-        if self._mesh_error is not None:
-            self._mesh_error.close()
-        if self._reduction is not None:
-            self._reduction.close()
-        if self.feed is not None:
-            self.feed.close()
-        if self.recording is not None:
-            self.recording.close()
+        for part in (self.claim, self.last_command, self._mesh_error, self._reduction, self.feed,
+                     self.recording):  # fmt: skip
+            if part is not None:
+                part.close()
         super().destroy_node()
