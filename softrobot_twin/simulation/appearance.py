@@ -9,43 +9,41 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.shapes import Plane
 from softrobot_twin.geometry.surface_reading import read_surface
-from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
-from softrobot_twin.simulation.building.beam_surface import BeamSkin
+from softrobot_twin.simulation.building.beam_surface import swept_surface
 from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.building.deformable_body import Body, surface_on_mesh
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import Placed
 from softrobot_twin.simulation.building.scene_layout import build_shape, triangulated
 from softrobot_twin.simulation.state import State
 
+# A beam is drawn with at least this many pieces, each element with no more than the second number.
+DRAWN_PIECES, MOST_PIECES = 32, 16
 # A plane is shown as a square that extends this many scene sizes to each side.
 PATCH = 1.5
 
 
-class OwnSkin:
-    """The surface of the mesh itself.
+class Skin(NamedTuple):
+    """A surface by which a body, a beam or a cavity is drawn.
 
     Attributes:
-        name: The body's name.
-        triangles: Indices into `positions`, shape (triangle_count, 3).
+        name: Whose surface it is.
+        triangles: Indices into `positions`, shape (triangle_count, 3); those of a cavity outward as
+            seen from the gas.
+        points: Places its points, as a `BarycentricMapping` does.
+        limits: Least and greatest gauge pressure of a cavity [Pa]; infinite without a limit.
     """
 
-    def __init__(self, body: Body):
-        """Find the nodes of the surface.
-
-        Args:
-            body: The body.
-        """
-        self.name = body.name
-        nodes, places = np.unique(body.mesh.surface_triangles, return_inverse=True)
-        self.triangles = places.reshape(-1, 3)
-        self._nodes, self._mapping = nodes + body.first_node, None
-        if body.vertebrae is not None or body.reduction is not None:
-            self._mapping = body.shown_nodes(nodes)
+    name: str
+    triangles: np.ndarray
+    points: BarycentricMapping | Placed
+    limits: tuple[float, float] = (-np.inf, np.inf)
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Where its points are.
@@ -56,63 +54,20 @@ class OwnSkin:
         Returns:
             Positions [m], shape (point_count, 3).
         """
-        if self._mapping is not None:
-            return self._mapping.positions(node_positions)
-        return node_positions[self._nodes]
+        return self.points.positions(node_positions)
 
 
-class CarriedSkin:
-    """A finer surface that the mesh carries along; see `OwnSkin` and `carry_surface`."""
-
-    def __init__(self, body: Body, entry, key: str, scene: Scene):
-        """Read the surface and find the tetrahedra that carry it.
-
-        Args:
-            body: The body.
-            entry: Entry with the surface's file.
-            key: Key of this entry.
-            scene: The scene.
-
-        Raises:
-            MeshError: The file cannot be used.
-            SceneError: The surface does not fit the body.
-        """
-        mesh = body.entry.mesh
-        points, self.triangles = read_surface(
-            scene.file_path(entry.file), scale=entry.scale,
-            rotation=mesh.rotation, translation=mesh.translation,
-        )  # fmt: skip
-        self.name = body.name
-        self._mapping = body.shown(surface_on_mesh(body, points, entry, key, scene))
-
-    def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Where its points are; see `OwnSkin.positions`."""
-        return self._mapping.positions(node_positions)
+def own_skin(body: Body) -> Skin:
+    """The surface of the mesh of a body."""
+    nodes, places = np.unique(body.mesh.surface_triangles, return_inverse=True)
+    return Skin(body.name, places.reshape(-1, 3), body.shown_nodes(nodes))
 
 
-class CavitySkin:
-    """The walls of a cavity; see `OwnSkin`.
-
-    Attributes:
-        name: The cavity's name.
-        triangles: Indices into `positions`, outward as seen from the gas,
-            shape (triangle_count, 3).
-        limits: Least and greatest gauge pressure [Pa]; infinite without a limit.
-    """
-
-    def __init__(self, surface: CavitySurface, limits: tuple[float, float]):
-        """Keep the surface.
-
-        Args:
-            surface: The walls.
-            limits: Least and greatest gauge pressure [Pa].
-        """
-        self.name, self.triangles, self.limits = surface.name, surface.triangles, limits
-        self._vertices = surface.vertices
-
-    def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Where its points are; see `OwnSkin.positions`."""
-        return self._vertices.positions(node_positions)
+def beam_skin(beam: BeamBody) -> Skin:
+    """The section of a beam, swept along it."""
+    pieces = min(-(-DRAWN_PIECES // len(beam.lengths)), MOST_PIECES)
+    points, triangles = swept_surface(beam, pieces)
+    return Skin(beam.name, triangles, points)
 
 
 class CavityDisplay:
@@ -133,13 +88,15 @@ class CavityDisplay:
         self._gas = next((term for term in model.forces if term.name == SealedGas.name), None)
         groups = [group for group in actuators.groups
                   if group.kind.section == CavityActuator.section]  # fmt: skip
-        skins = [CavitySkin(surface, tuple(limits)) for group in groups
+        skins = [Skin(surface.name, surface.triangles, surface.vertices, tuple(limits))
+                 for group in groups
                  for surface, limits in zip(group.term.surfaces, group.effort_bounds, strict=True)]  # fmt: skip
         self._walls = [group.term.walls for group in groups]
         if self._gas is not None:
             self._walls.append(self._gas.walls)
-            skins += [CavitySkin(surface, (-np.inf, np.inf)) for surface in self._gas.walls.surfaces]
-        self.skins: tuple[CavitySkin, ...] = tuple(skins)
+            skins += [Skin(surface.name, surface.triangles, surface.vertices)
+                      for surface in self._gas.walls.surfaces]  # fmt: skip
+        self.skins = tuple(skins)
 
     def pressures(self, state: State) -> np.ndarray:
         """Gauge pressures [Pa], shape (cavity_count,)."""
@@ -167,16 +124,22 @@ def skins(bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...] = 
         MeshError: A surface file cannot be used.
         SceneError: A surface does not fit its body.
     """
-    return (*(_skin(body, scene) for body in bodies), *map(BeamSkin, beams))
+    return (*(_skin(body, scene) for body in bodies), *map(beam_skin, beams))
 
 
-def _skin(body: Body, scene: Scene):
+def _skin(body: Body, scene: Scene) -> Skin:
     """The `visual` surface; without it the contact surface; without both the mesh's own."""
+    mesh = body.entry.mesh
     for name in ("visual", "contact_surface"):
         entry = getattr(body.entry, name)
         if entry is not None:
-            return CarriedSkin(body, entry, f"{body.key}.{name}", scene)
-    return OwnSkin(body)
+            points, triangles = read_surface(
+                scene.file_path(entry.file), scale=entry.scale,
+                rotation=mesh.rotation, translation=mesh.translation,
+            )  # fmt: skip
+            on_mesh = surface_on_mesh(body, points, entry, f"{body.key}.{name}", scene)
+            return Skin(body.name, triangles, body.shown(on_mesh))
+    return own_skin(body)
 
 
 def fixed_places(body: Body, node_positions: np.ndarray) -> np.ndarray:

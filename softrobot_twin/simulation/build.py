@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
@@ -11,7 +9,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.building.actuators import Actuators, build_actuators
+from softrobot_twin.simulation.building.actuators import build_actuators
 from softrobot_twin.simulation.building.constraint_building import effector_term, marker_mapping
 from softrobot_twin.simulation.building.contact_building import contact_term
 from softrobot_twin.simulation.building.force_building import force_terms
@@ -96,22 +94,12 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     )  # fmt: skip
 
 
-class _Terms(NamedTuple):
-    """The terms of a scene; see `Model`. `markers` are mapping, ids and those of effectors."""
-
-    forces: tuple
-    actuators: Actuators
-    effectors: object | None
-    markers: tuple
-    contacts: object | None
-
-
-def _terms(layout: Layout, notes: list[str]) -> _Terms:
-    """Build all terms of a scene."""
+def _terms(layout: Layout, notes: list[str]) -> tuple:
+    """All terms of a scene: forces, actuators, effectors, markers (see `marker_mapping`), contacts."""
     scene, carried = layout.scene, layout.nodes.carried
     forces = tuple(on_unknowns(term, carried) for term in force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
-    return _Terms(
+    return (
         forces + actuators.held_forces, actuators,
         effector_term(layout, notes) if scene.effectors else None,
         marker_mapping(layout, notes),

@@ -8,15 +8,15 @@ from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
-    OwnSkin,
     SolidSkin,
+    beam_skin,
     obstacle_skins,
+    own_skin,
     rigid_poses,
     rigid_skins,
     skins,
 )
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.building.beam_surface import BeamSkin
 from softrobot_twin.simulation.building.limits import ActuatorLimits
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.pulleys import Pulleys
@@ -55,7 +55,7 @@ class Readouts:
     _reduction_errors: ReductionErrors | None = None
 
     def _find_surface(self) -> None:
-        self._surfaces = [*map(OwnSkin, self.model.bodies), *map(BeamSkin, self.model.beams)]
+        self._surfaces = [*map(own_skin, self.model.bodies), *map(beam_skin, self.model.beams)]
         triangles, count = [np.empty((0, 3), np.int64)], 0
         for surface in self._surfaces:
             triangles.append(surface.triangles + count)

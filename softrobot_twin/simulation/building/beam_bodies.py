@@ -17,10 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
 from softrobot_twin.mechanics.beam_masses import BeamMasses, element_masses, hermite
 from softrobot_twin.mechanics.beam_sections import BeamSection, rectangle, tube
@@ -457,12 +456,8 @@ class BeamNet:
         count = int(self._firsts[-1])
         self._joined_to: list[str | None] = [None] * count
         self._pivots: dict[int, Pivot] = {}
-        pairs = list(self._joints())
-        graph = coo_array(
-            (np.ones(len(pairs)), tuple(np.array(pairs, np.int64).reshape(-1, 2).T)),
-            shape=(count, count),
-        )
-        _, self._group = connected_components(graph, directed=False)
+        pairs = np.array(list(self._joints()), np.int64).reshape(-1, 2)
+        self._group = connected_pieces(*pairs.T, count)
         self._number_frames()
         self._check_elements()
 

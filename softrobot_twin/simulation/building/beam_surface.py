@@ -5,8 +5,6 @@ Beams are shown by it, and touch with it what has no simpler shape.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -15,46 +13,11 @@ from softrobot_twin.simulation.building.beam_bodies import BeamBody
 # At a corner of the axis the outline is moved to the plane between both sides, along the axis by
 # no more than this many radii.
 MOST_MITRE = 3.0
-# A beam is drawn with at least this many pieces, each element with no more than the second number.
-DRAWN_PIECES, MOST_PIECES = 32, 16
 
 
-class SweptSurface(NamedTuple):
-    """A closed surface that a beam carries.
-
-    Attributes:
-        mapping: Its points, onto the frames of the beam's nodes.
-        triangles: Indices of them, outward, shape (triangle_count, 3).
-    """
-
-    mapping: BarycentricMapping
-    triangles: np.ndarray
-
-
-class BeamSkin:
-    """The surface by which a beam is drawn; see `appearance.OwnSkin`.
-
-    Attributes:
-        name: The beam's name.
-        triangles: Indices into `positions`, shape (triangle_count, 3).
-    """
-
-    def __init__(self, beam: BeamBody):
-        """Sweep its section.
-
-        Args:
-            beam: The beam.
-        """
-        self.name = beam.name
-        pieces = min(-(-DRAWN_PIECES // len(beam.lengths)), MOST_PIECES)
-        self._mapping, self.triangles = swept_surface(beam, pieces)
-
-    def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Where its points are; see `OwnSkin.positions`."""
-        return self._mapping.positions(node_positions)
-
-
-def swept_surface(beam: BeamBody, pieces: int = 1) -> SweptSurface:
+def swept_surface(
+    beam: BeamBody, pieces: int = 1
+) -> tuple[BarycentricMapping, np.ndarray]:
     """Sweep the outline of a beam's section along it.
 
     Args:
@@ -62,7 +25,9 @@ def swept_surface(beam: BeamBody, pieces: int = 1) -> SweptSurface:
         pieces: Pieces that each element is divided into.
 
     Returns:
-        The surface: an outline at each end of a piece, and a point in the middle of both ends.
+        Points of a closed surface on the frames of the beam's nodes, an outline at each end of a
+        piece and a point in the middle of both ends; and triangles, indices of points, outward,
+        shape (triangle_count, 3).
     """
     elements = np.repeat(np.arange(len(beam.lengths)), pieces)
     shares = np.tile(np.arange(pieces) / pieces, len(beam.lengths))
@@ -73,7 +38,7 @@ def swept_surface(beam: BeamBody, pieces: int = 1) -> SweptSurface:
     points = np.concatenate([rings.reshape(-1, 3), centres[[0, -1]]])
     station = np.concatenate([np.repeat(np.arange(count), size), [0, count - 1]])
     mapping = beam.carried_by(elements[station], shares[station], points)
-    return SweptSurface(mapping, _tube(count, size))
+    return mapping, _tube(count, size)
 
 
 def _outlines(beam: BeamBody, elements: np.ndarray, shares: np.ndarray) -> np.ndarray:

@@ -5,21 +5,13 @@ from __future__ import annotations
 import hashlib
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.simulation.building.body_materials import MaterialPart
-from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.deformable_body import Body, in_mesh
 
 # Digits of coordinates in fingerprints, as a share of the body's size: what files can tell apart.
 DIGITS = 1.0e-7
-
-
-def mesh_coordinates(body: Body, points: np.ndarray) -> np.ndarray:
-    """Points in the world, in the coordinates of the body's mesh before its placement [m]."""
-    placed = body.entry.mesh
-    turn = Rotation.from_euler("xyz", placed.rotation)
-    return turn.inv().apply(points - np.asarray(placed.translation))
 
 
 def digest(*values) -> str:
@@ -37,7 +29,7 @@ def rounded_places(body: Body, points: np.ndarray) -> np.ndarray:
 
 
 def _size(body: Body) -> float:
-    positions = mesh_coordinates(body, body.mesh.node_positions)
+    positions = in_mesh(body.entry, body.mesh.node_positions)
     return float(np.linalg.norm(np.ptp(positions, axis=0)))
 
 
@@ -48,7 +40,7 @@ def fingerprints_of(body: Body) -> dict[str, str]:
          np.arange(body.mesh.cell_count) if part.cells is None else part.cells)
         for part in body.materials
     ]  # fmt: skip
-    places = rounded_places(body, mesh_coordinates(body, body.mesh.node_positions))
+    places = rounded_places(body, in_mesh(body.entry, body.mesh.node_positions))
     bearing = body.entry.element + (" in patches" if body.entry.has_patches else "")
     return {
         "mesh": digest(f"{_size(body):.6e}", places, body.mesh.cells, bearing),

@@ -8,14 +8,13 @@ from functools import cached_property, reduce
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.cad_meshing import kept_mesh
 from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.mesh_parts import NO_PARTS, MeshParts
 from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_solid_mesh
@@ -156,7 +155,7 @@ class Body:
         Args:
             nodes: The nodes, shape (count,).
         """
-        return self.carried_by(_single_nodes(nodes))
+        return self.carried_by(single_nodes(nodes))
 
     def shown_nodes(self, nodes: np.ndarray):
         """The same for pictures and files: points of a reduced body are placed when asked for.
@@ -167,14 +166,14 @@ class Body:
         Returns:
             Something with the `positions` of a `BarycentricMapping`.
         """
-        return self.shown(_single_nodes(nodes))
+        return self.shown(single_nodes(nodes))
 
     def shown(self, on_mesh: BarycentricMapping):
         """Points on the nodes of its mesh, numbered from 0; see `shown_nodes`."""
         return self.carried_by(on_mesh) if self.reduction is None else self.reduction.placed(on_mesh)
 
 
-def _single_nodes(nodes: np.ndarray) -> BarycentricMapping:
+def single_nodes(nodes: np.ndarray) -> BarycentricMapping:
     """Nodes of a mesh as points, numbered from 0."""
     nodes = np.asarray(nodes, np.int64)
     return BarycentricMapping(nodes[:, None], np.ones((len(nodes), 1)))
@@ -417,12 +416,10 @@ def holds_still(points: np.ndarray) -> bool:
 
 def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
     """Whether every connected part has three fixed nodes that are not on one line."""
-    first, others = mesh.cells[:, :1], mesh.cells[:, 1:]
-    graph = coo_array(
-        (np.ones(others.size), (np.broadcast_to(first, others.shape).ravel(), others.ravel())),
-        shape=(mesh.node_count, mesh.node_count),
-    )
-    part_count, part = connected_components(graph, directed=False)
+    others = mesh.cells[:, 1:]
+    first = np.broadcast_to(mesh.cells[:, :1], others.shape)
+    part = connected_pieces(first.ravel(), others.ravel(), mesh.node_count)
+    part_count = part.max() + 1
     for index in range(part_count):
         held = mesh.node_positions[fixed & (part == index)]
         if holds_still(held):

@@ -8,11 +8,10 @@ from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.beam_masses import BeamDamping, BeamInertia, BeamMasses, BeamWeight
@@ -48,7 +47,7 @@ from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.building.beam_bodies import all_elements
 from softrobot_twin.simulation.building.body_materials import MaterialPart
 from softrobot_twin.simulation.building.cavity_walls import cavity_surface
-from softrobot_twin.simulation.building.deformable_body import Body, part_named
+from softrobot_twin.simulation.building.deformable_body import Body, part_named, single_nodes
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 # The end of a spring on a mass-spring body must be this near to one of its points, as a share of
@@ -364,20 +363,14 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     free = [part for part in (*layout.rigid, *layout.vertebrae) if part.is_free]
     inertia = None
     if free:
-        inertia = RigidInertia(
-            layout.frames,
-            np.array([part.mass for part in free]),
-            np.array([part.inertia for part in free]),
+        masses, inertias, rates = (
+            np.array([getattr(part, field) for part in free])
+            for field in ("mass", "inertia", "damping")
         )
+        inertia = RigidInertia(layout.frames, masses, inertias)
         yield inertia
-        rates = np.array([part.damping for part in free])
         if rates.any():
-            yield RigidDamping(
-                layout.frames,
-                np.array([part.mass for part in free]),
-                np.array([part.inertia for part in free]),
-                rates,
-            )
+            yield RigidDamping(layout.frames, masses, inertias, rates)
     if layout.beams:
         yield _on_frames(BeamInertia(_beam_elements(layout)[1], layout.frames, inertia), layout)
 
@@ -400,9 +393,7 @@ def check_masses_held(layout: Layout) -> None:
         nodes = layout.mass_nodes[entry.name]
         pairs += [(int(nodes[a]), int(nodes[b])) for a, b in entry.springs]
         pairs += [(int(nodes[k]), world) for k in entry.fixed]
-    rows, columns = np.array(pairs, np.int64).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(world + 1, world + 1))
-    _, piece = connected_components(graph, directed=False)
+    piece = connected_pieces(*np.array(pairs, np.int64).reshape(-1, 2).T, world + 1)
     for index, entry in enumerate(layout.scene.mass_springs):
         loose = np.flatnonzero(piece[layout.mass_nodes[entry.name]] != piece[world])
         if len(loose):
@@ -423,15 +414,21 @@ def _point_mass(layout: Layout, end) -> int | None:
 
 
 class _Part(NamedTuple):
-    """Some springs of one kind; see `Springs` for the fields."""
+    """Some springs of one kind; see `Springs` for the fields. One number is that of all."""
 
     first: BarycentricMapping
     second: BarycentricMapping
-    stiffness: np.ndarray
-    rest_lengths: np.ndarray
-    damping: np.ndarray
-    offsets: np.ndarray
-    is_thread: np.ndarray
+    stiffness: float | np.ndarray
+    rest_lengths: float | np.ndarray
+    damping: float = 0.0
+    offsets: tuple[float, ...] = (0.0, 0.0, 0.0)
+    is_thread: bool = False
+
+    def of_each(self, field: str) -> np.ndarray:
+        """A field of each spring, shape (spring_count, ...)."""
+        value = np.asarray(getattr(self, field))
+        shape = (3,) if field == "offsets" else ()
+        return np.broadcast_to(value, (self.first.point_count, *shape))
 
 
 def spring_term(layout: Layout, notes: list[str]) -> Springs:
@@ -455,13 +452,15 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     for index, fibre in enumerate(scene.fibres):
         parts += _fibre_parts(layout, fibre, f"fibres[{index}]", notes)
     parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
-    firsts, seconds, *columns, offsets, threads = zip(*parts, strict=True)
+    first, second = (
+        reduce(BarycentricMapping.followed_by, (part[end] for part in parts)) for end in (0, 1)
+    )
+    stiffness, lengths, damping, offsets, threads = (
+        np.concatenate([part.of_each(field) for part in parts]) for field in _Part._fields[2:]
+    )
     return Springs(
-        reduce(BarycentricMapping.followed_by, firsts),
-        reduce(BarycentricMapping.followed_by, seconds),
-        *(np.concatenate(column) for column in columns), nodes.free_index,
-        np.concatenate(offsets), np.concatenate(threads),
-    )  # fmt: skip
+        first, second, stiffness, lengths, damping, nodes.free_index, offsets, threads
+    )
 
 
 def _along(
@@ -470,11 +469,7 @@ def _along(
 ) -> _Part:  # fmt: skip
     """Springs of one axial stiffness EA [N], between two ends each of a length at rest."""
     first, second, lengths = course
-    count = len(lengths)
-    return _Part(
-        first, second, axial_stiffness / lengths, lengths, np.zeros(count), np.zeros((count, 3)),
-        np.full(count, is_thread),
-    )  # fmt: skip
+    return _Part(first, second, axial_stiffness / lengths, lengths, is_thread=is_thread)
 
 
 def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> list[_Part]:
@@ -483,10 +478,7 @@ def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> li
     if fibre.edges is not None:
         body = layout.body_named(fibre.on)
         ends = part_named(body, "edge_set", fibre.edges, f"{key}.edges", layout.scene)
-        first, second = (
-            BarycentricMapping(ends[:, [k]] + body.first_node, np.ones((len(ends), 1)))
-            for k in (0, 1)
-        )
+        first, second = map(single_nodes, ends.T + body.first_node)
         lengths = np.linalg.norm(first.positions(rest) - second.positions(rest), axis=1)
         return [_along((first, second, lengths), fibre.stiffness, fibre.tension_only)]
     paths, place = [fibre.points], f"{key}.points"
@@ -527,13 +519,9 @@ def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
     length = rest if spring.rest_length is None else spring.rest_length
     if ends[1].on == "world":
         second = BarycentricMapping(np.zeros((1, 1), np.int64), np.zeros((1, 1)))
-        offset = np.array([ends[1].point], float)
-    else:
-        second, offset = _end(layout, ends[1], f"{key}.ends", notes), np.zeros((1, 3))
-    return _Part(
-        first, second, np.array([spring.stiffness]), np.array([length]),
-        np.array([spring.damping]), offset, np.zeros(1, bool),
-    )  # fmt: skip
+        return _Part(first, second, spring.stiffness, length, spring.damping, ends[1].point)
+    second = _end(layout, ends[1], f"{key}.ends", notes)
+    return _Part(first, second, spring.stiffness, length, spring.damping)
 
 
 def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
@@ -549,16 +537,12 @@ def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
             layout.scene.path, key, list(end.point), "m",
             f"is not a point of {end.on}; the nearest is {distances.min():.3g} m away",
         )  # fmt: skip
-    return BarycentricMapping(own[[[distances.argmin()]]], np.ones((1, 1)))
+    return single_nodes(own[[distances.argmin()]])
 
 
 def _in_mass_spring_body(layout: Layout, entry) -> _Part:
     rest = layout.nodes.rest_positions
     pairs = layout.mass_nodes[entry.name][np.array(entry.springs, np.int64)]
-    first, second = (BarycentricMapping(pairs[:, [k]], np.ones((len(pairs), 1))) for k in (0, 1))
+    first, second = map(single_nodes, pairs.T)
     lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)
-    count = len(pairs)
-    return _Part(
-        first, second, np.full(count, entry.stiffness), lengths,
-        np.full(count, entry.damping), np.zeros((count, 3)), np.zeros(count, bool),
-    )  # fmt: skip
+    return _Part(first, second, entry.stiffness, lengths, entry.damping)

@@ -1,4 +1,4 @@
-"""A part of a body that moves as a frame: a vertebra, or a node of a beam."""
+"""What moves as a frame: a rigid body, a vertebra, or a node of a beam."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 
 @dataclass(frozen=True)
 class FramePart:
-    """What moves with one frame, as a rigid body; compare `RigidPart`.
+    """What moves with one frame, as a rigid body.
 
     Attributes:
         name: Its name, after that of its body, such as ``fetch.top``.
         is_free: False where it is fixed.
         origin: Origin of its frame at rest, the centre of its mass [m], shape (3,).
         rotation: From its frame to the world at rest, shape (3, 3).
-        mass: Mass [kg].
+        mass: Mass, including that of the attached nodes [kg].
         inertia: About the origin, in its frame [kg m²], shape (3, 3).
         radius: Distance of its furthest point from the origin [m].
-        damping: α, drag by mass and inertia [1/s].
-        attached: Nodes of soft bodies attached to it: none, shape (0,).
-        local: Their positions in its frame, shape (0, 3).
+        damping: α: drag by mass and inertia [1/s].
+        attached: Nodes of soft bodies attached to it among all nodes, shape (attached_count,).
+        local: Their positions in its frame [m], shape (attached_count, 3).
     """
 
     name: str

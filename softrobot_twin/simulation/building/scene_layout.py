@@ -90,53 +90,23 @@ def _surface(entry: SurfaceShape, scene: Scene, notes: list[str], shift: np.ndar
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class RigidPart:
-    """A rigid body of a scene.
+@dataclass(frozen=True, kw_only=True)
+class RigidPart(FramePart):
+    """A rigid body of a scene: free, or guided and then without mass and attached nodes.
 
     Attributes:
         entry: Its entry in the scene.
         index: Its index among all rigid bodies.
         first_node: Its first frame node.
-        origin: Origin of its frame at rest [m], the centre of mass of a free body, shape (3,).
-        rotation: From its frame to the world at rest, shape (3, 3).
         centre_of_mass: The frame's origin in the coordinates of the scene entry [m], shape (3,).
         shape: Its shape, in its frame.
-        mass: Mass, including that of the attached nodes [kg]; 0 for a guided body.
-        inertia: About the centre of mass, in its frame [kg m²], shape (3, 3).
-        radius: Distance of its furthest point from the frame's origin [m].
-        attached: Nodes of soft bodies attached to it among all nodes, shape (attached_count,);
-            empty for a guided body.
-        local: Their positions in its frame [m], shape (attached_count, 3).
     """
 
     entry: RigidBody
     index: int
     first_node: int
-    origin: np.ndarray
-    rotation: np.ndarray
     centre_of_mass: np.ndarray
     shape: object
-    mass: float
-    inertia: np.ndarray
-    radius: float
-    attached: np.ndarray
-    local: np.ndarray
-
-    @property
-    def name(self) -> str:
-        """The body's name."""
-        return self.entry.name
-
-    @property
-    def damping(self) -> float:
-        """α: drag by mass and inertia [1/s]."""
-        return self.entry.damping
-
-    @property
-    def is_free(self) -> bool:
-        """True for a free body, False for a guided one."""
-        return self.entry.motion == "free"
 
     def carried(self, points) -> BarycentricMapping:
         """Map points that move with it.
@@ -225,8 +195,9 @@ def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> Rig
     radius = float(np.linalg.norm(np.vstack([corners, local]), axis=1).max())
     origin = np.asarray(entry.position, float) + rotation @ centre
     return RigidPart(
-        entry, index, first_node, origin, rotation, centre, shape, mass, inertia, radius,
-        attached, local,
+        entry.name, entry.motion == "free", origin, rotation, mass, inertia, radius,
+        entry.damping, attached, local, entry=entry, index=index, first_node=first_node,
+        centre_of_mass=centre, shape=shape,
     )  # fmt: skip
 
 

@@ -28,11 +28,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
@@ -42,10 +41,9 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.body_fingerprints import (
     digest,
     fingerprints_of,
-    mesh_coordinates,
     rounded_places,
 )
-from softrobot_twin.simulation.building.deformable_body import Body, part_named
+from softrobot_twin.simulation.building.deformable_body import Body, in_mesh, part_named
 from softrobot_twin.simulation.building.frame_part import FramePart
 from softrobot_twin.simulation.building.model_file import (
     LEAST,
@@ -198,7 +196,7 @@ def divide(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Division:
         raise SceneError(
             scene.path, key, ", ".join(v.name for v in entry.rigid), "", "are all fixed"
         )
-    positions = mesh_coordinates(body, body.mesh.node_positions)
+    positions = in_mesh(body.entry, body.mesh.node_positions)
     cavities = tuple(dict.fromkeys(wall.cavity for wall in walls))
     parts = _soft_parts(body, owner, positions, walls, cavities, key, scene)
     _check_joined(parts, is_fixed, entry, key, scene)
@@ -213,7 +211,7 @@ def _nodes_of(vertebra, key: str, body: Body, scene: Scene) -> np.ndarray:
         return np.unique(body.mesh.cells[cells])
     points = body.mesh.node_positions
     if vertebra.frame == "mesh":
-        points = mesh_coordinates(body, points)
+        points = in_mesh(body.entry, points)
     low, high = np.array(vertebra.box.minimum), np.array(vertebra.box.maximum)
     nodes = nodes_in_box(points, low, high)
     if len(nodes) < 3:
@@ -233,10 +231,7 @@ def _soft_parts(
     is_inner = owner[cells] < 0
     first = np.where(is_inner, cells, -1).max(axis=1)
     rows, columns = np.nonzero(is_inner)
-    graph = coo_array(
-        (np.ones(len(rows)), (first[rows], cells[rows, columns])), shape=(len(owner), len(owner))
-    )
-    _, piece_of_node = connected_components(graph, directed=False)
+    piece_of_node = connected_pieces(first[rows], cells[rows, columns], len(owner))
     piece = np.where(first >= 0, piece_of_node[first], -1)
     _check_rigid_cells(owner[cells[piece < 0]], key, scene)
     wall_pieces = [_piece_of(wall, owner, piece_of_node, key, scene) for wall in walls]
@@ -288,11 +283,9 @@ def _piece_of(wall: Wall, owner, piece_of_node, key: str, scene: Scene) -> int:
 
 def _check_joined(parts, is_fixed, entry, key: str, scene: Scene) -> None:
     """Refuse vertebrae that no chain of soft parts joins to a fixed one, in statics."""
-    count = len(is_fixed)
     ends = np.array([part.ends for part in parts], np.int64).reshape(-1, 2)
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, group = connected_components(graph, directed=False)
-    for index in range(count):
+    group = connected_pieces(*ends.T, len(is_fixed))
+    for index in range(len(is_fixed)):
         if scene.integration == "quasi_static" and not is_fixed[group == group[index]].any():
             raise SceneError(
                 scene.path, f"{key}.rigid[{index}]", entry.rigid[index].name, "",
@@ -316,7 +309,7 @@ def fingerprints(division: Division) -> dict[str, str]:
     """Digests of what superelements are made from: mesh, material, vertebrae, cavity walls."""
     body = division.body
     walls = [
-        (wall.cavity, rounded_places(body, mesh_coordinates(body, wall.vertices.positions(
+        (wall.cavity, rounded_places(body, in_mesh(body.entry, wall.vertices.positions(
             body.mesh.node_positions))), wall.triangles) for wall in division.walls
     ]  # fmt: skip
     return {
@@ -503,7 +496,7 @@ def reduced_body(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Body:
         ) from None
     parts = _vertebra_parts(division)
     ends = np.array([
-        [fit.end_points[k] - mesh_coordinates(body, parts[fit.ends[k]].origin) for k in range(2)]
+        [fit.end_points[k] - in_mesh(body.entry, parts[fit.ends[k]].origin) for k in range(2)]
         for fit in reduction.fits
     ]).reshape(-1, 2, 3)  # fmt: skip
     return replace(

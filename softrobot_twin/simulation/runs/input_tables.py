@@ -29,7 +29,6 @@ from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
 from softrobot_twin.simulation.building.pulleys import ANGLE, Pulleys
 from softrobot_twin.simulation.building.table_columns import (
-    AXES,
     DRIVEN_BY,
     EFFORTS,
     HOLD,

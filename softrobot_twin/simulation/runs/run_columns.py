@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.mechanics.rotation import quaternion_from_rotation
+from softrobot_twin.simulation import appearance
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.pulleys import ANGLE, TORQUE
@@ -146,11 +146,7 @@ def rigid_poses(simulation: Simulation, positions: np.ndarray | None = None) -> 
         positions: Node positions [m], shape (node_count, 3); None for the present ones.
     """
     positions = simulation.state.positions if positions is None else positions
-    poses = np.empty((len(simulation.model.rigid), 7))
-    for pose, part in zip(poses, simulation.model.rigid, strict=True):
-        origin, rotation = part.entry_pose(positions)
-        pose[:3], pose[3:] = origin, quaternion_from_rotation(rotation)
-    return poses
+    return np.hstack(appearance.rigid_poses(simulation.model, positions))
 
 
 def pair_names(simulation: Simulation) -> tuple[tuple[str, str], ...]:
