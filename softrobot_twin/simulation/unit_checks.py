@@ -52,9 +52,8 @@ def unlikely_commands(
         efforts: The same of efforts.
     """
     drives = np.abs(actuators.drives(setpoints))
-    scales = np.where(actuators.is_effort_driven, actuators.effort_scale,
-                      actuators.displacement_scale)  # fmt: skip
-    asked = [(drives, scales, actuators.driven_quantities(np.zeros(actuators.count, bool)))]
+    quantities = actuators.driven_quantities(np.zeros(actuators.count, bool))
+    asked = [(drives, actuators.limits.drive_scale, quantities)]
     if efforts is not None:
         asked.append((np.abs(efforts), actuators.effort_scale,
                       actuators.driven_quantities(np.ones(actuators.count, bool))))  # fmt: skip

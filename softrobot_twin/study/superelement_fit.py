@@ -27,7 +27,8 @@ from softrobot_twin.mechanics.superelements import (
     SuperelementFit,
 )
 from softrobot_twin.simulation.building.force_building import strained_terms
-from softrobot_twin.simulation.building.vertebrae import Division, SoftPart, joined_walls
+from softrobot_twin.simulation.building.cavity_walls import joined_walls
+from softrobot_twin.simulation.building.vertebrae import Division, SoftPart
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.factorization import Factorization
 
@@ -136,7 +137,7 @@ class SoftPartModel:
             return terms, None
         surfaces = [
             joined_walls([
-                division.walls[w] for w in part.walls if division.walls[w].cavity == name
+                division.walls[w] for w in part.walls if division.walls[w].name == name
             ], name)
             for name in (division.cavities[c] for c in part.cavities)
         ]

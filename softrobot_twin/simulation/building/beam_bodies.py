@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +76,18 @@ class Pivot(NamedTuple):
     key: str
     joint: BeamJoint
     other: int
+
+
+class Carrier(NamedTuple):
+    """What a node of a beam moves with.
+
+    Attributes:
+        kind: ``body``, ``frame`` or ``hinge``.
+        which: Name of a rigid body, or `WORLD`; index of a frame of beams, or of a pivot.
+    """
+
+    kind: str
+    which: str | int
 
 
 @dataclass(frozen=True)
@@ -433,9 +446,7 @@ class BeamNet:
 
     Attributes:
         beams: The beams.
-        owner: For each node of all beams the name of the rigid body it is joined to, or None.
-        frame: Its frame, by the order of the frames of beams; -1 where a rigid body's or a hinge's.
-        hinge: Its hinge, by the order of `pivots`; -1 without one.
+        carriers: What each node of all beams moves with.
         pivots: Nodes on hinges and ball joints; nodes that are joined rigidly share one.
         is_fixed: Whether each frame is fixed, shape (frame_count,).
         representatives: Beam and node whose place and axes each frame has.
@@ -533,8 +544,7 @@ class BeamNet:
         for beam in self.beams:
             for end in beam.entry.fixed:
                 fixed[self._number(beam, beam.node_at(end))] = True
-        self.owner: list[str | None] = [None] * len(nodes)
-        self.frame, self.hinge = np.full((2, len(nodes)), -1, np.int64)
+        self.carriers = [Carrier("frame", -1)] * len(nodes)
         fixed_frames, self.representatives, pivots = [], [], []
         _, first, members = np.unique(self._group, return_index=True, return_inverse=True)
         order = np.argsort(first)
@@ -549,55 +559,47 @@ class BeamNet:
             if hinged:
                 if bodies or fixed[own].any() or len(hinged) > 1:
                     raise self._two_carriers(hinged[0], hinged[-1].key)
-                self.hinge[own] = len(pivots)
+                carrier = Carrier("hinge", len(pivots))
                 pivots.append(hinged[0])
-                continue
-            if bodies and fixed[own].any():
-                raise SceneError(
-                    scene.path, f"{beam.key}.fixed", bodies[0], "",
-                    f"an end of {beam.name} that is joined to {bodies[0]} cannot be fixed too",
-                )  # fmt: skip
-            if bodies:
-                for n in own:
-                    self.owner[n] = bodies[0]
-                continue
-            self.frame[own] = len(fixed_frames)
-            fixed_frames.append(bool(fixed[own].any()))
-            self.representatives.append((beam, node))
+            elif bodies:
+                if fixed[own].any():
+                    raise SceneError(
+                        scene.path, f"{beam.key}.fixed", bodies[0], "",
+                        f"an end of {beam.name} that is joined to {bodies[0]} cannot be fixed too",
+                    )  # fmt: skip
+                carrier = Carrier("body", bodies[0])
+            else:
+                carrier = Carrier("frame", len(fixed_frames))
+                fixed_frames.append(bool(fixed[own].any()))
+                self.representatives.append((beam, node))
+            for n in own:
+                self.carriers[n] = carrier
         self.is_fixed = np.array(fixed_frames, bool)
         self.pivots = tuple(pivots)
         self._parents = [self._parent(pivot) for pivot in pivots]
 
-    def _parent(self, pivot: Pivot) -> str | int:
-        """What carries a hinge: a rigid body, `WORLD`, or a frame of a beam by its index."""
+    def _parent(self, pivot: Pivot) -> Carrier:
+        """What carries a hinge: a rigid body, the world, or a frame of a beam."""
         if pivot.other < 0:
-            return pivot.joint.to
-        if self.hinge[pivot.other] >= 0:
-            carrier = self.pivots[self.hinge[pivot.other]]
+            return Carrier("body", pivot.joint.to)
+        carrier = self.carriers[pivot.other]
+        if carrier.kind == "hinge":
+            there = self.pivots[carrier.which]
             raise SceneError(
                 self._scene.path, f"{pivot.key}.to", pivot.joint.to, "",
-                f"is on a {_noun(carrier)} itself there ({carrier.key}): join both beams to what "
-                f"carries it, {carrier.joint.to}",
+                f"is on a {_noun(there)} itself there ({there.key}): join both beams to what "
+                f"carries it, {there.joint.to}",
             )  # fmt: skip
-        return self.owner[pivot.other] or int(self.frame[pivot.other])
+        return carrier
 
-    def _bearer(self, n: int) -> str | int | None:
-        """What bears the mass of a node: a rigid body, `WORLD`, or a frame of a beam."""
-        if self.hinge[n] >= 0:
-            return self._parents[self.hinge[n]]
-        return self.owner[n] or int(self.frame[n])
+    def _carriers_of(self, beam: BeamBody) -> list[Carrier]:
+        """What each node of a beam moves with."""
+        return self.carriers[self._firsts[beam.index] : self._firsts[beam.index + 1]]
 
     def _check_elements(self) -> None:
         """Refuse elements both of whose ends move with one frame."""
         for beam in self.beams:
-            own = slice(int(self._firsts[beam.index]), int(self._firsts[beam.index + 1]))
-            carriers = [
-                ("hinge", int(hinge)) if hinge >= 0 else name or int(frame)
-                for name, frame, hinge in zip(
-                    self.owner[own], self.frame[own], self.hinge[own], strict=True
-                )
-            ]
-            for a, b in zip(carriers, carriers[1:], strict=False):
+            for a, b in pairwise(self._carriers_of(beam)):
                 if a == b:
                     raise SceneError(
                         self._scene.path, f"{beam.key}.elements", beam.entry.elements, "",
@@ -609,10 +611,10 @@ class BeamNet:
         """The frames of nodes, by their order; their mass is that of the elements."""
         radius = np.zeros(len(self.is_fixed))
         for beam in self.beams:
-            own = slice(int(self._firsts[beam.index]), int(self._firsts[beam.index + 1]))
-            has_own = self.frame[own] >= 0
-            reach = beam.node_lengths[has_own] + beam.section.radius
-            np.maximum.at(radius, self.frame[own][has_own], reach)
+            reaches = beam.node_lengths + beam.section.radius
+            for (kind, which), reach in zip(self._carriers_of(beam), reaches, strict=True):
+                if kind == "frame":
+                    radius[which] = max(radius[which], reach)
         return tuple(
             FramePart(
                 f"{beam.name}.{node}", not self.is_fixed[f], beam.places[node], beam.axes[node],
@@ -629,34 +631,29 @@ class BeamNet:
             first_frame_node: First frame node of the frames of beams.
         """
         bodies = {part.name: part for part in rigid}
-        return tuple(replace(beam, carriers=self._carriers(beam, bodies, first_frame_node))
+        return tuple(replace(beam, carriers=self._placed(beam, bodies, first_frame_node))
                      for beam in self.beams)  # fmt: skip
 
-    def _carriers(self, beam: BeamBody, bodies: dict, first_frame_node: int) -> Carriers:
-        count, first = beam.node_count, int(self._firsts[beam.index])
-        nodes = np.empty(count, np.int64)
-        places, axes = np.empty((count, 3)), np.empty((count, 3, 3))
-        first_hinged = first_frame_node + 4 * len(self.is_fixed)
-        for k in range(count):
-            name, frame = self.owner[first + k], self.frame[first + k]
-            hinge = self.hinge[first + k]
-            if hinge >= 0:
-                base, node, *_ = self.pivots[hinge]
-                nodes[k], places[k] = first_hinged + 4 * hinge, 0.0
-                axes[k] = base.axes[node].T @ beam.axes[k]
-                continue
-            if name is not None:
-                part = bodies[name]
-                nodes[k] = part.first_node
-                places[k] = part.rotation.T @ (beam.places[k] - part.origin)
-                axes[k] = part.rotation.T @ beam.axes[k]
-                continue
-            base, node = self.representatives[frame]
-            nodes[k] = first_frame_node + 4 * frame
-            is_own = base is beam and node == k
-            places[k] = 0.0
-            axes[k] = np.eye(3) if is_own else base.axes[node].T @ beam.axes[k]
-        return Carriers(nodes, places, axes, self.hinge[first : first + count])
+    def _placed(self, beam: BeamBody, bodies: dict, first_frame_node: int) -> Carriers:
+        """Where the nodes of a beam are on what carries them; see `placed`."""
+        own = self._carriers_of(beam)
+        nodes, places = np.empty(len(own), np.int64), np.zeros((len(own), 3))
+        axes = np.empty((len(own), 3, 3))
+        for k, (kind, which) in enumerate(own):
+            if kind == "body":
+                part = bodies[which]
+                nodes[k], rotation = part.first_node, part.rotation
+                places[k] = rotation.T @ (beam.places[k] - part.origin)
+            else:
+                is_hinge = kind == "hinge"
+                base, node = self.pivots[which][:2] if is_hinge else self.representatives[which]
+                nodes[k] = first_frame_node + 4 * (which + is_hinge * len(self.is_fixed))
+                rotation = base.axes[node]
+            axes[k] = rotation.T @ beam.axes[k]
+            if kind == "frame" and base is beam and node == k:
+                axes[k] = np.eye(3)
+        hinges = np.array([which if kind == "hinge" else -1 for kind, which in own], np.int64)
+        return Carriers(nodes, places, axes, hinges)
 
     def hinges(self, framed: tuple, first_beam_frame: int, first_frame_node: int) -> Hinges:
         """The joints of hinged frames with their parents.
@@ -674,8 +671,9 @@ class BeamNet:
         rotations, radii = np.empty((count, 3, 3)), np.empty(count)
         for h, (pivot, parent) in enumerate(zip(self.pivots, self._parents, strict=True)):
             origin, rotation = np.zeros(3), np.eye(3)
-            if parent != WORLD:
-                k = places[parent] if isinstance(parent, str) else first_beam_frame + parent
+            if parent.which != WORLD:
+                is_body = parent.kind == "body"
+                k = places[parent.which] if is_body else first_beam_frame + parent.which
                 origin, rotation = framed[k].origin, framed[k].rotation
                 parents[h] = first_frame_node + 4 * k
                 free_parents[h] = free[k] if framed[k].is_free else -1
@@ -734,17 +732,11 @@ class BeamNet:
             near.add(WORLD)
         return near
 
-    def _held_by(self, beam: BeamBody) -> set[tuple[str, str | int]]:
+    def _held_by(self, beam: BeamBody) -> set[Carrier]:
         """Bodies, frames and hinges that the nodes of a beam move with, and parents of the hinges.
         """
-        found: set[tuple[str, str | int]] = set()
-        first = int(self._firsts[beam.index])
-        for n in range(first, first + beam.node_count):
-            carrier = self._bearer(n)
-            found.add(("body" if isinstance(carrier, str) else "frame", carrier))
-            if self.hinge[n] >= 0:
-                found.add(("hinge", int(self.hinge[n])))
-        return found
+        own = self._carriers_of(beam)
+        return {*own, *(self._parents[which] for kind, which in own if kind == "hinge")}
 
 
 def _noun(pivot: Pivot) -> str:

@@ -19,12 +19,12 @@ from softrobot_twin.simulation.building.cavity_walls import (
     cavity_surface,
     cavity_wall,
     check_walls_of_reduced,
+    joined_walls,
 )
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.reduced_body import Placed
 from softrobot_twin.simulation.building.scene_layout import Layout, whole_layout
 from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale, unlikely
-from softrobot_twin.simulation.building.vertebrae import joined_walls
 
 # Limits outside these shares of a cavity's natural scales are reported: a wrong unit is a factor of
 # a thousand or more.
@@ -149,7 +149,7 @@ def _reduced_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCa
         places = [order.index(name) for name in body.vertebrae.division.cavities]
         volumes[places] += body.vertebrae.reduction.rest_volumes
         areas[places] += body.vertebrae.reduction.rest_areas
-        names += [wall.cavity for wall in body.vertebrae.division.walls]
+        names += [wall.name for wall in body.vertebrae.division.walls]
     if not names:
         return None
     for index, cavity in enumerate(entries):
@@ -173,7 +173,7 @@ def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
     own = [
         wall._replace(vertices=body.vertebrae.carried_by(wall.vertices))
         for body in layout.bodies if body.vertebrae is not None
-        for wall in body.vertebrae.division.walls if wall.cavity == name
+        for wall in body.vertebrae.division.walls if wall.name == name
     ]  # fmt: skip
     return joined_walls(own, name)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import reduce
+
 import numpy as np
 
 from softrobot_twin.errors import MeshError, SceneError
@@ -39,12 +42,18 @@ def cavity_surface(
         SceneError: A wall is open, intersects itself, does not lie on its body, or is no part of
             its mesh.
     """
-    vertices, triangles, count = None, [], 0
-    for index, wall in enumerate(walls):
-        own, corners = cavity_wall(layout, wall, f"{key}.walls[{index}]", notes)
-        vertices = own if vertices is None else vertices.followed_by(own)
-        triangles.append(corners + count)
-        count += own.point_count
+    found = [
+        CavitySurface(name, *cavity_wall(layout, wall, f"{key}.walls[{index}]", notes))
+        for index, wall in enumerate(walls)
+    ]
+    return joined_walls(found, name)
+
+
+def joined_walls(walls: Sequence[CavitySurface], name: str) -> CavitySurface:
+    """Several walls as the surface of one cavity."""
+    vertices = reduce(BarycentricMapping.followed_by, (wall.vertices for wall in walls))
+    starts = np.cumsum([0, *(wall.vertices.point_count for wall in walls[:-1])])
+    triangles = [wall.triangles + start for wall, start in zip(walls, starts, strict=True)]
     return CavitySurface(name, vertices, np.concatenate(triangles))
 
 

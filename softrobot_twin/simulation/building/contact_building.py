@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -39,31 +41,26 @@ from softrobot_twin.simulation.building.beam_surface import swept_surface
 from softrobot_twin.simulation.building.deformable_body import Body, carry_surface
 from softrobot_twin.simulation.building.scene_layout import Layout, build_shape, triangulated
 
-
 # Pieces of an element in the surface with which a beam that is not round touches.
 CONTACT_PIECES = 2
 
 
-class Solid:
-    """A rigid side of contact pairs: its shape, and the mapping of its points."""
+class Side:
+    """A side of contact pairs.
 
-    def __init__(self, name: str, shape, carry):
-        """Take the shape.
+    Attributes:
+        name: Name of the body, beam or obstacle.
+        shape: Shape of a rigid body or obstacle, in its frame; None of others.
+        surface: Its points and triangles, and what carries them.
+    """
 
-        Args:
-            name: The body's or obstacle's name.
-            shape: Its shape, in its frame.
-            carry: Makes the surface from points and triangles.
-        """
-        self.name, self.shape = name, shape
-        if isinstance(shape, Plane):
-            self.surface = carry(np.empty((0, 3)), np.empty((0, 3), np.int64))
-            return
-        self.surface = carry(*triangulated(shape))
+    def __init__(self, name: str, surface, shape=None):
+        """Take what is known of it; see the attributes."""
+        self.name, self.surface, self.shape = name, surface, shape
 
 
-class BeamSide:
-    """A side of contact pairs that is a beam: round about its axis, or a swept surface."""
+class BeamSide(Side):
+    """A side that is a beam: round about its axis, or a swept surface."""
 
     def __init__(self, beam: BeamBody):
         """Take the beam.
@@ -71,16 +68,13 @@ class BeamSide:
         Args:
             beam: The beam.
         """
-        self.beam = beam
+        self.name, self.shape, self.beam = beam.name, None, beam
         self.round = RoundBeam(*beam.axis_in_frames(), beam.section.radius) if beam.is_round else None
-        self._surface = None
 
-    @property
+    @cached_property
     def surface(self) -> CarriedSurface:
         """Its surface; made where it is asked for."""
-        if self._surface is None:
-            self._surface = CarriedSurface(*swept_surface(self.beam, CONTACT_PIECES))
-        return self._surface
+        return CarriedSurface(*swept_surface(self.beam, CONTACT_PIECES))
 
 
 def contact_term(layout: Layout, notes: list[str]) -> Contacts:
@@ -98,15 +92,13 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         MeshError: A surface cannot be used.
     """
     entry = layout.scene.contact
-    things = _things(layout, notes)
+    sides = _sides(layout, notes)
     pairs = []
     for index, touching in enumerate(entry.between):
         friction = entry.friction if touching.friction is None else touching.friction
-        key = f"contact.between[{index}]"
-        names = touching.pair
-        first, second = (things[name] for name in names)
-        pairs.append(_pair(first, second, friction, names, key, layout))
-    pairs += _known_ahead(layout, things)
+        first, second = (sides[name] for name in touching.pair)
+        pairs.append(_pair(first, second, friction, f"contact.between[{index}]", layout))
+    pairs += _known_ahead(layout, sides)
     contacts = Contacts(
         tuple(pairs), layout.nodes.free_index, layout.nodes.longest, entry.alarm_distance,
         entry.contact_distance, entry.push_out_speed,
@@ -137,35 +129,35 @@ def _curvature(pairs: list, layout: Layout):
     return ContactCurvature(tuple(found), layout.nodes.free_index, layout.nodes.carried)
 
 
-def _things(layout: Layout, notes: list[str]) -> dict:
-    """The sides of all contact pairs of the scene, by name."""
-    scene = layout.scene
+def _sides(layout: Layout, notes: list[str]) -> dict[str, Side]:
+    """All bodies and obstacles that the contact section names."""
+    scene, sides = layout.scene, {}
     named = {name for touching in scene.contact.between for name in touching.pair}
     named |= {layout.body_named(point.on).name for point in scene.contact.points}
-    things: dict = {}
     for body in layout.bodies:
         if body.name in named:
-            things[body.name] = _surface_of(body, scene, notes)
+            sides[body.name] = Side(body.name, _surface_of(body, scene, notes))
     for beam in layout.beams:
         if beam.name in named:
-            things[beam.name] = BeamSide(beam)
+            sides[beam.name] = BeamSide(beam)
     for part in layout.rigid:
         if part.name in named:
-            things[part.name] = Solid(
-                part.name, part.shape,
-                lambda points, triangles, n=part.first_node: RigidSurface(n, points, triangles),
-            )  # fmt: skip
+            surface = RigidSurface(part.first_node, *_facets(part.shape))
+            sides[part.name] = Side(part.name, surface, part.shape)
     for entry in scene.obstacles:
         if entry.name in named:
             shape = build_shape(entry.shape, scene, notes)
             turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-            things[entry.name] = Solid(
-                entry.name, shape,
-                lambda points, triangles, at=entry.position, turn=turn: StandingSurface(
-                    at, turn, points, triangles
-                ),
-            )  # fmt: skip
-    return things
+            surface = StandingSurface(entry.position, turn, *_facets(shape))
+            sides[entry.name] = Side(entry.name, surface, shape)
+    return sides
+
+
+def _facets(shape) -> tuple[np.ndarray, np.ndarray]:
+    """Points and triangles of a shape; none of a plane, which has no end."""
+    if isinstance(shape, Plane):
+        return np.empty((0, 3)), np.empty((0, 3), np.int64)
+    return triangulated(shape)
 
 
 def _surface_of(body: Body, scene: Scene, notes: list[str]):
@@ -188,34 +180,31 @@ def _surface_of(body: Body, scene: Scene, notes: list[str]):
     return CarriedSurface(carry_surface(body, solid.points, entry, key, scene), solid.triangles)
 
 
-def _pair(first, second, friction: float, names, key: str, layout: Layout):
+def _pair(first: Side, second: Side, friction: float, key: str, layout: Layout):
     """The pair in order: deformable before rigid, moving before fixed."""
     if isinstance(first, BeamSide) or isinstance(second, BeamSide):
-        return _beam_pair(first, second, friction, names, key, layout)
+        return _beam_pair(first, second, friction, key, layout)
     if first is second:
-        return _with_itself(first, friction, names, key, layout)
-    if isinstance(first, Solid) and not isinstance(second, Solid):
-        first, second, names = second, first, names[::-1]
-    if not isinstance(first, Solid):
-        return _soft_pair(first, second, friction, names)
-    for solid, name in zip((first, second), names, strict=True):
-        moving = [part.name for part in layout.rigid if part.is_free]
-        if name in moving:
-            break
-    else:
+        return _with_itself(first, friction, key, layout)
+    if first.shape is not None and second.shape is None:
+        first, second = second, first
+    if first.shape is None:
+        return _soft_pair(first, second, friction)
+    if not {part.name for part in layout.rigid if part.is_free} & {first.name, second.name}:
         raise SceneError(
-            layout.scene.path, key, " and ".join(names), "", "neither of them moves by itself"
-        )
-    return _solid_pair(first, second, friction, names)
+            layout.scene.path, key, f"{first.name} and {second.name}", "",
+            "neither of them moves by itself",
+        )  # fmt: skip
+    return _solid_pair(first, second, friction)
 
 
-def _beam_pair(first, second, friction: float, names, key: str, layout: Layout):
+def _beam_pair(first: Side, second: Side, friction: float, key: str, layout: Layout):
     """A beam and something else, another beam or itself: round ones by their axes."""
     if not isinstance(first, BeamSide):
-        first, second, names = second, first, names[::-1]
-    rest, own = layout.nodes.rest_positions, first.beam
-    is_joined = _are_joined(own, names[1], layout)
-    if isinstance(second, Solid) and first.round and isinstance(second.shape, Shape):
+        first, second = second, first
+    names, rest, own = (first.name, second.name), layout.nodes.rest_positions, first.beam
+    is_joined = _are_joined(own, second.name, layout)
+    if first.round and isinstance(second.shape, Shape):
         return BeamAndShape(
             first.round, second.surface, second.shape, friction, names, rest,
             _held_against(own, second.surface, layout),
@@ -230,13 +219,12 @@ def _beam_pair(first, second, friction: float, names, key: str, layout: Layout):
     if is_joined:
         raise SceneError(
             layout.scene.path, key, " and ".join(names), "",
-            f"{own.name} is joined to {names[1]}; contact of what is joined is built for beams of "
-            "round section, with each other and with simple shapes",
+            f"{own.name} is joined to {second.name}; contact of what is joined is built for beams "
+            "of round section, with each other and with simple shapes",
         )  # fmt: skip
     if first is second:
-        return _with_itself(first.surface, friction, names, key, layout)
-    other = second.surface if isinstance(second, BeamSide) else second
-    return _soft_pair(first.surface, other, friction, names)
+        return _with_itself(first, friction, key, layout)
+    return _soft_pair(first, second, friction)
 
 
 def _held_against(beam: BeamBody, surface, layout: Layout) -> list[int]:
@@ -257,29 +245,30 @@ def _are_joined(beam: BeamBody, name: str, layout: Layout) -> bool:
     return bool(np.isin(beam.carriers.frame_nodes, frames).any())
 
 
-def _with_itself(surface, friction: float, names, key: str, layout: Layout):
-    if isinstance(surface, Solid):
-        raise SceneError(
-            layout.scene.path, key, names[0], "", "a rigid body cannot touch itself"
-        )
-    rest = surface.points(layout.nodes.rest_positions)
-    alarm = layout.scene.contact.alarm_distance
-    detector = SelfDetector(surface.triangles, rest, alarm)
-    return TwoSurfaces(surface, surface, detector, friction, names)
+def _with_itself(side: Side, friction: float, key: str, layout: Layout):
+    """The pair of a surface and itself."""
+    if side.shape is not None:
+        raise SceneError(layout.scene.path, key, side.name, "", "a rigid body cannot touch itself")
+    rest = side.surface.points(layout.nodes.rest_positions)
+    detector = SelfDetector(side.surface.triangles, rest, layout.scene.contact.alarm_distance)
+    return TwoSurfaces(side.surface, side.surface, detector, friction, (side.name, side.name))
 
 
-def _soft_pair(surface: DeformableSurface, other, friction: float, names):
-    if isinstance(other, Solid) and isinstance(other.shape, Shape):
-        detector = SurfaceShapeDetector(
-            surface.triangles, surface.point_count, other.shape, deforms=True
-        )
-        return SurfaceAndShape(surface, other.surface, detector, friction, names)
-    return _two_surfaces(surface, getattr(other, "surface", other), friction, names)
+def _soft_pair(first: Side, second: Side, friction: float):
+    """The pair of a surface that deforms and something else."""
+    if not isinstance(second.shape, Shape):
+        return _two_surfaces(first, second, friction)
+    detector = SurfaceShapeDetector(
+        first.surface.triangles, first.surface.point_count, second.shape, deforms=True
+    )
+    return _surface_and_shape(first, second, detector, friction)
 
 
-def _solid_pair(first: Solid, second: Solid, friction: float, names):
+def _solid_pair(first: Side, second: Side, friction: float):
+    """The pair of two rigid sides."""
     if isinstance(first.shape, Plane) or isinstance(second.shape, Sphere):
-        first, second, names = second, first, names[::-1]
+        first, second = second, first
+    names = (first.name, second.name)
     if isinstance(first.shape, Sphere) and isinstance(second.shape, Shape):
         ball = first.shape
         return BallAndShape(
@@ -290,39 +279,45 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
             first.surface, first.shape, second.surface, second.shape, friction, names
         )
     if not isinstance(second.shape, Shape):
-        first, second, names = second, first, names[::-1]
+        first, second = second, first
     if not isinstance(first.shape, Shape) and not isinstance(second.shape, Plane):
-        return _pair_with_file(first, second, friction, names)
+        return _pair_with_file(first, second, friction)
     detector = SurfaceShapeDetector(
         first.surface.triangles, first.surface.point_count, second.shape
     )
-    pair = SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+    pair = _surface_and_shape(first, second, detector, friction)
     if isinstance(first.shape, Box) and isinstance(second.shape, Box):
         return TwoBoxes(BoxPairDetector(first.shape, second.shape), pair)
     return pair
 
 
-def _pair_with_file(first: Solid, second: Solid, friction: float, names):
+def _pair_with_file(first: Side, second: Side, friction: float):
     """A rigid surface from a file, and a solid: flat ones by their facets, round ones exactly."""
     if isinstance(second.shape, Box) or not isinstance(second.shape, Shape):
         if isinstance(first.surface, StandingSurface):
-            first, second, names = second, first, names[::-1]
-        return _two_surfaces(first.surface, second.surface, friction, names)
+            first, second = second, first
+        return _two_surfaces(first, second, friction)
     detector = SolidShapeDetector(
         first.surface.triangles, first.surface.rigid_points, second.shape
     )
+    return _surface_and_shape(first, second, detector, friction)
+
+
+def _surface_and_shape(first: Side, second: Side, detector, friction: float) -> SurfaceAndShape:
+    names = (first.name, second.name)
     return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
 
 
-def _two_surfaces(first, second, friction: float, names) -> TwoSurfaces:
+def _two_surfaces(first: Side, second: Side, friction: float) -> TwoSurfaces:
+    one, other = first.surface, second.surface
     detector = SurfacePairDetector(
-        first.triangles, first.point_count, second.triangles, second.point_count,
-        rigid_points=(first.rigid_points, second.rigid_points),
+        one.triangles, one.point_count, other.triangles, other.point_count,
+        rigid_points=(one.rigid_points, other.rigid_points),
     )  # fmt: skip
-    return TwoSurfaces(first, second, detector, friction, names)
+    return TwoSurfaces(one, other, detector, friction, (first.name, second.name))
 
 
-def _known_ahead(layout: Layout, things: dict) -> list[TwoSurfaces]:
+def _known_ahead(layout: Layout, sides: dict[str, Side]) -> list[TwoSurfaces]:
     """Points and triangles that the scene names, body by body."""
     entry = layout.scene.contact
     bodies = {layout.body_named(point.on).name: layout.body_named(point.on)
@@ -330,7 +325,7 @@ def _known_ahead(layout: Layout, things: dict) -> list[TwoSurfaces]:
     pairs = []
     for name, body in bodies.items():
         own = [p for p in entry.points if layout.body_named(p.on) is body]
-        surface = things[name]
+        surface = sides[name].surface
         points = surface.points(layout.nodes.rest_positions)
         centres = points[surface.triangles].mean(axis=1)
         index = [_nearest(points, p.point) for p in own]

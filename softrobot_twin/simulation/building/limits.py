@@ -148,9 +148,13 @@ class ActuatorLimits:
     @cached_property
     def drive_names(self) -> tuple[tuple[str, str], ...]:
         """Names of the least and the greatest of what the setpoint of each holds, same shape."""
-        efforts = ((f"{word}_min", f"{word}_max") for word in self.effort_words)
-        names = zip(self.is_effort_driven, efforts, self.limit_names, strict=True)
+        names = zip(self.is_effort_driven, self.effort_names, self.limit_names, strict=True)
         return tuple(effort if by_effort else moved for by_effort, effort, moved in names)
+
+    @cached_property
+    def effort_names(self) -> tuple[tuple[str, str], ...]:
+        """Names of the least and the greatest effort of each, shape (actuator_count, 2)."""
+        return tuple((f"{word}_min", f"{word}_max") for word in self.effort_words)
 
     @cached_property
     def _all(self) -> np.ndarray:
@@ -278,25 +282,19 @@ class ActuatorLimits:
             self._low_efforts(bounds), self._high_efforts(bounds), found,
         ):  # fmt: skip
             return []
-        limits = []
-        for i, (name, (displacement, effort)) in enumerate(
-            zip(self.names, found.tolist(), strict=True)
-        ):
-            least, greatest = self.limit_names[i]
-            if displacement > 0:
-                is_own = bounds.displacement_max[i] >= self.displacement_max[i] - margins[i]
-                limits.append(f"{name}.{greatest if is_own else 'rate'}")
-            elif displacement < 0:
-                is_own = bounds.displacement_min[i] <= self.displacement_min[i] + margins[i]
-                limits.append(f"{name}.{least if is_own else 'rate'}")
-            word, by_effort = self.effort_words[i], self.is_effort_driven[i]
-            if effort > 0:
-                is_own = not by_effort or bounds.effort_max[i] >= self._most_efforts[i]
-                limits.append(f"{name}.{f'{word}_max' if is_own else 'rate'}")
-            elif effort < 0:
-                is_own = not by_effort or bounds.effort_min[i] <= self.effort_min[i]
-                limits.append(f"{name}.{f'{word}_min' if is_own else 'rate'}")
-        return limits
+        sides = (found > 0).astype(int)
+        is_own = np.stack([
+            np.where(sides[:, 0], bounds.displacement_max >= self.displacement_max - margins,
+                     bounds.displacement_min <= self.displacement_min + margins),
+            np.where(sides[:, 1], bounds.effort_max >= self._most_efforts,
+                     bounds.effort_min <= self.effort_min) | ~self.is_effort_driven,
+        ], axis=1)  # fmt: skip
+        names = zip(self.limit_names, self.effort_names, strict=True)
+        return [
+            f"{name}.{words[k][sides[i, k]] if is_own[i, k] else 'rate'}"
+            for i, (name, words) in enumerate(zip(self.names, names, strict=True))
+            for k in np.flatnonzero(found[i])
+        ]
 
     def _high_efforts(self, bounds: Bounds) -> np.ndarray:
         """Efforts from which on the greatest one of this step counts as reached."""

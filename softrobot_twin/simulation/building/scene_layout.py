@@ -13,6 +13,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry import shapes
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.hinged_frames import HingedFrames, Hinges
 from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
@@ -40,7 +41,7 @@ from softrobot_twin.simulation.building.deformable_body import (
 from softrobot_twin.simulation.building.frame_part import FramePart
 from softrobot_twin.simulation.building.reduced_body import ReducedNodes, on_platform, reduced_nodes
 from softrobot_twin.simulation.building.scene_files import check_files
-from softrobot_twin.simulation.building.vertebrae import Wall, reduced_body
+from softrobot_twin.simulation.building.vertebrae import reduced_body
 
 # Length of the facets of a triangulated round shape, as a share of its radius.
 FACETS = 0.4
@@ -499,7 +500,7 @@ def whole_layout(scene: Scene, bodies: list[Body]) -> Layout:
     return Layout(scene, tuple(bodies), (), {}, None)
 
 
-def walls_on(body: Body, whole: Layout) -> tuple[Wall, ...]:
+def walls_on(body: Body, whole: Layout) -> tuple[CavitySurface, ...]:
     """Walls of cavities on a body, on its own nodes.
 
     Args:
@@ -511,7 +512,7 @@ def walls_on(body: Body, whole: Layout) -> tuple[Wall, ...]:
         for place, wall in enumerate(cavity.walls):
             if whole.body_named(wall.body).name == body.name:
                 key = f"cavities[{index}].walls[{place}]"
-                walls.append(Wall(cavity.name, *cavity_wall(whole, wall, key, [])))
+                walls.append(CavitySurface(cavity.name, *cavity_wall(whole, wall, key, [])))
     return tuple(walls)
 
 

@@ -31,20 +31,17 @@ def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
 def _idle_damping(scene: Scene) -> Iterator[str]:
     if scene.integration != "quasi_static":
         return
-    idle = []
-    for index, body in enumerate(scene.deformables):
-        if body.damping.mass > 0.0 or body.damping.stiffness > 0.0:
-            idle.append("body.damping" if scene.body is not None else f"bodies[{index}].damping")
-    for index, beam in enumerate(scene.beams):
-        if beam.damping.mass > 0.0 or beam.damping.stiffness > 0.0:
-            idle.append(f"beams[{index}].damping")
-    for section in ("springs", "mass_springs"):
+    for section in ("deformables", "beams", "springs", "mass_springs"):
         for index, entry in enumerate(getattr(scene, section)):
-            if entry.damping > 0.0:
-                idle.append(f"{section}[{index}].damping")
-    for key in idle:
-        yield (f"{key} has no effect: integration is quasi_static, where nothing has a speed; "
-               "first_order and dynamic scenes are damped")  # fmt: skip
+            rate = entry.damping
+            if not isinstance(rate, float):
+                rate = max(rate.mass, rate.stiffness)
+            key = f"{section.replace('deformables', 'bodies')}[{index}].damping"
+            if section == "deformables" and scene.body is not None:
+                key = "body.damping"
+            if rate > 0.0:
+                yield (f"{key} has no effect: integration is quasi_static, where nothing has a "
+                       "speed; first_order and dynamic scenes are damped")  # fmt: skip
 
 
 def _untouched_obstacles(scene: Scene) -> Iterator[str]:

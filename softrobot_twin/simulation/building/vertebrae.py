@@ -22,7 +22,6 @@ of work that nobody expects.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -56,30 +55,6 @@ _SAVED = tuple(name for name in SuperelementFit._fields if name != "shares")
 # Version of the file; one of another version is made anew.
 FORMAT = 2
 COMMAND = "softrobot_twin reduce-vertebrae"
-
-
-class Wall(NamedTuple):
-    """The wall of a cavity on a body.
-
-    Attributes:
-        cavity: Name of the cavity.
-        vertices: Its vertices, on the nodes of the body.
-        triangles: Outward triangles, shape (triangle_count, 3).
-    """
-
-    cavity: str
-    vertices: BarycentricMapping
-    triangles: np.ndarray
-
-
-def joined_walls(walls: Sequence[Wall], name: str) -> CavitySurface:
-    """Several walls as the surface of one cavity."""
-    vertices, triangles, count = walls[0].vertices, [], 0
-    for index, wall in enumerate(walls):
-        vertices = vertices.followed_by(wall.vertices) if index else vertices
-        triangles.append(wall.triangles + count)
-        count += wall.vertices.point_count
-    return CavitySurface(name, vertices, np.concatenate(triangles))
 
 
 class SoftPart(NamedTuple):
@@ -124,7 +99,7 @@ class Division(NamedTuple):
     is_fixed: np.ndarray
     parts: tuple[SoftPart, ...]
     cavities: tuple[str, ...]
-    walls: tuple[Wall, ...]
+    walls: tuple[CavitySurface, ...]
     positions: np.ndarray
 
     def shares(self) -> tuple[np.ndarray, np.ndarray]:
@@ -153,7 +128,7 @@ def without_vertebrae(scene: Scene) -> Scene:
     )
 
 
-def divide(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Division:
+def divide(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> Division:
     """Divide a body into its vertebrae and the soft parts between them.
 
     Args:
@@ -197,7 +172,7 @@ def divide(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Division:
             scene.path, key, ", ".join(v.name for v in entry.rigid), "", "are all fixed"
         )
     positions = in_mesh(body.entry, body.mesh.node_positions)
-    cavities = tuple(dict.fromkeys(wall.cavity for wall in walls))
+    cavities = tuple(dict.fromkeys(wall.name for wall in walls))
     parts = _soft_parts(body, owner, positions, walls, cavities, key, scene)
     _check_joined(parts, is_fixed, entry, key, scene)
     names = tuple(vertebra.name for vertebra in entry.rigid)
@@ -223,7 +198,7 @@ def _nodes_of(vertebra, key: str, body: Body, scene: Scene) -> np.ndarray:
 
 
 def _soft_parts(
-    body: Body, owner: np.ndarray, positions: np.ndarray, walls: tuple[Wall, ...],
+    body: Body, owner: np.ndarray, positions: np.ndarray, walls: tuple[CavitySurface, ...],
     cavities: tuple[str, ...], key: str, scene: Scene,
 ) -> tuple[SoftPart, ...]:  # fmt: skip
     """Connected pieces of what belongs to no vertebra, which join two vertebrae."""
@@ -250,7 +225,7 @@ def _soft_parts(
                 f"a soft part of {len(own)} cells touches {len(ends)} vertebrae; it must join two",
             )  # fmt: skip
         faces = tuple(nodes[owner[nodes] == end] for end in ends)
-        found = tuple(dict.fromkeys(cavities.index(walls[w].cavity) for w in held_by))
+        found = tuple(dict.fromkeys(cavities.index(walls[w].name) for w in held_by))
         parts.append(SoftPart(
             own, nodes[owner[nodes] < 0], (int(ends[0]), int(ends[1])), faces,
             np.array([positions[face].mean(axis=0) for face in faces]), found, tuple(held_by),
@@ -268,13 +243,13 @@ def _check_rigid_cells(owners: np.ndarray, key: str, scene: Scene) -> None:
         )  # fmt: skip
 
 
-def _piece_of(wall: Wall, owner, piece_of_node, key: str, scene: Scene) -> int:
+def _piece_of(wall: CavitySurface, owner, piece_of_node, key: str, scene: Scene) -> int:
     """The piece whose nodes carry a wall."""
     used = wall.vertices.nodes[wall.vertices.barycentric_weights != 0.0]
     pieces = np.unique(piece_of_node[used[owner[used] < 0]])
     if len(pieces) != 1:
         raise SceneError(
-            scene.path, key, wall.cavity, "",
+            scene.path, key, wall.name, "",
             f"a wall of this cavity is on {len(pieces)} soft parts; a cavity of a body with "
             "vertebrae must have each wall on one, between two vertebrae",
         )  # fmt: skip
@@ -309,7 +284,7 @@ def fingerprints(division: Division) -> dict[str, str]:
     """Digests of what superelements are made from: mesh, material, vertebrae, cavity walls."""
     body = division.body
     walls = [
-        (wall.cavity, rounded_places(body, in_mesh(body.entry, wall.vertices.positions(
+        (wall.name, rounded_places(body, in_mesh(body.entry, wall.vertices.positions(
             body.mesh.node_positions))), wall.triangles) for wall in division.walls
     ]  # fmt: skip
     return {
@@ -474,7 +449,7 @@ class ReducedBody:
         )
 
 
-def reduced_body(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Body:
+def reduced_body(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> Body:
     """The body that moves with its vertebrae, by the superelements of its file.
 
     Args:
