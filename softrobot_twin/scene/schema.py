@@ -299,6 +299,10 @@ class Scene(Entry):
         (body,) = bodies
         return self.model_copy(update={"body": body})
 
+    def with_solver(self, **values: Any) -> Scene:
+        """The same scene with other values of some keys of its solver section."""
+        return self.model_copy(update={"solver": self.solver.model_copy(update=values)})
+
     def file_path(self, file: Path) -> Path:
         """The path of a file in an entry, relative to the folder of the scene file."""
         if file.is_absolute() or self.path is None:

@@ -119,30 +119,27 @@ def _refuse_hexahedra(scene: Scene) -> None:
 
 def still(scene: Scene) -> Scene:
     """The scene in statics, without contact, with its actuators without limits."""
-    bodies = tuple(body.model_copy(update={"mass": None}) for body in scene.deformables)
-    cables = tuple(
-        cable.model_copy(update={
-            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9), "pulley": None,
-            "friction": 0.0, "presliding": None,
-        })
-        for cable in scene.cables
-    )  # fmt: skip
     anything = (-np.inf, np.inf)
-    cavities = tuple(
-        cavity.model_copy(update={
-            "rate": None, "flow": None, "pressure": anything, "growth": anything, "volume": (0.0, np.inf)})
-        for cavity in scene.cavities
+    cables = _changed(
+        scene.cables, rate=None, shortening=(-1.0e3, 1.0e3), tension=(0.0, 1.0e9), pulley=None,
+        friction=0.0, presliding=None,
     )  # fmt: skip
-    solver = scene.solver.model_copy(update={"newton_iterations": _MOST_ITERATIONS})
+    cavities = _changed(
+        scene.cavities, rate=None, flow=None, pressure=anything, growth=anything,
+        volume=(0.0, np.inf),
+    )  # fmt: skip
     # Free rigid bodies are fixed: without contact they are not supported.
-    placed = {"motion": "guided", "speed": None, "turn_rate": None}
-    rigid = tuple(body.model_copy(update=placed) for body in scene.rigid_bodies)
-    return scene.with_deformables(bodies).model_copy(update={
+    rigid = _changed(scene.rigid_bodies, motion="guided", speed=None, turn_rate=None)
+    return scene.with_deformables(_changed(scene.deformables, mass=None)).model_copy(update={
         "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
-        "motors": (), "markers": (), "cables": cables, "cavities": cavities, "solver": solver,
-        "rigid_bodies": rigid,
-        "effectors": tuple(map(_position_of, scene.effectors)),
-    })  # fmt: skip
+        "motors": (), "markers": (), "cables": cables, "cavities": cavities,
+        "rigid_bodies": rigid, "effectors": tuple(map(_position_of, scene.effectors)),
+    }).with_solver(newton_iterations=_MOST_ITERATIONS)  # fmt: skip
+
+
+def _changed(entries: Iterable, **values) -> tuple:
+    """Entries of a scene with other values of some keys."""
+    return tuple(entry.model_copy(update=values) for entry in entries)
 
 
 def _position_of(effector):
@@ -155,9 +152,7 @@ def _position_of(effector):
 
 def with_element(scene: Scene, element: str) -> Scene:
     """The scene with all deformable bodies of one kind of element, its volumes kept as usual."""
-    return scene.with_deformables(
-        body.model_copy(update={"element": element, "volume": None}) for body in scene.deformables
-    )
+    return scene.with_deformables(_changed(scene.deformables, element=element, volume=None))
 
 
 def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
@@ -184,9 +179,8 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
         part.young_modulus * body.size**2 for body in layout.bodies for part in body.materials
     )
     weight = sum(body.mass for body in layout.bodies) * np.linalg.norm(scene.gravity)
-    solver = scene.solver.model_copy(update={
-        "residual_tolerance": max(_BALANCED * float(weight), _ROUNDING * stiffness)})
-    exact = scene.model_copy(update={"cables": cables, "solver": solver})
+    tolerance = max(_BALANCED * float(weight), _ROUNDING * stiffness)
+    exact = scene.with_solver(residual_tolerance=tolerance).model_copy(update={"cables": cables})
     return Simulation(exact, now, with_warnings=False)
 
 
@@ -196,10 +190,7 @@ def _size(layout, name: str | None) -> float:
 
 def step_time(scene: Scene, now: Callable[[], float]) -> float:
     """Median time of a step of one linearization at rest, of the scene itself [s]."""
-    solver = scene.solver.model_copy(update={"newton_iterations": 1})
-    simulation = Simulation(
-        scene.model_copy(update={"solver": solver}), now, with_warnings=False
-    )
+    simulation = Simulation(scene.with_solver(newton_iterations=1), now, with_warnings=False)
     before = simulation.state
     times = []
     for _ in range(_TIMED_STEPS):
@@ -262,12 +253,10 @@ def limit(quadratic: Response, cubic: Response, own_share: np.ndarray) -> Respon
         own_share: This share for the displacement of each actuator by its own effort,
             shape (actuator_count,).
     """
-    return Response(
-        cubic.gravity + LEFT_OUT * (cubic.gravity - quadratic.gravity),
-        cubic.W_ea + LEFT_OUT * (cubic.W_ea - quadratic.W_ea),
-        cubic.W_aa + own_share * (cubic.W_aa - quadratic.W_aa),
-        cubic.drives,
-    )  # fmt: skip
+    shares = (LEFT_OUT, LEFT_OUT, own_share)
+    limits = (of_cubic + share * (of_cubic - of_quadratic) for of_quadratic, of_cubic, share in
+              zip(quadratic[:3], cubic[:3], shares, strict=True))  # fmt: skip
+    return Response(*limits, cubic.drives)
 
 
 class CubicBody:
@@ -390,27 +379,16 @@ def response(newton: Newton, model) -> Response:
     linear = newton.linearize(rest, np.zeros(len(model.actuators.names)), StageClock(perf_counter))
     if linear is None or newton.projected_tangent:
         raise MeshErrorUnknown("the body has no stable equilibrium at rest")
+    count, rows = len(model.actuators.names), model.rows.row_count
+    # No load but gravity, and each actuator with an effort of one beside it.
+    loads = np.vstack([np.zeros(rows), np.eye(count, rows)])
     # `expand` returns the same memory each time.
-    moves = [model.factorization.expand(load).copy() for load in _unit_loads(model)]
-    largest = [float(np.linalg.norm(move, axis=1).max()) for move in _differences(moves)]
+    moves = np.array([model.factorization.expand(load).copy() for load in loads])
+    moves[1:] -= moves[0]
     return Response(
         linear.effectors - linear.effectors_now, linear.W_ea, np.diag(linear.W_aa).copy(),
-        _DRIVES * np.array(largest),
+        _DRIVES * np.linalg.norm(moves, axis=2).max(axis=1),
     )  # fmt: skip
-
-
-def _unit_loads(model) -> Iterable[np.ndarray]:
-    """Multipliers of no load but gravity, and of each actuator with an effort of one beside it."""
-    count = model.rows.row_count
-    yield np.zeros(count)
-    for actuator in range(len(model.actuators.names)):
-        yield np.eye(1, count, actuator)[0]
-
-
-def _differences(moves: Iterable[np.ndarray]) -> list[np.ndarray]:
-    """The first displacement, and the differences of the others from it."""
-    first, *others = moves
-    return [first, *(move - first for move in others)]
 
 
 class LoadError(NamedTuple):
@@ -477,7 +455,7 @@ class MeshError(NamedTuple):
     @property
     def is_large(self) -> bool:
         """True where the relative error with the scene's own elements is above `LARGE`."""
-        return max(self.own.forces, self.own.lengths, key=_known) > LARGE
+        return bool(np.fmax(self.own.forces, self.own.lengths) > LARGE)
 
 
 class ActuatorLoads(NamedTuple):
@@ -673,11 +651,7 @@ def _relative(value: np.ndarray, exact: np.ndarray) -> float:
 
 
 def _largest(values: Iterable[float]) -> float:
-    return max((value for value in values if value == value), default=_NO_NUMBER)
-
-
-def _known(value: float) -> float:
-    return value if value == value else 0.0
+    return float(np.fmax.reduce(list(values), initial=_NO_NUMBER))
 
 
 def _given(by_cable: np.ndarray) -> tuple[str, str]:

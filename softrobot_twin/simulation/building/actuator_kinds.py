@@ -80,7 +80,7 @@ class ActuatorGroup(NamedTuple):
 
 
 class ActuatorKind(Protocol):
-    """One kind of actuator.
+    """One kind of actuator; a class that derives from it takes what is usual.
 
     Attributes:
         section: Key of its entries in a scene, such as ``cables``.
@@ -113,11 +113,11 @@ class ActuatorKind(Protocol):
     setpoint: Quantity
     displacement: Quantity
     effort: Quantity
-    sign: int
-    one_sided: bool
-    takes_efforts: bool
-    is_effort_driven: bool
-    least_setpoint: float
+    sign: int = 1
+    one_sided: bool = False
+    takes_efforts: bool = True
+    is_effort_driven: bool = False
+    least_setpoint: float = -np.inf
 
     def build(
         self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]
@@ -143,6 +143,7 @@ class ActuatorKind(Protocol):
         Yields:
             A sentence for each warning.
         """
+        return iter(())
 
     def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
         """Lines by which the actuators are drawn [m], each of shape (point_count, 3).
@@ -154,6 +155,7 @@ class ActuatorKind(Protocol):
         Returns:
             A line for each actuator; nothing where the kind has none.
         """
+        return ()
 
     def details(self, entry: ActuatorEntry, group: ActuatorGroup, index: int) -> str:
         """Text of `explain` for an actuator before its limits, such as ``3 points``.

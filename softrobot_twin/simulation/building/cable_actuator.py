@@ -14,7 +14,7 @@ from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable, Pulley
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.pulleys import pulley_of_cable, shortenings_of_angles
 from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale, rows_at, unlikely
@@ -32,7 +32,7 @@ PRESLIDING = 1.0e-3
 """Presliding of a cable with friction, as a share of its length at rest."""
 
 
-class CableActuator:
+class CableActuator(ActuatorKind):
     """The kind `cables`; see `ActuatorKind`."""
 
     section = "cables"
@@ -43,8 +43,6 @@ class CableActuator:
     effort = Quantity("tension", "N")
     sign = -1
     one_sided = True
-    takes_efforts = True
-    is_effort_driven = False
     least_setpoint = 0.0
 
     def build(self, layout: Layout, entries: tuple[Cable, ...], notes: list[str]) -> ActuatorGroup:

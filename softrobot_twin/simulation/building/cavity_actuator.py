@@ -14,7 +14,7 @@ from softrobot_twin.constraints.superelement_cavities import SuperelementCavitie
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.cavity_walls import (
     cavity_surface,
     cavity_wall,
@@ -37,7 +37,7 @@ LARGEST_STRETCH = 3.0
 without equilibrium at its pressure is stopped there."""
 
 
-class CavityActuator:
+class CavityActuator(ActuatorKind):
     """The kind `cavities`; see `ActuatorKind`. Its setpoint is what the entry controls."""
 
     section = "cavities"
@@ -46,9 +46,6 @@ class CavityActuator:
     displacement = Quantity("growth", "m3")
     effort = Quantity("pressure", "Pa")
     extent = Quantity("volume", "m3")
-    sign = 1
-    one_sided = False
-    takes_efforts = True
 
     def __init__(self, control: str = "pressure"):
         """Take what is commanded.
@@ -108,10 +105,6 @@ class CavityActuator:
                     f"some {doubling[index]:.2g} Pa would double its volume; is the limit in "
                     "pascals?",
                 )  # fmt: skip
-
-    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
-        """None: cavities are drawn as surfaces; see `ActuatorKind.paths`."""
-        return ()
 
     def details(self, entry: Cavity, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""

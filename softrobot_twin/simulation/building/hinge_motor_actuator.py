@@ -9,7 +9,7 @@ import numpy as np
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.actuator_entries import HingeMotor
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
 from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.building.unlikely_limits import unlikely
@@ -22,7 +22,7 @@ TORQUE_RANGE = (1.0e-3, 1.0e3)
 """Of the torque that bends the beam at the hinge to a radian over its length."""
 
 
-class HingeMotorActuator:
+class HingeMotorActuator(ActuatorKind):
     """The kind `hinge_motors`; see `ActuatorKind`."""
 
     section = "hinge_motors"
@@ -31,11 +31,6 @@ class HingeMotorActuator:
     setpoint = Quantity("angle", "rad")
     displacement = Quantity("angle", "rad")
     effort = Quantity("torque", "Nm")
-    sign = 1
-    one_sided = False
-    takes_efforts = True
-    is_effort_driven = False
-    least_setpoint = -np.inf
     stalls = True
 
     def build(

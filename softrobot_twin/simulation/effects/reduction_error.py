@@ -32,9 +32,8 @@ from softrobot_twin.simulation.step.steppable import Steppable
 
 def with_spare_modes(scene: Scene) -> Scene:
     """The scene with the spare modes of its reduced bodies in use, and one linearization a step."""
-    solver = scene.solver.model_copy(update={"newton_iterations": 1})
     extended = with_reduced_entries(without_fallback(scene), {"spare_modes": True})
-    return extended.model_copy(update={"solver": solver})
+    return extended.with_solver(newton_iterations=1)
 
 
 def step_held(simulation: Steppable, state: State) -> StepResult:
