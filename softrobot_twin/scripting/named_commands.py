@@ -318,7 +318,7 @@ class CommandReader:
             handle = self.handles.get(name)
             if handle is None or name not in allowed:
                 raise self._refused(name, word, allowed)
-            number = _one(name, numbers)
+            number = one_number(name, numbers)
             for place in handle.places:
                 if place in driven_by:
                     raise CommandError(
@@ -416,7 +416,7 @@ class CommandReader:
             lacking = next((name for name in needed if name not in given), None)
             if lacking is not None and part != "_stiffness_N_per_m":
                 raise CommandError(lacking, f"is missing beside {next(iter(given))}")
-            numbers = tuple(_one(name, given[name]) if name in given else np.nan
+            numbers = tuple(one_number(name, given[name]) if name in given else np.nan
                             for name in needed)
             whole[effector, part] = f"{effector}{part}", numbers
         return whole, commanded
@@ -512,7 +512,12 @@ def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:
     return CommandError(name, f"is unknown here{hint} {known_as} {listed}")
 
 
-def _one(name: str, numbers: Numbers) -> float:
+def one_number(name: str, numbers: Numbers) -> float:
+    """The only number of some.
+
+    Raises:
+        CommandError: There are several, or none.
+    """
     if len(numbers) != 1:
         raise CommandError(name, f"must be one number, not {len(numbers)}")
     return numbers[0]

@@ -25,6 +25,7 @@ from softrobot_twin.scripting.named_commands import (
     NamedCommand,
     finite_numbers,
     hold,
+    one_number,
     unknown,
 )
 from softrobot_twin.scripting.robot_view import RobotView
@@ -319,7 +320,7 @@ class Robot:
         Raises:
             CommandError: A name is unknown, or a value does not fit it; the robot is as before.
         """
-        asked = self._reader.read(hold() if command is None else command, _duration(time_step))
+        asked = self._reader.read(hold() if command is None else command, _positive("time_step", time_step, "s"))
         aims = self._reader.poses(poses)
         touched = self._reader.touches(touches)
         self._warn_of_unlikely(asked)
@@ -458,8 +459,8 @@ class Robot:
                     touches=touches)
             return self._run_table(command, rate)
         if command is None and not (poses or touches):
-            return self._run_alone(steps, seconds, _rate(rate, DEFAULT_RATE))
-        hertz = _rate(rate, DEFAULT_RATE)
+            return self._run_alone(steps, seconds, _rate(rate))
+        hertz = _rate(rate)
         if command is None or _is_command(command):
             count = _step_count(steps, seconds, hertz)
             one = hold() if command is None else cast(AnyCommand, command)
@@ -494,7 +495,7 @@ class Robot:
             if unlikely := unlikely_commands_of(self.simulation, commanded):
                 warnings.warn(unlikely, SceneWarning, stacklevel=4)
             columns = RunColumns(self.simulation)
-            rows = run_commands(self.simulation, commanded, _rate(rate, DEFAULT_RATE), columns)
+            rows = run_commands(self.simulation, commanded, _rate(rate), columns)
             end = commanded.times[-1]
             self._aims |= {name: pose.at(end) for name, pose in commanded.poses.items()}
             return self._collected(columns, rows)
@@ -676,28 +677,21 @@ def _listed(word: str, names: Iterable[str]) -> str:
     return f"{word} {', '.join(names[:_MOST_NAMES])}{more}"
 
 
-def _duration(time_step: float) -> float:
-    number = _number("time_step", time_step)
-    if number <= 0.0:
-        raise CommandError("time_step", f"{time_step} s must be above 0")
-    return number
-
-
 def _number(name: str, value: Any) -> float:
     """A finite number."""
-    numbers = finite_numbers(name, value)
-    if len(numbers) != 1:
-        raise CommandError(name, f"must be one number, not {len(numbers)}")
-    return numbers[0]
+    return one_number(name, finite_numbers(name, value))
 
 
-def _rate(rate: float | None, default: float) -> float:
-    if rate is None:
-        return default
-    number = _number("rate", rate)
+def _positive(name: str, value: Any, unit: str) -> float:
+    """A number above zero."""
+    number = _number(name, value)
     if number <= 0.0:
-        raise CommandError("rate", f"{rate} Hz must be above 0")
+        raise CommandError(name, f"{value} {unit} must be above 0")
     return number
+
+
+def _rate(rate: float | None) -> float:
+    return DEFAULT_RATE if rate is None else _positive("rate", rate, "Hz")
 
 
 def _count(name: str, count: int) -> int:
@@ -712,8 +706,7 @@ def _step_count(steps: int | None, seconds: float | None, rate: float) -> int:
         raise CommandError("seconds", "is given beside steps: give one of them")
     if seconds is None:
         return 1 if steps is None else _count("steps", steps)
-    if _number("seconds", seconds) <= 0.0:
-        raise CommandError("seconds", f"{seconds} s must be above 0")
+    _positive("seconds", seconds, "s")
     # The small number prevents an additional step due to rounding.
     return max(1, math.ceil(seconds * rate - 1e-9))
 

@@ -151,11 +151,26 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
 
 
 def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
-                  summary: RunSummary, picture: Picture | None,
-                  body_readouts: BodyReadouts | None = None) -> int:
+                    summary: RunSummary, picture: Picture | None,
+                    body_readouts: BodyReadouts | None = None) -> int:
+    """Runs all steps, writes the run file and the picture, and prints the summary."""
     with terminal_status("compiling and warming up"):
         simulation.warm_up()
-    _run(simulation, commanded, output, rate, summary, picture, body_readouts)
+    if picture is not None:
+        check_picture(picture.path)  # An error is raised before the run, not after it.
+    shots, wanted = [], _wanted_times(picture, commanded)
+    columns = RunColumns(simulation, None, () if body_readouts is None else body_readouts.columns)
+    with run_file(output, columns) as write:
+        rows = run_commands(simulation, commanded, rate, columns)
+        if body_readouts is not None:
+            rows = (row._replace(observed=body_readouts.read()) for row in rows)
+        for row in recorded(rows, simulation, len(step_times(commanded, rate)), "steps",
+                            "a lower --rate or a shorter time shortens it", write, summary):
+            while wanted and row.time >= wanted[0] - 1e-9:
+                time = f"{wanted.pop(0):g} s"
+                shots.append(take_snapshot(simulation, row.result.contacts, time))
+        if picture is not None:
+            draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
     how = "direct" if body_readouts is None else "no commands"
     lines = summary.lines() + ([] if body_readouts is None else body_readouts.lines())
     print_run(simulation, f"{how}, {rate:g} Hz", summary, lines, output, picture and picture.path)
@@ -163,29 +178,6 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
         warn(f"{summary.failed} steps found no solution; their rows contain the last safe "
              f"state, see column status of {output}")
     return end_of_run(summary)
-
-
-def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
-         summary: RunSummary, picture: Picture | None,
-         body_readouts: BodyReadouts | None) -> None:
-    """Runs all steps and writes the run file and the picture."""
-    count = len(step_times(commanded, rate))
-    shots = []
-    if picture is not None:
-        check_picture(picture.path)  # An error is raised before the run, not after it.
-    wanted = _wanted_times(picture, commanded)
-    columns = RunColumns(simulation, None, () if body_readouts is None else body_readouts.columns)
-    with run_file(output, columns) as write:
-        rows = run_commands(simulation, commanded, rate, columns)
-        if body_readouts is not None:
-            rows = (row._replace(observed=body_readouts.read()) for row in rows)
-        for row in recorded(rows, simulation, count, "steps",
-                            "a lower --rate or a shorter time shortens it", write, summary):
-            while wanted and row.time >= wanted[0] - 1e-9:
-                time = f"{wanted.pop(0):g} s"
-                shots.append(take_snapshot(simulation, row.result.contacts, time))
-        if picture is not None:
-            draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
 
 
 def _wanted_times(picture: Picture | None, commanded: CommandTable) -> list[float]:

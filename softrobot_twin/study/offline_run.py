@@ -140,18 +140,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
         check_picture(picture)
     with terminal_status("compiling and warming up"):
         simulation.warm_up()
-    summary = RunSummary(simulation, unit="rows")
-    _run_and_write(simulation, rows, output, settle, picture, summary)
-    print_run(simulation, "offline", summary, summary.lines(), output, picture)
-    if summary.failed:
-        warn(f"{summary.failed} of {len(rows.times)} rows found no solution and contain the last "
-             f"safe command, see column status of {output}")
-    return end_of_run(summary)
-
-
-def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, settle: int,
-                   picture: Path | None, summary: RunSummary) -> None:
-    """Runs all rows and writes the run file and the picture."""
+    summary, name = RunSummary(simulation, unit="rows"), simulation.scene.name
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     columns = columns_of(simulation, rows)
     with run_file(output, columns) as write:
@@ -159,16 +148,14 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
                             "rows", "fewer rows of targets shorten it", write, summary):
             effector_path[row.step] = row.result.effector_positions
         if picture is not None:
-            _draw(simulation, rows, effector_path, picture)
-
-
-def _draw(
-    simulation: Simulation, rows: TargetTable, effector_path: np.ndarray, picture: Path
-) -> None:
-    """Draws the last state and the effectors' path [m], shape (row_count, effector_count, 3)."""
-    name = simulation.scene.name
-    goal = rows.values[-1] if rows.kind == "targets" else None
-    draw_snapshots([take_snapshot(simulation, None, name, goal, effector_path)], picture, name)
+            goal = rows.values[-1] if rows.kind == "targets" else None
+            shot = take_snapshot(simulation, None, name, goal, effector_path)
+            draw_snapshots([shot], picture, name)
+    print_run(simulation, "offline", summary, summary.lines(), output, picture)
+    if summary.failed:
+        warn(f"{summary.failed} of {len(rows.times)} rows found no solution and contain the last "
+             f"safe command, see column status of {output}")
+    return end_of_run(summary)
 
 
 def end_of_run(summary: RunSummary) -> int:
