@@ -23,6 +23,7 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study.figure import MissingExtraError
 from softrobot_twin.study.rasterization import Triangles, camera_at, rasterize
 from softrobot_twin.study.scene_picture import Solid, layers_of, take_snapshot, tube
+from softrobot_twin.study.workspace import joint_axes
 
 try:
     import gymnasium
@@ -277,19 +278,10 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
 def _drives_of(simulation: Simulation) -> tuple[Drive, ...]:
     """What an action moves: motors with their cables, and all other actuators."""
     actuators, limits = simulation.actuators, simulation.limits
-    names = list(actuators.names)
-    groups = {motor: tuple(map(names.index, cables)) for motor, cables in simulation.motors.items()}
-    of_motors = {place for places in groups.values() for place in places}
-    groups |= {name: (i,) for i, name in enumerate(names) if i not in of_motors}
     drives = []
-    for name, places in groups.items():
-        by_effort, index = bool(actuators.is_effort_driven[places[0]]), list(places)
-        ends = ((limits.effort_min, limits.effort_max) if by_effort
-                else (limits.displacement_min, limits.displacement_max))  # fmt: skip
-        least, most = float(ends[0][index].max()), float(ends[1][index].min())
-        rate = float(limits.rate[index].min())
-        word = (actuators.kinds[places[0]].effort if by_effort
-                else actuators.kinds[places[0]].displacement).word  # fmt: skip
+    for name, places, least, most in joint_axes(simulation, limits.drive_min, limits.drive_max):
+        kind, rate = actuators.kinds[places[0]], float(limits.rate[list(places)].min())
+        word = (kind.effort if kind.is_effort_driven else kind.displacement).word
         if not (math.isfinite(least) and math.isfinite(most) and least < most):
             raise CommandError(name, f"has a {word} from {least:g} to {most:g}; an environment "
                                f"needs finite limits: give {word}: [least, most] in the scene")

@@ -106,27 +106,33 @@ def sampled_axes(simulation: Simulation, ranges: Sequence[str] = ()) -> tuple[Ax
         ActuationError: A range does not fit the scene.
         WorkspaceError: There is nothing to sample, or an actuator has no bounds.
     """
-    actuators, limits = simulation.actuators, simulation.limits
-    by_effort = actuators.is_effort_driven
-    low = np.where(by_effort, limits.effort_min, limits.displacement_min)
-    high = np.where(by_effort, limits.effort_max, limits.displacement_max)
+    low, high = simulation.limits.drive_min.copy(), simulation.limits.drive_max.copy()
     for text in ranges:
         places, bounds = _read_range(simulation, text)
         low[places], high[places] = bounds
-    names, axes = list(actuators.names), []
-    taken: set[int] = set()
-    for motor, cables in simulation.motors.items():
-        own = [names.index(cable) for cable in cables]
-        taken.update(own)
-        axes.append(Axis(motor, tuple(own), float(low[own].max()), float(high[own].min())))
-    axes += [Axis(name, (place,), float(low[place]), float(high[place]))
-             for place, name in enumerate(names) if place not in taken]  # fmt: skip
-    axes.sort(key=lambda axis: axis.places)
+    axes = sorted(joint_axes(simulation, low, high), key=lambda axis: axis.places)
     for axis in axes:
         _check_axis(simulation, axis)
     if not axes:
         raise WorkspaceError(simulation.scene.path, "there are no actuators to sample")
     return tuple(axes)
+
+
+def joint_axes(simulation: Simulation, low: np.ndarray, high: np.ndarray) -> list[Axis]:
+    """What moves together: the cables of each motor, then each other actuator.
+
+    Args:
+        simulation: The scene.
+        low: Least displacements, or efforts, shape (actuator_count,).
+        high: The greatest ones.
+    """
+    names = list(simulation.actuators.names)
+    groups = {motor: [names.index(cable) for cable in cables]
+              for motor, cables in simulation.motors.items()}
+    taken = {place for own in groups.values() for place in own}
+    groups |= {name: [place] for place, name in enumerate(names) if place not in taken}
+    return [Axis(name, tuple(own), float(low[own].max()), float(high[own].min()))
+            for name, own in groups.items()]
 
 
 def _check_axis(simulation: Simulation, axis: Axis) -> None:

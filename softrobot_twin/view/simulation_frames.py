@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
@@ -171,7 +173,7 @@ class SimulationFrames:
 
     def _optional_fields(self, result: StepResult, target_orientations: np.ndarray) -> dict:
         """Fields of a frame for scenes with orientations, cavities, rigid bodies or contact."""
-        shown, simulation = {}, self._simulation
+        simulation, shown = self._simulation, dict[str, Any]()
         if self._is_oriented:
             shown["effector_orientations"] = result.effector_orientations
             shown["target_orientations"] = target_orientations
