@@ -26,7 +26,6 @@ from softrobot_twin.scene.body_entries import (
     PlaneShape,
     RigidBody,
     SphereShape,
-    SurfaceShape,
 )
 from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, BeamNet
@@ -81,10 +80,6 @@ def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
     if isinstance(entry, BoxShape):
         rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
         return shapes.Box(shift + entry.centre, np.array(entry.size), rotation)
-    return _surface(entry, scene, notes, shift)
-
-
-def _surface(entry: SurfaceShape, scene: Scene, notes: list[str], shift: np.ndarray):
     return read_solid_surface(
         scene.file_path(entry.file), scale=entry.scale, rotation=entry.rotation,
         translation=shift + entry.translation, notes=notes,
