@@ -1,14 +1,15 @@
 """The inverse problem of one linearization (Coevoet 2017, eq. 17-22), from the condensed blocks.
 
     min ½ ‖Q^½ δ_e‖² / s + ½ ε ‖z‖²_W + ½ ε p ‖z - z̄‖²_W      with z = (λ_a, u, λ_c)
-    δ_e = W_ea λ_a + G_e u + W_ec λ_c + δ_e,free        effector errors
-    δ_a = W_aa λ_a + G_a u + W_ac λ_c + δ_a,free        within the bounds on displacements
-    δ_c = W_ca λ_a + G_c u + W_cc λ_c + δ_c,free        0 ≤ λ_c ⊥ δ_c ≥ 0
+    δ_e = W_e z + δ_e,free        effector errors
+    δ_a = W_a z + δ_a,free        within the bounds on displacements
+    δ_c = W_c z + δ_c,free        0 ≤ λ_c ⊥ δ_c ≥ 0
 
 λ_a are the efforts of the actuators, λ_c the contact forces. A move u is a displacement that an
-actuator prescribes, for instance the slide that carries a robot: it has no multiplier, and its
-columns G say what it displaces. Without contacts this is a quadratic program; with contacts it is a
-quadratic program with complementarity constraints. Both are built here, by the same function.
+actuator prescribes, for instance the slide that carries a robot: in place of an effort its own
+displacement is the unknown, and its columns say what it displaces. Without contacts this is a
+quadratic program; with contacts it is a quadratic program with complementarity constraints. Both
+are built here, by the same function.
 
 ε is a pure number: the energy counts relative to the mean curvature s of the tracking term. The
 energy of *all* multipliers is penalised, therefore several actuators, or several contacts, that do
@@ -35,6 +36,7 @@ MOVES_NOTHING = 1.0e-14
 LEAST_ENERGY_WEIGHT = float(np.sqrt(np.finfo(float).eps))
 
 TINY = np.finfo(float).tiny
+NO_FORCES = np.empty(0)
 
 
 class Bounds(NamedTuple):
@@ -53,62 +55,35 @@ class Bounds(NamedTuple):
     effort_max: np.ndarray
 
 
-class ContactBounds(NamedTuple):
-    """Bounds on moves and contact forces.
-
-    Attributes:
-        move_min: Least move in this step [m], shape (u,).
-        move_max: Greatest move in this step [m], shape (u,).
-        force_max: Greatest contact force [N], infinite where there is no limit, shape (c,).
-    """
-
-    move_min: np.ndarray
-    move_max: np.ndarray
-    force_max: np.ndarray
-
-NO_CONTACTS = ContactBounds(np.empty(0), np.empty(0), np.empty(0))
-
-
 class InverseSystem(NamedTuple):
     """The robot seen from its effectors, actuators and contacts (eq. 14).
 
     Attributes:
-        W_ea: Effector displacement by effort [m/N], shape (e, a).
-        W_ec: Effector displacement by contact force [m/N], shape (e, c).
-        W_aa: Actuator displacement by effort [m/N], shape (a, a).
-        W_ac: Actuator displacement by contact force [m/N], shape (a, c); W_ca is its transpose.
-        W_cc: Gap by contact force [m/N], shape (c, c).
-        G_e: Effector displacement by move, shape (e, u); u may be zero.
-        G_a: Actuator displacement by move, shape (a, u).
-        G_c: Gap by move, shape (c, u).
-        effectors: δ_e,free: effector error without multipliers and moves [m], shape (e,).
+        W_e: Effector displacement by the unknowns z = (λ_a, u, λ_c), shape (e, n).
+        W_a: Actuator displacement by these, shape (a, n); that of a move is the move.
+        W_c: Gap by these, shape (c, n), n = a + c.
+        is_move: Whether the unknown of each actuator is its move, shape (a,).
+        effectors: δ_e,free: effector error at z = 0 [m], shape (e,).
         actuators: δ_a,free [m], shape (a,).
         gaps: δ_c,free [m], shape (c,).
     """
 
-    W_ea: np.ndarray
-    W_ec: np.ndarray
-    W_aa: np.ndarray
-    W_ac: np.ndarray
-    W_cc: np.ndarray
-    G_e: np.ndarray
-    G_a: np.ndarray
-    G_c: np.ndarray
+    W_e: np.ndarray
+    W_a: np.ndarray
+    W_c: np.ndarray
+    is_move: np.ndarray
     effectors: np.ndarray
     actuators: np.ndarray
     gaps: np.ndarray
 
     @classmethod
     def without_contacts(
-        cls, W_ea: np.ndarray, W_aa: np.ndarray, effectors: np.ndarray, actuators: np.ndarray
+        cls, W_e: np.ndarray, W_a: np.ndarray, effectors: np.ndarray, actuators: np.ndarray
     ) -> InverseSystem:
         """A system without contacts and moves; see the attributes."""
-        e, a = W_ea.shape
-        return cls(
-            W_ea, np.empty((e, 0)), W_aa, np.empty((a, 0)), np.empty((0, 0)),
-            np.empty((e, 0)), np.empty((a, 0)), np.empty((0, 0)),
-            effectors, actuators, np.empty(0),
-        )  # fmt: skip
+        count = len(W_a)
+        none, is_move = np.empty((0, count)), np.zeros(count, dtype=bool)
+        return cls(W_e, W_a, none, is_move, effectors, actuators, np.empty(0))
 
 
 def build_inverse_problem(
@@ -116,7 +91,7 @@ def build_inverse_problem(
     effector_weights: np.ndarray,
     energy_weight: float,
     bounds: Bounds,
-    contact_bounds: ContactBounds = NO_CONTACTS,
+    force_max: np.ndarray = NO_FORCES,
     centre: np.ndarray | None = None,
     proximal_weight: float = 0.0,
 ) -> QPCC:
@@ -126,8 +101,8 @@ def build_inverse_problem(
         system: The condensed blocks.
         effector_weights: Weight Q of each effector row, zero where it has no target, shape (e,).
         energy_weight: ε.
-        bounds: Bounds on actuator displacements [m] and efforts [N].
-        contact_bounds: Bounds on moves [m] and contact forces [N].
+        bounds: Bounds on actuator displacements [m] and efforts [N]; no move has those of efforts.
+        force_max: Greatest contact force [N], infinite where there is no limit, shape (c,).
         centre: z̄, its moves zero, shape (n,); needed with a proximal weight.
         proximal_weight: p, relative to the weight of the energy. Directions that the targets leave
             open then go only the share 1 / (1 + p) towards the least energy in one step. Without
@@ -138,28 +113,31 @@ def build_inverse_problem(
         bounds of its unknowns.
     """
     contacts = len(system.gaps)
-    motion = _side_by_side(system.W_ea, system.G_e, system.W_ec)
-    A = _side_by_side(system.W_aa, system.G_a, system.W_ac)
-    C = _side_by_side(system.W_ac.T, system.G_c, system.W_cc)
+    # Contiguous by rows, as the compiled kernels expect.
+    motion, A, C = map(np.ascontiguousarray, system[:3])
     P, g = tracking_and_energy(
-        motion, A, C, system.effectors, effector_weights, energy_weight, proximal_weight,
-        np.zeros(motion.shape[1]) if centre is None else np.array(centre),
+        motion, A, C, system.is_move, system.effectors, effector_weights, energy_weight,
+        proximal_weight, np.zeros(motion.shape[1]) if centre is None else np.array(centre),
     )  # fmt: skip
-    lower, upper = bounds.effort_min, bounds.effort_max
-    if len(g) > len(lower):
-        lower = np.concatenate([lower, contact_bounds.move_min, np.zeros(contacts)])
-        upper = np.concatenate([upper, contact_bounds.move_max, np.full(contacts, np.inf)])
+    least, most, lower, upper = bounds
+    least, most = least - system.actuators, most - system.actuators
+    if system.is_move.any():
+        lower, least = np.where(system.is_move, (least, lower), (lower, least))
+        upper, most = np.where(system.is_move, (most, upper), (upper, most))
+    if contacts:
+        lower = np.concatenate([lower, np.zeros(contacts)])
+        upper = np.concatenate([upper, np.full(contacts, np.inf)])
     return QPCC(
         P,
         g,
         lower,
         upper,
         A,
-        bounds.displacement_min - system.actuators,
-        bounds.displacement_max - system.actuators,
+        least,
+        most,
         C,
         system.gaps,
-        contact_bounds.force_max,
+        force_max,
     )
 
 
@@ -188,15 +166,10 @@ def with_effort_rows(
     )  # fmt: skip
 
 
-def _side_by_side(of_efforts, of_moves, of_forces) -> np.ndarray:
-    """Blocks side by side, contiguous by rows as the compiled kernels expect."""
-    if of_moves.shape[1] or of_forces.shape[1]:
-        of_efforts = np.concatenate((of_efforts, of_moves, of_forces), axis=1)
-    return np.ascontiguousarray(of_efforts)
-
-
 @njit(**KERNEL)
-def tracking_and_energy(motion, A, C, effectors, weights, energy_weight, proximal_weight, centre):
+def tracking_and_energy(
+    motion, A, C, is_move, effectors, weights, energy_weight, proximal_weight, centre
+):  # fmt: skip
     """Hessian and gradient of ½ ‖Q^½ δ_e‖² / s + ½ ε (‖z‖²_W + p ‖z - z̄‖²_W).
 
     The unit of a multiplier is the one that stores one joule, 1/√W_ii [√(N/m)]; the unit of a move
@@ -207,6 +180,7 @@ def tracking_and_energy(motion, A, C, effectors, weights, energy_weight, proxima
         motion: Effector displacement by z, shape (e, n).
         A: Actuator displacement by z, shape (a, n).
         C: Gap by z, shape (c, n).
+        is_move: Whether the unknown of each actuator is its move, shape (a,).
         effectors: δ_e,free [m], shape (e,).
         weights: Q, weight of each effector row, shape (e,).
         energy_weight: ε.
@@ -217,7 +191,10 @@ def tracking_and_energy(motion, A, C, effectors, weights, energy_weight, proxima
         The Hessian P, shape (n, n), and the gradient g at z = 0, shape (n,).
     """
     n, actuators = motion.shape[1], len(A)
-    first = n - len(C)
+    stores, efforts = np.ones(n, np.bool_), 0
+    for i in range(actuators):
+        stores[i] = not is_move[i]
+        efforts += stores[i]
     P, energy, g, own = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n), np.zeros(n)
     for r in range(len(motion)):
         for i in range(n):
@@ -228,27 +205,25 @@ def tracking_and_energy(motion, A, C, effectors, weights, energy_weight, proxima
     # Moves store no energy.
     for i in range(n):
         for j in range(n):
-            if i < actuators and not actuators <= j < first:
-                energy[i, j] = A[i, j]
-            elif i >= first and not actuators <= j < first:
-                energy[i, j] = C[i - first, j]
+            if stores[i] and stores[j]:
+                energy[i, j] = A[i, j] if i < actuators else C[i - actuators, j]
         own[i] = energy[i, i]
     # A row that nothing displaces gets a compliance of one.
-    for start, stop in ((0, actuators), (first, n)):
+    for start, stop in ((0, actuators), (actuators, n)):
         most = TINY
         for i in range(start, stop):
             most = max(most, own[i])
         for i in range(start, stop):
             own[i] = own[i] if own[i] > MOVES_NOTHING * most else 1.0
     s, moves, most = 0.0, 0.0, 0.0
-    for i in range(first):
-        if i < actuators:
-            s += P[i, i] / own[i] / actuators
+    for i in range(actuators):
+        if stores[i]:
+            s += P[i, i] / own[i] / efforts
         else:
-            moves += P[i, i] / (first - actuators)
+            moves += P[i, i] / (actuators - efforts)
             most = max(most, P[i, i])
     for i in range(n):
-        if not actuators <= i < first:
+        if stores[i]:
             energy[i, i] += ADDED_COMPLIANCE * own[i]
         # A move costs as much as an effort that displaces the effectors as far.
         elif s > 0.0 and P[i, i] > MOVES_NOTHING * most:

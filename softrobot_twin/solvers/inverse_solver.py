@@ -80,8 +80,9 @@ def proved_efforts(
         return False, least, active
     none, no_rows = np.empty(0), np.empty((0, count))
     P, g = tracking_and_energy(
-        motion, A, no_rows, errors, weights, energy_weight, proximal_weight, centre
-    )
+        motion, A, no_rows, np.zeros(count, np.bool_), errors, weights, energy_weight,
+        proximal_weight, centre,
+    )  # fmt: skip
     proved, efforts, _, _, active, _ = optimum_from_active_set(
         P, g, least, most, rows, lower, upper, no_rows, none, none,
         np.empty(0, dtype=np.bool_), active,

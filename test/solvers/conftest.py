@@ -8,24 +8,63 @@ import numpy as np
 import pytest
 
 from softrobot_twin.solvers.direct_problem import solve_direct
-from softrobot_twin.solvers.inverse_problem import (
-    Bounds,
-    ContactBounds,
-    InverseSystem,
-    build_inverse_problem,
-)
+from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
 from softrobot_twin.solvers.qpcc import QPCC
 
 ENERGY_WEIGHT = 1.0e-6
 
 
+class Blocks(NamedTuple):
+    """Blocks of effectors e, cables a and contacts c by tensions, contact forces and moves G."""
+
+    W_ea: np.ndarray
+    W_ec: np.ndarray
+    W_aa: np.ndarray
+    W_ac: np.ndarray
+    W_cc: np.ndarray
+    G_e: np.ndarray
+    G_a: np.ndarray
+    G_c: np.ndarray
+    effectors: np.ndarray
+    actuators: np.ndarray
+    gaps: np.ndarray
+
+    @property
+    def stacked(self) -> InverseSystem:
+        """The same by z = (λ_a, u, λ_c); what moves are actuators too."""
+        first, moves = len(self.actuators), self.G_e.shape[1]
+        own = np.eye(moves, first + moves + len(self.gaps), k=first)
+        cables = np.hstack([self.W_aa, self.G_a, self.W_ac])
+        return InverseSystem(
+            np.hstack([self.W_ea, self.G_e, self.W_ec]), np.vstack([cables, own]),
+            np.hstack([self.W_ac.T, self.G_c, self.W_cc]), np.arange(first + moves) >= first,
+            self.effectors, np.pad(self.actuators, (0, moves)), self.gaps,
+        )  # fmt: skip
+
+
+class MoveBounds(NamedTuple):
+    """Bounds on moves and contact forces."""
+
+    move_min: np.ndarray
+    move_max: np.ndarray
+    force_max: np.ndarray
+
+
 class RobotInContact(NamedTuple):
     """A condensed robot, and its state with held actuators."""
 
-    system: InverseSystem
+    system: Blocks
     bounds: Bounds
-    contact_bounds: ContactBounds
+    contact_bounds: MoveBounds
     tensions: np.ndarray
+
+    def given(self, weights: np.ndarray, energy_weight: float) -> tuple:
+        """Arguments of `build_inverse_problem`."""
+        least, most, force_max = self.contact_bounds
+        free = np.full(len(least), np.inf)
+        bounds = [np.concatenate([own, more]) for own, more in zip(
+            self.bounds, (least, most, -free, free), strict=True)]  # fmt: skip
+        return self.system.stacked, weights, energy_weight, Bounds(*bounds), force_max
 
     @property
     def contacts(self) -> int:
@@ -47,9 +86,7 @@ class RobotInContact(NamedTuple):
 
     def problem(self, energy_weight=ENERGY_WEIGHT) -> QPCC:
         weights = np.ones(len(self.system.effectors))
-        problem = build_inverse_problem(
-            self.system, weights, energy_weight, self.bounds, self.contact_bounds
-        )
+        problem = build_inverse_problem(*self.given(weights, energy_weight))
         problem.check()
         return problem
 
@@ -83,12 +120,12 @@ def robot_in_contact() -> Callable[..., RobotInContact]:
         G = 0.5 * rng.standard_normal((size, moves))
         tensions = rng.uniform(0.0, 4.0, actuators) * (rng.random(actuators) < 0.7)
         target = W[e, a] @ tensions + 6.0e-3 * rng.standard_normal(rows)
-        system = InverseSystem(
+        system = Blocks(
             W[e, a], W[e, c], W[a, a], W[a, c], W[c, c], G[e], G[a], G[c],
             -target, np.zeros(actuators), 2.0e-3 * rng.standard_normal(contacts),
         )  # fmt: skip
         free = np.full(actuators, np.inf)
-        limits = ContactBounds(
+        limits = MoveBounds(
             np.full(moves, -1e-3), np.full(moves, 1e-3), np.full(contacts, np.inf)
         )
         bounds = Bounds(-free, free, np.zeros(actuators), np.full(actuators, 10.0))

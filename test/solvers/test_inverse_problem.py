@@ -20,9 +20,7 @@ def mean_curvature(system, weights):
 
 def build(robot, weights=None, energy_weight=1e-4, **changed):
     weights = np.ones(len(robot.system.effectors)) if weights is None else weights
-    problem = build_inverse_problem(
-        robot.system, weights, energy_weight, robot.bounds, robot.contact_bounds
-    )
+    problem = build_inverse_problem(*robot.given(weights, energy_weight))
     problem.check()
     return problem._replace(**changed)
 
@@ -41,9 +39,11 @@ def test_rows_and_gaps_are_the_motions_of_the_condensed_system(robot_in_contact,
     tensions, moves, forces = split(robot, z)
     path = system.W_aa @ tensions + system.G_a @ moves + system.W_ac @ forces
     gaps = system.W_ac.T @ tensions + system.G_c @ moves + system.W_cc @ forces + system.gaps
-    np.testing.assert_allclose(problem.A @ z, path, atol=1e-15)
+    np.testing.assert_allclose(problem.A @ z, np.concatenate([path, moves]), atol=1e-15)
     np.testing.assert_allclose(problem.gaps(z), gaps, atol=1e-15)
-    room = problem.row_upper - robot.bounds.displacement_max
+    assert np.isinf(problem.row_upper[8:]).all() and np.isinf(problem.row_lower[8:]).all()
+    np.testing.assert_array_equal(problem.upper[8:10], robot.contact_bounds.move_max)
+    room = problem.row_upper[:8] - robot.bounds.displacement_max
     np.testing.assert_allclose(room, -system.actuators, atol=1e-15)
 
 
@@ -157,7 +157,7 @@ def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robo
     ("field", "value", "message"),
     [
         ("lower", np.full(13, 11.0), "above its upper"),
-        ("row_lower", np.full(8, 1.0), "above its upper"),
+        ("row_lower", np.full(9, 1.0), "above its upper"),
         ("force_max", np.full(4, -1.0), "starts at zero"),
         ("d", np.zeros(5), "shape"),
         ("P", np.eye(3), "shape"),
@@ -176,12 +176,10 @@ def test_the_proximal_term_weighs_the_energy_of_the_distance_from_its_centre(
     robot = robot_in_contact(0, contacts=contacts, moves=0)
     generator = np.random.default_rng(0)
     centre, first, second = generator.standard_normal((3, 8 + contacts))
-    given = (robot.system, np.ones(3), 1e-3, robot.bounds, robot.contact_bounds)
+    given = robot.given(np.ones(3), 1e-3)
     plain = build_inverse_problem(*given)
     near = build_inverse_problem(*given, centre, 9.0)
-    energy = plain.P - build_inverse_problem(
-        robot.system, np.ones(3), 0.0, robot.bounds, robot.contact_bounds
-    ).P
+    energy = plain.P - build_inverse_problem(*robot.given(np.ones(3), 0.0)).P
 
     def added(z):
         return near.objective(z) - plain.objective(z)
@@ -196,7 +194,7 @@ def test_the_proximal_term_weighs_the_energy_of_the_distance_from_its_centre(
 @pytest.mark.parametrize("contacts", [0, 4])
 def test_without_any_target_the_proximal_term_has_no_effect(robot_in_contact, contacts):
     robot = robot_in_contact(0, contacts=contacts, moves=0)
-    given = (robot.system, np.zeros(3), 1e-3, robot.bounds, robot.contact_bounds)
+    given = robot.given(np.zeros(3), 1e-3)
     centre = np.random.default_rng(0).standard_normal(8 + contacts)
     plain, near = build_inverse_problem(*given), build_inverse_problem(*given, centre, 9.0)
     np.testing.assert_array_equal(near.P, plain.P)
@@ -208,7 +206,7 @@ def test_without_any_target_the_proximal_term_has_no_effect(robot_in_contact, co
 def test_compiled_and_interpreted_objectives_agree(robot_in_contact, monkeypatch, moves):
     robot = robot_in_contact(0, moves=moves)
     last = np.random.default_rng(0).standard_normal(len(robot.held))
-    given = (robot.system, np.array([1.0, 0.0, 2.0]), 1e-4, robot.bounds, robot.contact_bounds)
+    given = robot.given(np.array([1.0, 0.0, 2.0]), 1e-4)
     compiled = build_inverse_problem(*given, last, 9.0)
     kernel = inverse_problem.tracking_and_energy
     monkeypatch.setattr(inverse_problem, "tracking_and_energy", kernel.py_func)
@@ -240,7 +238,7 @@ def test_with_effort_rows_the_optimum_is_that_of_the_problem_in_efforts(robot_in
     hat, M, shift = augmented(robot.system, stiffness, reference)
     plain = build(robot, np.ones(4), 0.0)
     problem = with_effort_rows(
-        build_inverse_problem(hat, np.ones(4), 0.0, robot.bounds), stiffness, reference,
+        build_inverse_problem(hat.stacked, np.ones(4), 0.0, robot.bounds), stiffness, reference,
         hat.actuators,
     )  # fmt: skip
     problem.check()
@@ -273,9 +271,10 @@ def test_the_bounds_of_efforts_decide_some_of_these_problems(robot_in_contact):
 def test_effort_rows_admit_exactly_the_efforts_within_their_bounds(robot_in_contact, seed):
     """With contacts and moves, which may displace the actuators too."""
     robot = robot_in_contact(seed, contacts=4, moves=2)
-    system, generator = robot.system, np.random.default_rng(seed)
-    count = len(system.actuators)
-    stiffness = generator.permutation(np.resize([0.0, 1.0, 10.0], count)) / np.diag(system.W_aa)
+    system, generator = robot.system.stacked, np.random.default_rng(seed)
+    count, own = len(system.actuators), np.diag(robot.system.W_aa)
+    stiffness = generator.permutation(np.resize([0.0, 1.0, 10.0], len(own))) / own
+    stiffness = np.pad(stiffness, (0, 2))
     reference = 1e-3 * generator.standard_normal(count)
     problem = build(robot)
     changed = with_effort_rows(problem, stiffness, reference, system.actuators)

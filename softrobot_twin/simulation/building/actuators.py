@@ -36,6 +36,7 @@ class Actuators:
         kinds: Kind of each actuator, shape (count,).
         names: Their names, shape (count,).
         row_count: Number of actuators with a row of H, which come first.
+        is_moved: Whether the unknown of each is its displacement and not its effort, shape (count,).
         moves: Object that prescribes the displacements of the others, or None without any.
         rest_setpoints: Setpoints at rest, each in the unit of its kind, shape (count,).
         limits: Their limits.
@@ -71,6 +72,7 @@ class Actuators:
         )
         self.names = tuple(name for group in self.groups for name in group.names)
         self.row_count = sum(len(g.names) for g in self.groups if g.term is not None)
+        self.is_moved = np.arange(len(self.names)) >= self.row_count
         self.rest_setpoints = self._joined("rest_setpoints")
         self.rest_setpoints.setflags(write=False)
         self.is_effort_driven = np.array([kind.is_effort_driven for kind in self.kinds], bool)

@@ -1,13 +1,14 @@
 """Slides: actuators that move a platform, with all attached nodes, by a displacement.
 
-A slide has no multiplier: it prescribes a move u. In statics a body that is held only by the
-platform is translated with it, as no inner force changes; so u shifts positions, effectors and gaps
-by
+A platform on a slide is a frame with one translation, its position s along the axis a. In statics a
+body that is held only by the platform is translated with it, as no inner force changes: seen from
+the platform, A does not couple s with anything. So s needs no row of A. The unknown of the slide
+is its own displacement u, in place of an effort, and it moves
 
     x ← x + a u,    δ_e ← δ_e + G_e u,    δ_c ← δ_c + G_c u
 
-with the axis a, G_e = a in the effectors' directions and G_c = n · a where the platform carries the
-first side of a contact, less that where it carries the second.
+with G_e = a in the effectors' directions and G_c = n · a where the platform carries the first side
+of a contact, less that where it carries the second.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.scene.actuator_entries import Slide
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -41,24 +44,6 @@ def shift_riders(positions, slide_of_node, axes, moves):
 
 
 @njit(**KERNEL)
-def write_slide_positions(positions, frames, rest_origins, axes, slide_positions):
-    """Position of each slide: displacement of its frame along its axis.
-
-    Args:
-        positions: Node positions [m], shape (node_count, 3).
-        frames: First frame node of the body on each slide, shape (slide_count,).
-        rest_origins: Origin of this frame at rest [m], shape (slide_count, 3).
-        axes: Unit direction of each slide, shape (slide_count, 3).
-        slide_positions: Takes the displacements [m], shape (slide_count,).
-    """
-    for k in range(len(frames)):
-        n, along = frames[k], 0.0
-        for i in range(3):
-            along += (positions[n, i] - rest_origins[k, i]) * axes[k, i]
-        slide_positions[k] = along
-
-
-@njit(**KERNEL)
 def write_contact_columns(slide_of_node, axes, nodes, directions, row_starts, columns):
     """Add the motion of each side along the contacts' directions.
 
@@ -73,15 +58,13 @@ def write_contact_columns(slide_of_node, axes, nodes, directions, row_starts, co
     for c in range(len(row_starts) - 1):
         for side in range(2):
             # All four nodes of a rigid side are frame nodes.
-            first = 4 * side
-            node = max(nodes[c, first], nodes[c, first + 1], nodes[c, first + 2])
+            node = nodes[c, 4 * side : 4 * side + 3].max()
             k = slide_of_node[node] if node >= 0 else NOWHERE
-            if k == NOWHERE:
-                continue
-            for i in range(row_starts[c + 1] - row_starts[c]):
-                d = directions[c, i]
-                along = d[0] * axes[k, 0] + d[1] * axes[k, 1] + d[2] * axes[k, 2]
-                columns[row_starts[c] + i, k] += along if side == 0 else -along
+            if k != NOWHERE:
+                sign = 1.0 - 2.0 * side
+                for i in range(row_starts[c + 1] - row_starts[c]):
+                    along = dot(row(directions[c], i), row(axes, k))
+                    columns[row_starts[c] + i, k] += sign * along
 
 
 class Slides:
@@ -124,12 +107,8 @@ class Slides:
                     self._weights[index] += body.mass * self.axes[index] @ np.array(scene.gravity)
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
-        """Positions of the slides [m], shape (count,)."""
-        slide_positions = np.empty(self.count)
-        write_slide_positions(
-            positions, self._frames, self._rest_origins, self.axes, slide_positions
-        )  # fmt: skip
-        return slide_positions
+        """Positions of the slides [m], shape (count,): displacements of their frames along them."""
+        return ((positions[self._frames] - self._rest_origins) * self.axes).sum(axis=1)
 
     def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
         """Translate all attached nodes.
@@ -141,7 +120,9 @@ class Slides:
         shift_riders(positions, self._slide_of_node, self.axes, moves)
 
     def effector_columns(self, effectors) -> np.ndarray:
-        """G_e, shape (effector_row_count, count)."""
+        """G_e, shape (effector_row_count, count); without rows where there are no effectors."""
+        if effectors is None:
+            return np.empty((0, self.count))
         columns = np.zeros((effectors.row_count, self.count))
         for row, (index, axis) in enumerate(
             zip(effectors.row_effector, effectors.row_axis, strict=True)
@@ -161,9 +142,31 @@ class Slides:
         )  # fmt: skip
         return columns
 
+    def columns(self, rows: RowStack, effector_columns: np.ndarray, contacts) -> np.ndarray:
+        """Change of the rows evaluated last by displacements of the slides, whose sign is opposite.
+
+        Args:
+            rows: All rows.
+            effector_columns: G_e.
+            contacts: The term of the contacts, or None.
+
+        Returns:
+            Shape (row_count, count).
+        """
+        columns = np.zeros((rows.row_count, self.count))
+        columns[rows.groups.effectors] = -effector_columns
+        if contacts is not None:
+            columns[rows.groups.contacts] = -self.contact_columns(contacts)
+        return columns
+
     def loads(self, contact_columns: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
-        """Force with which each slide holds its bodies [N], shape (count,)."""
-        return -(self._weights + contact_columns.T @ contact_forces)
+        """Force with which each slide holds its bodies [N], shape (count,).
+
+        Args:
+            contact_columns: Those of `columns`, shape (contact_row_count, count).
+            contact_forces: λ of all contact rows [N], shape (contact_row_count,).
+        """
+        return contact_columns.T @ contact_forces - self._weights
 
 
 class SlideActuator:

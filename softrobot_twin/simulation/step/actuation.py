@@ -41,21 +41,20 @@ class ContactLoads(NamedTuple):
 
 
 NOTHING_TOUCHES = ContactLoads(np.empty(0))
-NO_MOVES = np.empty(0)
 
 
 class Actuation(NamedTuple):
     """What actuators and contacts do.
 
     Attributes:
-        efforts: λ_a [N], shape (actuator_count,).
+        efforts: λ_a [N], shape (actuator_count,); of slides their displacements from where they are
+            [m], until a correction tells what holds them.
         displacements: Set displacements δ_a of the actuators [m], shape (actuator_count,); for a
             slack cable less than the shortening of its path. Those of effort-driven actuators
             follow from their efforts.
         solved: False when there was no solution and the actuators were held.
         qp_solver: Name of the solver that found it; empty where no QP was posed.
         contact: The contacts.
-        moves: Moves of actuators without a multiplier, as slides are [m], shape (move_count,).
         is_refused: The solution was rejected because it would invert elements; the actuators were
             held.
         are_efforts_given: Whether efforts were asked for, and not displacements or targets.
@@ -66,7 +65,6 @@ class Actuation(NamedTuple):
     solved: bool = True
     qp_solver: str = ""
     contact: ContactLoads = NOTHING_TOUCHES
-    moves: np.ndarray = NO_MOVES
     is_refused: bool = False
     are_efforts_given: bool = False
 
@@ -95,7 +93,6 @@ class Actuation(NamedTuple):
             efforts=_between(held.efforts, self.efforts, share),
             displacements=_between(held.displacements, self.displacements, share),
             contact=self.contact._replace(multipliers=multipliers),
-            moves=_between(held.moves, self.moves, share),
         )
 
     @property

@@ -72,7 +72,7 @@ class DirectActuation:
         Args:
             model: The built scene.
         """
-        self._contacts, self._slides = model.contacts, model.slides
+        self._contacts, self._is_moved = model.contacts, model.actuators.is_moved
         self._one_sided = model.actuators.one_sided
         self._limits = model.actuators.limits
         self._by_effort = model.actuators.is_effort_driven
@@ -81,8 +81,7 @@ class DirectActuation:
         self._round_off = ROUND_OFF * model.actuators.displacement_scale
         # A scene without contact allocates no contact solver.
         self.solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
-        groups = model.rows.groups
-        self._efforts = self._before = np.zeros(groups.actuators.stop)
+        self._efforts = self._before = np.zeros(model.actuators.count)
 
     def warm_up(self) -> None:
         """Compile every contact solver that may be needed."""
@@ -95,7 +94,7 @@ class DirectActuation:
         Where contacts stick and slip, complementarity has several solutions: a state that is
         restored goes on as before only from its own efforts.
         """
-        self._efforts = efforts[: len(self._efforts)]
+        self._efforts = np.where(self._is_moved, 0.0, efforts)
 
     def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
         """Multipliers of the last linearization's solution.
@@ -104,7 +103,7 @@ class DirectActuation:
             linear: The condensed system.
 
         Returns:
-            Efforts [N], shape (actuator_row_count,), and the forces in it of the present contacts
+            Efforts [N], zero of slides, shape (actuator_count,), and the forces in it of the present contacts
             [N], shape (contact_row_count,).
         """
         if not linear.contact_row_count:
@@ -137,40 +136,40 @@ class DirectActuation:
             The actuation. Without a solution `solved` is False and the efforts are zero; if
             contacts did not converge, it has the smallest residual found.
         """
-        a = linear.groups.actuators
-        lower, upper = bounds.effort_min[a], bounds.effort_max[a]
+        if linear.move_count:
+            bounds = self._with_moves(bounds, drives - linear.actuators)
+        lower, upper = bounds.effort_min, bounds.effort_max
         if self._limits.has_effort_driven:
             found = self._regulate(linear, drives, lower, upper, bounds)
         else:
             found = self._hold(linear, drives, lower, upper)
         return found if self._actuators is None else self._stall(linear, found)
 
+    def _with_moves(self, bounds: Bounds, moves: np.ndarray) -> Bounds:
+        """Bounds in which slides make these moves [m], shape (actuator_count,)."""
+        held = np.where(self._is_moved, moves, (bounds.effort_min, bounds.effort_max))
+        return bounds._replace(effort_min=held[0], effort_max=held[1])
+
     def _stall(self, linear: Linearized, found: Actuation) -> Actuation:
         """Displacements of motors at a limit of their torque: where the bodies are."""
-        a = linear.groups.actuators
-        stalled = self._actuators.stalled(found.efforts[a])
+        stalled = self._actuators.stalled(found.efforts)
         if not (found.solved and stalled.any()):
             return found
         path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
-        displacements = found.displacements.copy()
-        displacements[a] = np.where(stalled, path, displacements[a])
-        return found._replace(displacements=displacements)
+        return found._replace(displacements=np.where(stalled, path, found.displacements))
 
     def _hold(
         self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> Actuation:
         """Efforts within bounds, and contact forces, at given displacements."""
-        a = linear.groups.actuators
         if self.solvers is not None:
             return self._in_contact(linear, displacements, lower, upper)
         if (lower == upper).all():
             # All efforts are held, as where regulators hold all pressures: nothing is to be found.
-            return self._free(linear, lower.copy(), displacements)
-        efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
+            return self._free(lower.copy(), displacements)
+        efforts = solve_direct(linear.W_aa, linear.actuators, displacements, lower, upper)
         solved = efforts is not None
-        return self._free(
-            linear, efforts if solved else np.zeros(a.stop), displacements, solved
-        )
+        return self._free(efforts if solved else np.zeros(len(lower)), displacements, solved)
 
     def _regulate(
         self, linear: Linearized, drives: np.ndarray, lower: np.ndarray, upper: np.ndarray,
@@ -181,9 +180,8 @@ class DirectActuation:
         An effort is held by equal bounds. At a limit of its displacement an actuator is held by the
         limit, and its effort deviates from the given one: an empty cavity bears on its walls.
         """
-        a = linear.groups.actuators
-        by_effort, displacements = self._by_effort[a], drives.copy()
-        lower, upper = np.where(by_effort, drives[a], lower), np.where(by_effort, drives[a], upper)
+        by_effort, displacements = self._by_effort, drives.copy()
+        lower, upper = np.where(by_effort, drives, (lower, upper))
         while True:
             found = self._hold(linear, displacements, lower, upper)
             path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
@@ -208,112 +206,79 @@ class DirectActuation:
             The actuation: with the given efforts, if their displacements are within the bounds;
             else, without contact, with the nearest efforts in the energy norm of W.
         """
-        a = linear.groups.actuators
-        wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
+        wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)
+        if linear.move_count:
+            wanted = np.where(self._is_moved, held.efforts, wanted)
+            bounds = self._with_moves(bounds, held.efforts)
         if self.solvers is not None:
             return self._at_efforts_in_contact(linear, wanted, held, bounds)
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
         within = widened(path, bounds)
         # The path of a cable without tension may be shorter than its winch can wind it.
-        hangs = self._one_sided[a] & ~self._by_effort[a] & (wanted <= 0.0)
+        hangs = self._one_sided & ~self._by_effort & (wanted <= 0.0)
         within.displacement_max[hangs] = np.inf
         found = solve_towards(linear.W_aa, linear.actuators, wanted, within)
         if found is None:
             return held._replace(solved=False)
-        return self.settle(linear, found, held.displacements, bounds)
+        return self.settle(linear, found, bounds)
 
-    def settle(
-        self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray, bounds: Bounds
-    ) -> Actuation:
+    def settle(self, linear: Linearized, efforts: np.ndarray, bounds: Bounds) -> Actuation:
         """Set actuators to the displacements of given efforts, within the hardware's bounds.
 
         Args:
             linear: The condensed system, without contacts.
-            efforts: λ_a [N], shape (actuator_row_count,).
-            displacements: Displacements of actuators without rows [m],
-                shape (actuator_count,).
+            efforts: λ_a [N], shape (actuator_count,).
             bounds: Bounds of this step. Effort-driven actuators are where their efforts bring them.
 
         Returns:
             The actuation, solved again if the bounds change a displacement.
         """
-        a = linear.groups.actuators
         path = linear.W_aa @ efforts + linear.actuators
         within = self._within(path, bounds)
-        settled = np.concatenate([within, displacements[a.stop :]])
         if np.array_equal(within, path):
-            return self._free(linear, efforts, settled)
-        settled[a] = np.where(self._by_effort[a], efforts, within)
+            return self._free(efforts, within)
+        settled = np.where(self._by_effort, efforts, within)
         return self.at_drives(linear, settled, bounds)
 
     def _within(self, path: np.ndarray, bounds: Bounds) -> np.ndarray:
-        """Displacements δ_a within bounds where these are set, shape (actuator_row_count,)."""
-        a = slice(0, len(path))
-        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
-        return np.where(self._by_effort[a], path, within) if self._limits.has_effort_driven else within
+        """Displacements δ_a within bounds where these are set, shape (actuator_count,)."""
+        within = np.clip(path, bounds.displacement_min, bounds.displacement_max)
+        return np.where(self._by_effort, path, within) if self._limits.has_effort_driven else within
 
     def _free(
-        self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray,
-        solved: bool = True,
-    ) -> Actuation:  # fmt: skip
+        self, efforts: np.ndarray, displacements: np.ndarray, solved: bool = True
+    ) -> Actuation:
         """An actuation without contact."""
-        self._efforts = efforts
-        actuation = Actuation(efforts, displacements, solved)
-        if self._slides is None:
-            return actuation
-        moves = self._moves(linear, displacements)
-        efforts = self.with_loads(linear, efforts, actuation.contact.multipliers)
-        return actuation._replace(efforts=efforts, moves=moves)
-
-    @staticmethod
-    def _moves(linear: Linearized, displacements: np.ndarray) -> np.ndarray:
-        """Moves that bring slides to their displacements, which have the opposite sign [m]."""
-        return -displacements[linear.groups.actuators.stop :] - linear.move_positions
-
-    def with_loads(
-        self, linear: Linearized, efforts: np.ndarray, contact: np.ndarray
-    ) -> np.ndarray:
-        """Efforts of actuators with rows, then forces that hold slides [N], shape
-        (actuator_count,).
-
-        Args:
-            linear: The condensed system.
-            efforts: λ_a [N], shape (actuator_row_count,).
-            contact: λ_c [N], shape (contact_row_count,).
-        """
-        if self._slides is None:
-            return efforts
-        return np.concatenate([efforts, self._slides.loads(linear.G_c, contact)])
+        self.remember(efforts)
+        return Actuation(efforts, displacements, solved)
 
     def _at_efforts_in_contact(
         self, linear: Linearized, wanted: np.ndarray, held: Actuation, bounds: Bounds
     ) -> Actuation:
-        a = linear.groups.actuators
         solution = self._in_contact(linear, held.displacements, wanted, wanted)
         path = linear.actuator_displacements(solution.efforts, solution.contact.multipliers)
         within = self._within(path, bounds)
-        displacements = held.displacements.copy()
-        displacements[a] = within
         # A cable without tension may be slack: its path is shorter than its length.
-        slack = self._one_sided[a] & (wanted <= 0.0) & (within < path)
+        slack = self._one_sided & (wanted <= 0.0) & (within < path)
         if ((within == path) | slack).all():
-            return solution._replace(displacements=displacements)
-        displacements[a] = np.where(self._by_effort[a], wanted, within)
-        return self.at_drives(linear, displacements, bounds)
+            return solution._replace(displacements=within)
+        return self.at_drives(linear, np.where(self._by_effort, wanted, within), bounds)
 
     def _in_contact(
         self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> Actuation:
         """Efforts within bounds, and contact forces, at given displacements."""
-        count, moves = linear.groups.actuators.stop, self._moves(linear, displacements)
-        found = self._solve(linear, displacements[:count], moves, lower, upper)
-        self._efforts = found.multipliers[:count]
+        count = linear.groups.actuators.stop - linear.move_count
+        # A slide goes where it is told, whatever touches its bodies.
+        moves = lower[count:]
+        found = self._solve(linear, displacements[:count], moves, lower[:count], upper[:count])
+        efforts = np.concatenate([found.multipliers[:count], moves])
+        self.remember(efforts)
         contact = ContactLoads(
             found.multipliers[count:], found.sweeps, found.gap_residual, found.force_residual,
             found.converged,
         )  # fmt: skip
-        efforts = self.with_loads(linear, self._efforts, contact.multipliers)
-        return Actuation(efforts, np.asarray(displacements), contact=contact, moves=moves)
+        return Actuation(efforts, np.asarray(displacements), contact=contact)
 
     def _solve(
         self, linear: Linearized, displacements: np.ndarray, moves: np.ndarray,
@@ -350,11 +315,9 @@ class DirectActuation:
 
     def _problem(self, linear: Linearized, displacements, moves, lower, upper) -> ContactProblem:
         """The problem of the actuators and of the contacts that are condensed."""
-        contacts, count = self._contacts, linear.groups.actuators.stop
-        compliance, violation = linear.of_actuators_and_contacts()
-        violation[:count] -= displacements
-        if len(moves):
-            violation[count:] += linear.G_c @ moves
+        contacts = self._contacts
+        compliance, violation = linear.of_actuators_and_contacts(moves)
+        violation[: len(displacements)] -= displacements
         friction = contacts.friction
         problem = ContactProblem(
             None if compliance.Yt is not None else compliance.W, violation, lower, upper,
@@ -373,7 +336,7 @@ class DirectActuation:
 
     def _guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """All multipliers of the last solution, and the extrapolated ones of this step [N]."""
-        memory, efforts = self._contacts.memory, self._efforts
+        memory, efforts = self._contacts.memory, self._efforts[~self._is_moved]
         return (np.concatenate([efforts, memory.guess]),
                 np.concatenate([efforts, memory.expected]))
 
@@ -382,7 +345,7 @@ class DirectActuation:
 
         It is within the tolerance, and so small that the force of the contact would be negligible.
         """
-        actuators = len(self._efforts)
+        actuators = np.count_nonzero(~self._is_moved)
         own, frictionless = problem.W.diagonal()[actuators:], len(problem.lower) - actuators
         normals = np.concatenate(
             [own[:frictionless], own[frictionless :: problem.rows_per_contact]]
@@ -420,7 +383,7 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     """
     if effectors is None or held is None or linear.contact_row_count:
         return float("nan")
-    places = linear.effector_places(held.efforts, held.contact.multipliers, held.moves)
+    places = linear.effector_places(held.efforts, held.contact.multipliers)
     return largest_distance(
         places, linear.effectors_now, effectors.row_effector[: effectors.position_row_count],
         np.zeros(len(effectors.effectors)),
@@ -428,7 +391,7 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
 
 
 def widened(path: np.ndarray, bounds: Bounds) -> Bounds:
-    """Bounds of the actuators with rows, widened to contain the held state.
+    """Bounds of the actuators, widened to contain the held state.
 
     The path of a slack cable is shorter than its length, that of a cable at its greatest tension is
     longer; neither violates a limit of the hardware. With the held state inside, the problem always
@@ -438,10 +401,7 @@ def widened(path: np.ndarray, bounds: Bounds) -> Bounds:
         path: Displacements of the paths with all actuators held [m], shape (n,).
         bounds: Bounds of this step.
     """
-    a = slice(0, len(path))
-    return Bounds(
-        np.minimum(bounds.displacement_min[a], path),
-        np.maximum(bounds.displacement_max[a], path),
-        bounds.effort_min[a],
-        bounds.effort_max[a],
+    return bounds._replace(
+        displacement_min=np.minimum(bounds.displacement_min, path),
+        displacement_max=np.maximum(bounds.displacement_max, path),
     )

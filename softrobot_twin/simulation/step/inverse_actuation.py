@@ -1,7 +1,7 @@
 """How λ is found when effectors have targets (Coevoet 2017, eq. 17-22).
 
 The inverse problem is a quadratic program with complementarity constraints over the efforts of the
-actuators, the moves of slides and the contact forces; without contacts it is an ordinary quadratic
+actuators, of slides their moves, and the contact forces; without contacts it is an ordinary quadratic
 program (`inverse_problem`, `inverse_solver`).
 
 Actuators may be commanded while the others are optimised around them. A winch holds a commanded
@@ -34,9 +34,8 @@ from softrobot_twin.simulation.step.linearized import Linearized, row_motion
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
-    NO_CONTACTS,
+    NO_FORCES,
     Bounds,
-    ContactBounds,
     InverseSystem,
     build_inverse_problem,
     with_effort_rows,
@@ -78,8 +77,6 @@ AT_LIMIT = 1.0e-8
 
 # A cable that is to bear where a finger pushes bears this multiple of what the push takes from it.
 BEARS = 1.5
-
-NO_FORCES = np.empty(0)
 
 
 @njit(**KERNEL)
@@ -361,28 +358,24 @@ class TargetSteps:
 
 
 class Unknowns(NamedTuple):
-    """Order of the unknowns z: efforts of free actuators, moves, efforts of commanded ones, forces.
+    """Order of the unknowns z: efforts of free actuators, those of commanded ones, forces.
 
     Attributes:
-        commanded: Which actuators with rows are commanded, shape (actuator_row_count,).
+        commanded: Which one-sided actuators are commanded, shape (actuator_count,).
         has_commanded: Whether any is.
     """
 
     commanded: np.ndarray
     has_commanded: bool
 
-    def stack(
-        self, efforts: np.ndarray, moves: np.ndarray, forces: np.ndarray
-    ) -> np.ndarray:
-        """z of efforts [N], moves [m] and contact forces [N]."""
-        if not (self.has_commanded or len(moves) or len(forces)):
+    def stack(self, efforts: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """z of efforts and contact forces [N]."""
+        if not (self.has_commanded or len(forces)):
             return efforts
-        return np.concatenate(
-            [efforts[~self.commanded], moves, efforts[self.commanded], forces]
-        )
+        return np.concatenate([efforts[~self.commanded], efforts[self.commanded], forces])
 
-    def split(self, z: np.ndarray, forces: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Efforts, moves and contact forces of z.
+    def split(self, z: np.ndarray, forces: int) -> tuple[np.ndarray, np.ndarray]:
+        """Efforts and contact forces of z.
 
         Args:
             z: The unknowns.
@@ -391,12 +384,11 @@ class Unknowns(NamedTuple):
         count = len(self.commanded)
         first = len(z) - forces
         if not self.has_commanded:
-            return z[:count], z[count:first], z[first:]
-        commanded_count = np.count_nonzero(self.commanded)
+            return z[:count], z[first:]
+        free_count = count - np.count_nonzero(self.commanded)
         efforts = np.empty(count)
-        efforts[~self.commanded] = z[: count - commanded_count]
-        efforts[self.commanded] = z[first - commanded_count : first]
-        return efforts, z[count - commanded_count : first - commanded_count], z[first:]
+        efforts[~self.commanded], efforts[self.commanded] = z[:free_count], z[free_count:first]
+        return efforts, z[first:]
 
 
 class InverseActuation:
@@ -425,15 +417,16 @@ class InverseActuation:
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self.force_limit = np.inf if limit is None else limit
         actuators = model.actuators
-        count = actuators.row_count
+        count, self._is_moved = actuators.count, actuators.is_moved
         self._one_sided = actuators.one_sided
-        self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
-        self._at_limit = AT_LIMIT * actuators.displacement_scale[:count]
-        self._may_hang = (actuators.one_sided & ~actuators.is_effort_driven)[:count]
-        self._may_hang &= actuators.limits.effort_min[:count] <= 0.0
+        self._round_off = ROUND_OFF * actuators.displacement_scale
+        self._at_limit = AT_LIMIT * actuators.displacement_scale
+        self._may_hang = actuators.one_sided & ~actuators.is_effort_driven
+        self._may_hang &= actuators.limits.effort_min <= 0.0
         self._scales = actuators.limits.drive_scale
-        self._effort_scales = actuators.effort_scale[:count]
-        alone = not model.rows.varies and model.slides is None and model.actuators.conserves
+        # Moves are no efforts, beside which another one would be none.
+        self._effort_scales = np.where(self._is_moved, np.inf, actuators.effort_scale)
+        alone = not (model.rows.varies or self._is_moved.any()) and model.actuators.conserves
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
         self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool), False)
         self._none = np.zeros(count)
@@ -511,7 +504,7 @@ class InverseActuation:
             is_wanted = weights > 0.0
             situation = Situation(
                 np.where(is_wanted, target_rows, 0.0), np.where(is_wanted, self._row_weights, 0.0),
-                linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
+                linear.effector_places(held.efforts, held.contact.multipliers),
                 drives, np.where(commanded, most, np.nan),
                 self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
             )  # fmt: skip
@@ -578,10 +571,8 @@ class InverseActuation:
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:
         """Drives when the actuators stay; of a slack cable, the path."""
-        drives, count = held.drives(self._limits).copy(), linear.groups.actuators.stop
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
-        drives[:count] = np.where(self._by_effort[:count], drives[:count], path)
-        return drives
+        return np.where(self._by_effort, held.drives(self._limits), path)
 
     def _look(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -594,17 +585,17 @@ class InverseActuation:
         """
         count, trust = linear.groups.actuators.stop, self.trust
         branch = np.zeros(count, dtype=bool) if trust.branch is None else trust.branch.copy()
-        upper = bounds.displacement_max[:count]
+        upper = bounds.displacement_max
         if stiffness is None:
-            loads = linear.efforts(held.efforts[:count], held.contact.multipliers)
+            loads = linear.efforts(held.efforts, held.contact.multipliers)
             bears = loads > NO_EFFORT * loads.max(initial=0.0)
-            may_change = branch | (bears & (held.displacements[:count] >= upper - self._at_limit))
+            may_change = branch | (bears & (held.displacements >= upper - self._at_limit))
         else:
             bears = stiffness.gradient.holds.any(axis=0)
             branch = self._may_hang & ~bears
             path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
             may_change = bears | (path <= upper + self._at_limit)
-        left = np.flatnonzero((may_change & self._may_hang & ~commanded[:count])[trust.kink :])
+        left = np.flatnonzero((may_change & self._may_hang & ~commanded)[trust.kink :])
         if not len(left):
             trust.end_look()
             return
@@ -666,13 +657,13 @@ class InverseActuation:
         count, contact = linear.groups.actuators.stop, held.contact.multipliers
         path, may_hang = linear.actuator_displacements(held.efforts, contact), self._may_hang
         if commanded.any():
-            may_hang = may_hang & ~commanded[:count]
+            may_hang = may_hang & ~commanded
         if chosen is not None:
             # With wanted stiffnesses, the others bear.
             may_hang = may_hang & ~chosen & (extra is None)
         branches, upper = np.zeros((2, count), dtype=bool), bounds.displacement_max
         slack, was_slack = branches
-        loads = linear.efforts(held.efforts[:count], contact) / self._effort_scales
+        loads = linear.efforts(held.efforts, contact) / self._effort_scales
         some_hang = hang_beyond(path, loads, upper, self._at_limit, may_hang, slack)
         loose = slack if some_hang else None
         if chosen is not None:
@@ -682,7 +673,7 @@ class InverseActuation:
         ), None
         while found is not None:
             best = found
-            loads = linear.efforts(found.efforts[:count], found.contact.multipliers)
+            loads = linear.efforts(found.efforts, found.contact.multipliers)
             if not change_slack(
                 found.displacements, loads / self._effort_scales, upper, self._at_limit, may_hang,
                 slack, was_slack,
@@ -767,11 +758,11 @@ class InverseActuation:
         solution = self._solution(linear, problem, start, unknowns, errors, weights, pose)
         if not solution.solved:
             return None
-        efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
+        efforts, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
         residual = _complementarity_residual(problem, solution.unknowns, forces)
         limits = self._limits_met(forces)
         contact = ContactLoads(forces, solution.programs, residual, limits=limits)
-        return self._settled(linear, efforts, moves, contact, bounds, solution.solver)
+        return self._settled(linear, efforts, contact, bounds, solution.solver)
 
     def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
         """What becomes of it when the actuators go back to the last place on their path."""
@@ -793,30 +784,25 @@ class InverseActuation:
             errors: δ_e,free less the targets, then those of further rows [m].
             weights: Their weights.
             held: What the actuators do when they stay.
-            within: Bounds of the actuators with rows in this branch of slack cables.
+            within: Bounds of the actuators in this branch of slack cables.
             bounds: Bounds of this step.
             unknowns: Order of the unknowns.
             extra: Change of the further rows by the multipliers of the actuators, or None.
         """
-        count, commanded = linear.groups.actuators.stop, unknowns.commanded
-        prescribed = bounds.displacement_max[:count]
-        contact_bounds = NO_CONTACTS
+        commanded, force_max = unknowns.commanded, NO_FORCES
         if commanded.any():
             within = Bounds(*(bound[~commanded] for bound in within))
-        if linear.contact_row_count or len(linear.move_positions) or commanded.any():
+        if linear.contact_row_count or commanded.any():
             limits = np.full(linear.contact_row_count, self.force_limit)
-            contact_bounds = ContactBounds(
-                -bounds.displacement_max[count:] - linear.move_positions,
-                -bounds.displacement_min[count:] - linear.move_positions,
-                np.concatenate([bounds.effort_max[:count][commanded], limits]),
-            )
-        system = inverse_system(linear, errors, commanded, prescribed)
+            force_max = np.concatenate([bounds.effort_max[commanded], limits])
+        system = inverse_system(
+            linear, errors, commanded, bounds.displacement_max, self._is_moved
+        )
         if extra is not None:
             system = with_effector_rows(system, extra, commanded)
         problem = build_inverse_problem(
-            system, weights, self._energy_now, within, contact_bounds,
-            self._centre(linear, held, unknowns),
-            self._proximal_weight(),
+            system, weights, self._energy_now, within, force_max,
+            self._centre(linear, held, unknowns), self._proximal_weight(),
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
 
@@ -842,21 +828,14 @@ class InverseActuation:
         if unknowns is self._all_free and self._alone:
             last, _ = self._direct.last_solution(linear)
         else:
-            last = unknowns.stack(*self._last_solution(linear))
+            last = unknowns.stack(*self._direct.last_solution(linear))
         if self.trust.weight == 0.0:
             return last
-        still = unknowns.stack(
-            held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
-        )
+        still = unknowns.stack(held.efforts, held.contact.multipliers)
         # Both terms as one, with the sum of their weights.
         restraint = self.trust.weight / self._energy_now
         share = restraint / self._proximal_weight()
         return (1.0 - share) * last + share * still
-
-    def _last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Efforts, moves and contact forces of the last linearization's answer."""
-        efforts, forces = self._direct.last_solution(linear)
-        return efforts, np.zeros(len(linear.move_positions)), forces
 
     @staticmethod
     def _with_effort_rows(
@@ -880,13 +859,13 @@ class InverseActuation:
         all contacts with bodies are open; and where that is in vain, against the energy. `pose`
         gives the problem of other errors.
         """
-        efforts, forces = held.efforts[linear.groups.actuators], held.contact.multipliers
+        efforts, forces = held.efforts, held.contact.multipliers
         if not problem.contact_count:
             none = np.zeros(0, dtype=bool)
             last = None if self._touching is None else none
             self._touching = {}
             return self._solver.solve(
-                problem, unknowns.stack(efforts, held.moves, forces), none, last
+                problem, unknowns.stack(efforts, forces), none, last
             )
         taut = efforts[unknowns.commanded]
         touching = np.concatenate([taut, forces]) > 0.0
@@ -906,7 +885,7 @@ class InverseActuation:
             return start
 
         solution = self._solver.solve(
-            problem, unknowns.stack(efforts, held.moves, forces), touching, last,
+            problem, unknowns.stack(efforts, forces), touching, last,
             second_start=second_start if len(forces) else None,
         )  # fmt: skip
         if first_missed:
@@ -928,7 +907,7 @@ class InverseActuation:
         weights: np.ndarray,
     ) -> bool:  # fmt: skip
         """Whether a solution presses and misses, and the search is to begin a second time."""
-        if not (unknowns.split(z, linear.contact_row_count)[2] > 0.0).any():
+        if not (unknowns.split(z, linear.contact_row_count)[1] > 0.0).any():
             return False
         if np.linalg.norm(_missed(linear, unknowns, z, errors, weights)) <= self._tolerance:
             self._wait = self._next_wait = 0
@@ -964,39 +943,34 @@ class InverseActuation:
         return self._contacts.memory.known if linear.contact_row_count else []
 
     def _settled(
-        self, linear: Linearized, efforts: np.ndarray, moves: np.ndarray, contact: ContactLoads,
-        bounds: Bounds, solver: str,
+        self, linear: Linearized, efforts: np.ndarray, contact: ContactLoads, bounds: Bounds,
+        solver: str,
     ) -> Actuation:  # fmt: skip
         """Set actuators to the paths found, within the hardware's bounds.
 
         Where the bounds change a displacement, efforts and contact forces are solved anew.
         """
-        a = linear.groups.actuators
         if linear.augmentation is None:
-            efforts = np.minimum(np.maximum(efforts, bounds.effort_min[a]), bounds.effort_max[a])
+            efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
         path = linear.actuator_displacements(efforts, contact.multipliers)
         within = np.empty(len(path))
         are_kept = keep_within(
             path, bounds.displacement_min, bounds.displacement_max, self._round_off, within
         )
-        displacements = within
-        if len(moves):
-            displacements = np.concatenate([within, -(linear.move_positions + moves)])
         if not are_kept:
             # A cable without tension may hang slack: its path is shorter than its length.
             loads = linear.efforts(efforts, contact.multipliers) / self._effort_scales
             is_loose = loads <= NO_EFFORT * loads.max(initial=0.0)
             is_kept = np.abs(within - path) <= self._round_off
-            is_kept |= self._by_effort[a] | (self._one_sided[a] & is_loose & (within < path))
+            is_kept |= self._by_effort | (self._one_sided & is_loose & (within < path))
             are_kept = is_kept.all()
         if not are_kept:
-            displacements[a] = np.where(self._by_effort[a], efforts, within)
-            actuation = self._direct.at_drives(linear, displacements, bounds)
+            drives = np.where(self._by_effort, efforts, within)
+            actuation = self._direct.at_drives(linear, drives, bounds)
             limited = actuation.contact._replace(limits=contact.limits)
             return actuation._replace(qp_solver=solver, contact=limited)
         self._direct.remember(efforts)
-        efforts = self._direct.with_loads(linear, efforts, contact.multipliers)
-        return Actuation(efforts, displacements, True, solver, contact, moves)
+        return Actuation(efforts, within, True, solver, contact)
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""
@@ -1031,17 +1005,18 @@ class InverseActuation:
             Largest error of an effector with the scene's weight and with the least [m]; None where
             the weight is the least, or there is no answer.
         """
-        count = linear.groups.actuators.stop
+        # Where slides are is not what the energy decides.
+        count = linear.groups.actuators.stop - linear.move_count
         if count == 0 or self._energy_weight <= LEAST_ENERGY_WEIGHT:
             return None
         W, free = _with_contacts_closed(linear, held.contact.multipliers)
-        now, efforts = linear.effectors_now, held.efforts[:count]
+        now, efforts, e = linear.effectors_now, held.efforts[:count], linear.groups.effectors
         asked, weights = self._steps.asked(target_rows, now)
         energy_weight = self._weight_of_energy(linear, asked)
         system = InverseSystem.without_contacts(
-            W[count:, :count], W[:count, :count], free[count:] - now - asked, free[:count]
+            W[e, :count], W[:count, :count], free[e] - now - asked, free[:count]
         )
-        path = system.W_aa @ efforts + system.actuators
+        path = system.W_a @ efforts + system.actuators
         within = Bounds(
             np.minimum(bounds.displacement_min[:count], path),
             np.maximum(bounds.displacement_max[:count], path),
@@ -1059,14 +1034,15 @@ class InverseActuation:
     ) -> float | None:  # fmt: skip
         """Largest error of an effector at the optimum [m]; None where there is no answer."""
         problem = build_inverse_problem(system, weights, energy_weight, bounds)
-        problem = self._with_effort_rows(linear, problem, system, slice(None))
+        own = slice(0, len(system.actuators))
+        problem = self._with_effort_rows(linear, problem, system, own)
         try:
             solution = DAQPSolver().solve(whiten(problem))
         except np.linalg.LinAlgError:
             return None
         if not solution.solved:
             return None
-        errors = system.W_ea @ solution.unknowns + system.effectors
+        errors = system.W_e @ solution.unknowns + system.effectors
         missed = np.where(weights > 0.0, errors, 0.0)
         squares = np.bincount(self._steps.row_effector, weights=missed * missed)
         return float(np.sqrt(squares.max(initial=0.0)))
@@ -1097,8 +1073,7 @@ def _missed(
     linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
     """What a solution leaves of the errors of effectors [m], shape (effector_row_count,)."""
-    efforts, moves, forces = unknowns.split(z, linear.contact_row_count)
-    now = linear.effector_places(efforts, forces, moves)
+    now = linear.effector_places(*unknowns.split(z, linear.contact_row_count))
     left = errors[: len(now)] + now - linear.effectors
     return np.where(weights[: len(now)] > 0.0, left, 0.0)
 
@@ -1112,51 +1087,43 @@ def _rest_rows(model: Model) -> np.ndarray:
 
 
 def inverse_system(
-    linear: Linearized, errors: np.ndarray, commanded: np.ndarray, prescribed: np.ndarray
-) -> InverseSystem:
+    linear: Linearized, errors: np.ndarray, commanded: np.ndarray, prescribed: np.ndarray,
+    is_move: np.ndarray,
+) -> InverseSystem:  # fmt: skip
     """Blocks of the inverse problem; commanded actuators stand before the contacts.
 
     Args:
         linear: The condensed system.
         errors: δ_e,free less the targets [m], shape (effector_row_count,).
-        commanded: Which actuators are commanded, shape (actuator_row_count,).
-        prescribed: Prescribed displacements of these [m], shape (actuator_row_count,).
+        commanded: Which actuators are commanded, shape (actuator_count,).
+        prescribed: Prescribed displacements of these [m], shape (actuator_count,).
+        is_move: Whether the unknown of each actuator is its move, shape (actuator_count,).
     """
-    W, (a, e, c) = linear.W, linear.groups
-    free, G_e, G_c = linear.violation, linear.G_e, linear.G_c
-    if not commanded.any():
-        return InverseSystem(
-            W[e, a], W[e, c], W[a, a], W[a, c], W[c, c],
-            G_e, np.zeros((a.stop, G_e.shape[1])), G_c, errors, free[a], free[c],
-        )  # fmt: skip
+    W, free, (_, e, c) = linear.W, linear.violation, linear.groups
     own, taut = np.flatnonzero(~commanded), np.flatnonzero(commanded)
     one_sided = np.concatenate([taut, np.arange(c.start, c.stop)])
     gaps = free[one_sided]
     gaps[: len(taut)] -= prescribed[taut]
+    of_unknowns = W[:, np.concatenate([own, one_sided])]
     return InverseSystem(
-        W[e, own], W[e, one_sided], W[np.ix_(own, own)], W[np.ix_(own, one_sided)],
-        W[np.ix_(one_sided, one_sided)], G_e, np.zeros((len(own), G_e.shape[1])),
-        np.concatenate([np.zeros((len(taut), G_e.shape[1])), G_c]), errors, free[own], gaps,
+        of_unknowns[e], of_unknowns[own], of_unknowns[one_sided], is_move[own], errors, free[own],
+        gaps,
     )  # fmt: skip
 
 
 def with_effector_rows(
     system: InverseSystem, extra: np.ndarray, commanded: np.ndarray
 ) -> InverseSystem:
-    """Add rows below those of the effectors, which neither contacts nor moves change.
+    """Add rows below those of the effectors, which no contacts change.
 
     Args:
         system: See `inverse_system`; its effectors contain the errors of these rows already.
-        extra: Change of the rows by the multipliers of the actuators, shape (n, actuator_row_count).
-        commanded: Which actuators are commanded, shape (actuator_row_count,).
+        extra: Change of the rows by the multipliers of the actuators, shape (n, actuator_count).
+        commanded: Which actuators are commanded, shape (actuator_count,).
     """
-    taut = np.zeros((len(extra), system.W_ec.shape[1]))
-    taut[:, : np.count_nonzero(commanded)] = extra[:, commanded]
-    moved = np.zeros((len(extra), system.G_e.shape[1]))
-    return system._replace(
-        W_ea=np.concatenate([system.W_ea, extra[:, ~commanded]]),
-        W_ec=np.concatenate([system.W_ec, taut]), G_e=np.concatenate([system.G_e, moved]),
-    )  # fmt: skip
+    more = np.zeros((len(extra), system.W_e.shape[1]))
+    more[:, : len(commanded)] = np.concatenate([extra[:, ~commanded], extra[:, commanded]], axis=1)
+    return system._replace(W_e=np.concatenate([system.W_e, more]))
 
 
 def _rows_to_track(
@@ -1183,7 +1150,7 @@ def _places(
     linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
 ) -> np.ndarray:
     """Coordinates of effectors, then of stiffnesses, that an actuation promises [m]."""
-    places = linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
+    places = linear.effector_places(found.efforts, found.contact.multipliers)
     if stiffness is not None:
         places = np.concatenate([places, stiffness.places(found.efforts)])
     return places

@@ -57,17 +57,15 @@ def row_motion(W, first, stop, efforts, violation):
 
 
 class PrescribedMoves(NamedTuple):
-    """Displacements that actuators without a multiplier prescribe, such as slides.
+    """Actuators whose unknown is their displacement, such as slides.
 
     Attributes:
-        positions: Their positions [m], shape (move_count,).
-        G_e: Effector displacement by move, shape (effector_row_count, move_count).
-        G_c: Contact displacement by move, shape (contact_row_count, move_count).
+        displacements: δ of each [m], shape (move_count,).
+        columns: Change of all rows by their displacements, shape (row_count, move_count).
     """
 
-    positions: np.ndarray
-    G_e: np.ndarray
-    G_c: np.ndarray
+    displacements: np.ndarray
+    columns: np.ndarray
 
 
 class Linearized:
@@ -81,6 +79,8 @@ class Linearized:
         chosen: Condensed contacts, ascending; None for all.
         augmentation: Relation between multipliers of the actuators and their efforts; None if they
             are the efforts.
+        move_count: Number of slides, the last of the actuators; their multipliers are their
+            displacements from the state.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Linearized:
             factorization: A⁻¹, or the augmented tangent in its place.
             stack: All rows at the state.
             forces: b [N], shape (free_node_count, 3).
-            moves: Moves that slides prescribe; None without slides.
+            moves: The slides; None without any.
             row_starts: First row of each contact and the number of all rows, shape
                 (contact_count + 1,); None if no contact may be omitted.
             pressing: Contacts that are expected to press, if the others may be omitted, shape
@@ -109,6 +109,7 @@ class Linearized:
         self._factorization, self._forces = factorization, forces
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
         self._values, self._all, self._moves = stack.values.copy(), stack.groups, moves
+        self.move_count = 0 if moves is None else len(moves.displacements)
         self._own, self._told = stack.own_compliance(), stack.told
         self._row_starts = row_starts
         self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start
@@ -138,6 +139,32 @@ class Linearized:
             condensed = self._condense_with_friction()
         free = self._add_own(condensed.W, condensed.free)
         self._take_in(Compliance(condensed.W), free)
+
+    def _add_moves(self) -> None:
+        """Add rows and columns of the slides behind those of the other actuators.
+
+        A slide is where it is prescribed to be: no force moves it, and it moves all that rides.
+        """
+        moves, count, first = self._moves, self.move_count, self._all.actuators.stop
+        W, free, stop = self.W, self.violation, first + count
+        grown = np.zeros((len(W) + count, len(W) + count))
+        grown[:first, :first], grown[:first, stop:] = W[:first, :first], W[:first, first:]
+        grown[stop:, :first], grown[stop:, stop:] = W[first:, :first], W[first:, first:]
+        grown[stop:, first:stop] = moves.columns[first:]
+        np.fill_diagonal(grown[first:stop, first:stop], 1.0)
+        self.compliance = Compliance(grown)
+        self.violation = np.concatenate([free[:first], moves.displacements, free[first:]])
+        _, e, c = self._all
+        self.groups = RowGroups(
+            slice(0, stop), slice(e.start + count, e.stop + count),
+            slice(c.start + count, c.stop + count),
+        )  # fmt: skip
+        if self.augmentation is not None:
+            stiffness, reference, share = self.augmentation
+            self.augmentation = Augmentation(
+                np.pad(stiffness, (0, count)), np.pad(reference, (0, count)),
+                None if share is None else np.pad(share, (0, count), constant_values=1.0),
+            )  # fmt: skip
 
     def _condense_with_friction(self) -> Condensed:
         """W and the free motion where rows D of displacements are not those of forces, H.
@@ -186,6 +213,9 @@ class Linearized:
     def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
         self.compliance, self.violation = compliance, self._values + free
         self.groups, self.rows, self.chosen = self._all, None, None
+        if self._moves is not None:
+            self._of_rows = compliance
+            self._add_moves()
 
     def _condense_chosen(self) -> None:
         """Condense the actuators' rows and those of the chosen contacts."""
@@ -246,30 +276,21 @@ class Linearized:
         """Effector coordinates at the state itself [m], shape (effector_row_count,)."""
         return self._values[self._all.effectors]
 
-    @property
-    def move_positions(self) -> np.ndarray:
-        """Positions of the slides [m], shape (move_count,)."""
-        return np.empty(0) if self._moves is None else self._moves.positions
+    def of_actuators_and_contacts(self, moves: np.ndarray) -> tuple[Compliance, np.ndarray]:
+        """Compliance and δ_free of the actuators but slides, then of the condensed contacts.
 
-    @property
-    def G_e(self) -> np.ndarray:
-        """Effector displacement by move, shape (effector_row_count, move_count)."""
-        return self._no_moves(self._all.effectors) if self._moves is None else self._moves.G_e
+        Args:
+            moves: Displacements of the slides from the state [m], shape (move_count,).
 
-    @property
-    def G_c(self) -> np.ndarray:
-        """Contact displacement by move, shape (contact_row_count, move_count)."""
-        return self._no_moves(self._all.contacts) if self._moves is None else self._moves.G_c
-
-    @staticmethod
-    def _no_moves(rows: slice) -> np.ndarray:
-        return np.empty((rows.stop - rows.start, 0))
-
-    def of_actuators_and_contacts(self) -> tuple[Compliance, np.ndarray]:
-        """Compliance and δ_free of the actuators, then of the condensed contacts; δ is a copy."""
-        first, stop = self.groups.actuators.stop, self.groups.contacts.start
+        Returns:
+            W and δ, which is a copy.
+        """
+        first, stop = self.groups.actuators.stop - self.move_count, self.groups.contacts.start
         violation = np.concatenate([self.violation[:first], self.violation[stop:]])
-        return self.compliance.without(first, stop), violation
+        if self._moves is None:
+            return self.compliance.without(first, stop), violation
+        violation[first:] += self.W[stop:, first : first + self.move_count] @ moves
+        return self._of_rows.without(first, stop - self.move_count), violation
 
     def actuator_displacements(self, efforts: np.ndarray, contact: np.ndarray) -> np.ndarray:
         """δ_a under multipliers [m], shape (actuator_row_count,).
@@ -306,18 +327,9 @@ class Linearized:
         path = self.actuator_displacements(multipliers, contact)
         return self.augmentation.efforts(multipliers, path)
 
-    def effector_places(
-        self, efforts: np.ndarray, contact: np.ndarray, moves: np.ndarray
-    ) -> np.ndarray:
-        """δ_e under multipliers and moves [m], shape (effector_row_count,).
-
-        Args:
-            efforts: λ of the actuators [N], shape (actuator_count,).
-            contact: λ of all contact rows [N]; zero where they are open.
-            moves: Moves of actuators without a multiplier [m], shape (move_count,).
-        """
-        places = self._displacements(self.groups.effectors, efforts, contact)
-        return places + self.G_e @ moves if len(moves) else places
+    def effector_places(self, efforts: np.ndarray, contact: np.ndarray) -> np.ndarray:
+        """δ_e under multipliers [m], shape (effector_row_count,); see `actuator_displacements`."""
+        return self._displacements(self.groups.effectors, efforts, contact)
 
     def open_gaps(self, multipliers: np.ndarray) -> np.ndarray:
         """δ_n of each contact that is not condensed, +∞ for the others [m].

@@ -32,18 +32,18 @@ class Move:
         self._before = self.start if model.slides is None else np.empty_like(self.start)
         self.displacement = np.zeros((model.nodes.free_node_count, 3))
 
-    def begin(self, before: np.ndarray, displacement: np.ndarray, slid: np.ndarray) -> None:
+    def begin(self, before: np.ndarray, displacement: np.ndarray, efforts: np.ndarray) -> None:
         """Note a correction before it is made.
 
         Args:
             before: Node positions [m], shape (node_count, 3).
             displacement: Of the unknowns [m], shape (free_node_count, 3).
-            slid: Displacement of each slide along its axis [m], shape (slide_count,).
+            efforts: Those of `Actuation`, of slides their displacements, shape (actuator_count,).
         """
         self.start[:], self.displacement[:] = before, displacement
         if self._slides is not None:
             self._before[:] = before
-            self._slides.shift(self.start, slid)
+            self._slides.shift(self.start, -efforts[-self._slides.count :])
 
     def make(self, positions: np.ndarray, share: float) -> None:
         """Go from where it starts by a share of the displacement.

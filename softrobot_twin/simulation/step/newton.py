@@ -101,7 +101,9 @@ class Newton:
         self._linear: Linearized | None = None
         self._stays_upright = any(term.stays_upright for term in model.forces)
         self._condensed_forces = self.forces
-        self._effector_columns = self._columns_of_effectors()
+        self._effector_columns = None
+        if model.slides is not None:
+            self._effector_columns = model.slides.effector_columns(model.effectors)
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
             self._rows.varies and not model.contacts.conserves and model.slides is None
@@ -158,15 +160,6 @@ class Newton:
         conserves = all(term.conserves for term in self._rows.terms)
         is_slender = any(term.is_slender for term in model.forces)
         return conserves and not (model.is_dynamic or is_slender)
-
-    def _columns_of_effectors(self) -> np.ndarray | None:
-        """Effector displacement by slide, shape (effector_row_count, slide_count)."""
-        model = self._model
-        if model.slides is None:
-            return None
-        if model.effectors is None:
-            return np.empty((0, model.slides.count))
-        return model.slides.effector_columns(model.effectors)
 
     @property
     def asks_for_held(self) -> bool:
@@ -462,14 +455,18 @@ class Newton:
         Args:
             actuation: What was found by the last linearization.
         """
-        if not self.is_augmented:
+        slides, linear = self._model.slides, self._linear
+        if not self.is_augmented and slides is None:
             return actuation
-        a, held = self._linear.groups.actuators, self._held
-        efforts = actuation.efforts.copy()
-        efforts[a] = np.clip(
-            self._linear.efforts(efforts[a], actuation.contact.multipliers),
-            held.effort_min[a], held.effort_max[a],
-        )  # fmt: skip
+        (a, _, c), held = linear.groups, self._held
+        efforts, forces = actuation.efforts.copy(), actuation.contact.multipliers
+        if self.is_augmented:
+            efforts[a] = np.clip(
+                linear.efforts(efforts[a], forces), held.effort_min[a], held.effort_max[a]
+            )
+        if slides is not None:
+            own = slice(a.stop - slides.count, a.stop)
+            efforts[own] = slides.loads(linear.W[c, own], forces)
         return actuation._replace(efforts=efforts)
 
     def linearized_state(self, positions: np.ndarray, efforts: np.ndarray) -> LinearizedState:
@@ -487,15 +484,11 @@ class Newton:
 
     def _prescribed_moves(self, positions: np.ndarray) -> PrescribedMoves | None:
         """What slides prescribe; None without any."""
-        slides = self._model.slides
-        if slides is None:
+        model = self._model
+        if model.slides is None:
             return None
-        contact_columns = np.empty((0, slides.count))
-        if self._rows.varies:
-            contact_columns = slides.contact_columns(self._model.contacts)
-        return PrescribedMoves(
-            slides.positions(positions), self._effector_columns, contact_columns
-        )
+        columns = model.slides.columns(self._rows, self._effector_columns, model.contacts)
+        return PrescribedMoves(-model.slides.positions(positions), columns)
 
     def _set_multipliers(self, actuation: Actuation) -> None:
         """λ of every row; an effector bears no load."""
@@ -525,7 +518,7 @@ class Newton:
         self._set_multipliers(actuation)
         self._rows.remember(self.multipliers)
         move = self._linear.expand(self.multipliers)
-        self.move.begin(positions, move, actuation.moves)
+        self.move.begin(positions, move, actuation.efforts)
         longest = nodes.longest(move)
         if math.isfinite(longest):
             share = self._step_limit / longest if longest > self._step_limit else 1.0
