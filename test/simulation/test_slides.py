@@ -9,6 +9,7 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
+from softrobot_twin.simulation.step.time_budget import StageClock
 
 AXIS = np.array([0.6, 0.0, 0.8])
 SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
@@ -79,6 +80,25 @@ def test_its_columns_are_the_finite_differences_of_effectors_and_gaps(sliding, r
     np.testing.assert_allclose(G_e[:, 0], (tips[0] - tips[1]) / (2 * step), atol=1e-9)
     np.testing.assert_allclose(G_c[:, 0], (gaps[0] - gaps[1]) / (2 * step), atol=1e-9)
     assert np.abs(G_c).max() > 0.3
+
+
+def test_the_condensed_system_moves_by_its_displacement_as_all_rows_do(sliding, rod):
+    simulation = sliding(lambda m: in_way(m, rod))
+    simulation.step(FollowTargets(simulation.effector_positions() + [0.006, 0.0, -0.003], 1.0))
+    model, x = simulation.model, simulation.state.positions.copy()
+    linear = simulation.newton.linearize(x, simulation.state.efforts, StageClock())
+    assert linear.groups.actuators == slice(0, 5) and linear.contact_row_count > 0
+    values, step = [], 1e-6
+    for way in (step, -step):
+        moved = x.copy()
+        # A displacement is against the axis, as a shortening.
+        model.slides.shift(moved, np.array([-way]))
+        model.rows.evaluate(moved)
+        own = model.rows.groups.actuators.stop
+        values.append(np.insert(model.rows.values, own, -model.slides.positions(moved)))
+    column = (values[0] - values[1]) / (2 * step)
+    np.testing.assert_allclose(linear.W[:, 4], column, atol=1e-8)
+    np.testing.assert_array_equal(linear.W[4], np.arange(len(column)) == 4)
 
 
 def test_its_travel_and_rate_limits_are_kept_and_reported(sliding):
