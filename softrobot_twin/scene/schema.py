@@ -150,12 +150,12 @@ class PointsOnBody(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
 
     name: Name
-    """Its name, in topics and columns."""
+    """Its name, in topics, commands and columns."""
     body: Name | None = None
     """The body it is on; optional when there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Their mean, at rest, is what is meant. A single point under a finger yields the more, the finer
-    the mesh is."""
+    """Places at rest: the effector, or the touch, is at their mean. A touch at a single point yields
+    the more, the finer the mesh is."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     """Axes of the world along which a target counts, or a touch acts; along the others a touching
     finger slides."""

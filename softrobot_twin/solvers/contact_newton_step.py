@@ -120,7 +120,12 @@ def fill_system(W, force, delta, rows, kinds, frame, count, proximal, matrix, ri
 
 @njit(**INNER)
 def fill_matrix(W, rows, kinds, frame, count, matrix):
-    """Matrix of the active rows without a share of their compliance; see `fill_system`."""
+    """Matrix of the active rows without a share of their compliance.
+
+    Args:
+        W, rows, kinds, frame, count: See `fill_system`.
+        matrix: Written, shape (count, count) at least.
+    """
     for a in range(count):
         i = rows[a]
         if kinds[a] == PLAIN:

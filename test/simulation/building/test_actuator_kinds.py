@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pydantic import AfterValidator
 
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs
 from softrobot_twin.scene.actuator_entries import ActuatorEntry
@@ -54,11 +55,10 @@ class Chamber(ActuatorEntry):
         self.check_body(scene, key)
 
 
-class Chambers:
+class Chambers(ConstraintTerm):
     """V = Σ det(a - p, b - p, c - p)/6 over the triangles of each patch, δ = V - V_rest."""
 
-    name, group, varies = "chambers", "actuators", False
-    conserves, memory_name = True, ""
+    name, group = "chambers", "actuators"
 
     def __init__(self, patches: list, apices: list, free_index: np.ndarray, rest: np.ndarray):
         self._patches, self._apices = patches, np.array(apices, float)
@@ -69,8 +69,7 @@ class Chambers:
         self.entry_nodes = np.concatenate([f[k] for f, k in zip(free, self._kept, strict=True)])
         counts = [int(kept.sum()) for kept in self._kept]
         self.entry_rows = np.repeat(np.arange(len(patches)), counts)
-        self.row_count = self.row_capacity = len(patches)
-        self.entry_capacity, self.reached_nodes = len(self.entry_nodes), self.entry_nodes
+        self.row_count = len(patches)
         self.rest_volumes = self.volumes(rest)
         self.scales = np.abs(self.rest_volumes)
 
@@ -117,9 +116,6 @@ class Chambers:
                 for j in range(3):
                     places = offsets[kept, pair] + i + j * strides[kept, pair]
                     np.add.at(storage, places, blocks[kept, i, j])
-
-    def largest_share(self, positions, move) -> float:
-        return 1.0
 
 
 class ChamberActuator:
