@@ -73,6 +73,7 @@ class DirectActuation:
             model: The built scene.
         """
         self._contacts, self._is_moved = model.contacts, model.actuators.is_moved
+        self._has_moved = bool(self._is_moved.any())
         self._one_sided = model.actuators.one_sided
         self._limits = model.actuators.limits
         self._by_effort = model.actuators.is_effort_driven
@@ -94,7 +95,7 @@ class DirectActuation:
         Where contacts stick and slip, complementarity has several solutions: a state that is
         restored goes on as before only from its own efforts.
         """
-        self._efforts = np.where(self._is_moved, 0.0, efforts)
+        self._efforts = np.where(self._is_moved, 0.0, efforts) if self._has_moved else efforts
 
     def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
         """Multipliers of the last linearization's solution.
