@@ -68,14 +68,13 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
 
 
 @njit(**KERNEL)
-def pass_command(
+def keeps_all_limits(
     setpoints, efforts, before, lowest, highest, reach, effort_min, effort_max, beyond,
-    beyond_effort, by_effort, passed, passed_efforts,
+    beyond_effort,
 ):  # fmt: skip
     """Whether a command is finite, and within limits of setpoints, rates and efforts.
 
-    Where it is, what the tolerances allow beyond the limits is taken away. Where it is not,
-    `CommandGate` finds out which limit of which actuator it violates.
+    Where it is not, `CommandGate` finds out which limit of which actuator it violates.
 
     Args:
         setpoints, efforts: The command, shape (actuator_count,).
@@ -84,8 +83,6 @@ def pass_command(
         reach: Greatest moves in the time since the last command.
         effort_min, effort_max: Limits of efforts.
         beyond, beyond_effort: Tolerances of setpoints and efforts.
-        by_effort: Whether the setpoint of each actuator is its effort.
-        passed, passed_efforts: Take the command within the limits, where it passes.
     """
     for i in range(len(setpoints)):
         x, effort, slack = setpoints[i], efforts[i], beyond[i]
@@ -95,11 +92,6 @@ def pass_command(
             return False
         if effort < effort_min[i] - beyond_effort[i] or effort > effort_max[i] + beyond_effort[i]:
             return False
-    for i in range(len(setpoints)):
-        x = min(highest[i], max(lowest[i], setpoints[i]))
-        passed[i] = min(before[i] + reach[i], max(before[i] - reach[i], x))
-        effort = min(effort_max[i], max(effort_min[i], efforts[i]))
-        passed_efforts[i] = passed[i] if by_effort[i] else effort
     return True
 
 
@@ -122,8 +114,6 @@ class CommandGate:
 
     Attributes:
         last: The last command or measurement.
-        is_outside: True while an actuator that was measured outside its limits has not returned
-            inside.
         home: Setpoints at rest, or the nearest ones that the limits allow, shape (actuator_count,).
         tolerances: How far a command may exceed the limits.
     """
@@ -136,12 +126,16 @@ class CommandGate:
         self._limits = limits
         self.tolerances = gate_tolerances(limits)
         self.home = self.within(rest_setpoints)
-        self.start_from(self.home, np.zeros(len(rest_setpoints)))
-        self._passed(self.home, self.last.efforts, 0.0)  # Loads the kernel before the first tick.
+        self.last = self._copy(self.home, np.zeros(len(rest_setpoints)))
 
     def within(self, setpoints: np.ndarray) -> np.ndarray:
         """The nearest setpoints inside the limits, shape (actuator_count,)."""
         return np.minimum(np.maximum(setpoints, self._lowest), self._highest)
+
+    @property
+    def is_outside(self) -> bool:
+        """True while an actuator that was measured outside its limits has not returned inside."""
+        return bool(self._outside.any())
 
     @property
     def _outside(self) -> np.ndarray:
@@ -157,13 +151,7 @@ class CommandGate:
                 (actuator_count,).
             efforts: Efforts in the unit of each actuator's kind, same shape.
         """
-        limits, setpoints = self._limits, np.array(setpoints, dtype=float)
-        efforts = np.maximum(np.asarray(efforts, dtype=float), limits.effort_min)
-        efforts = np.minimum(efforts, limits.effort_max)
-        self.last = ActuatorCommand(
-            setpoints, np.where(limits.is_effort_driven, setpoints, efforts)
-        )
-        self.is_outside = bool(self._outside.any())
+        self.last = self._copy(setpoints, efforts)
 
     def pass_on(self, setpoints: np.ndarray, efforts: np.ndarray, time_step: float) -> Passage:
         """Checks a command; passes it, or the last valid one in its place.
@@ -173,16 +161,10 @@ class CommandGate:
             efforts: Efforts in the unit of each actuator's kind, same shape.
             time_step: Time since the last command [s].
         """
-        shape = (len(self._names),)
-        if np.shape(setpoints) != shape or np.shape(efforts) != shape:
-            violated = ("wrong_size",)
-        elif (passed := self._passed(setpoints, efforts, time_step)) is not None:
-            self.last, violated = passed, ()
-            # What starts inside stays there.
-            self.is_outside = self.is_outside and bool(self._outside.any())
-        else:
-            violated = self._violations(setpoints, efforts, time_step)
-        if violated and self.is_outside:
+        violated = self._violations(setpoints, efforts, time_step)
+        if not violated:
+            self.last = self._copy(self._reachable(setpoints, time_step), efforts)
+        elif self.is_outside:
             self.lead(self.within(self.last.setpoints), time_step)
         return Passage(self.last, violated)
 
@@ -194,29 +176,35 @@ class CommandGate:
                 limited to the allowed range.
             time_step: Time since the last command [s].
         """
-        before, reach = self.last.setpoints, self.reach(time_step)
-        near = np.minimum(np.maximum(self.within(setpoints), before - reach), before + reach)
-        self.start_from(near, self.last.efforts)
+        self.last = self._copy(self._reachable(setpoints, time_step), self.last.efforts)
         return self.last
 
     def reach(self, time_step: float) -> np.ndarray:
         """Greatest move of each actuator in a time [s], shape (actuator_count,)."""
         return self._limits.reach(time_step)
 
-    def _passed(self, setpoints, efforts, time_step: float) -> ActuatorCommand | None:
-        """A command within the limits; None where it violates one."""
-        limits, passed = self._limits, np.empty(len(self._names))
-        command = ActuatorCommand(passed, np.empty_like(passed))
-        is_valid = pass_command(
-            np.array(setpoints, float), np.array(efforts, float), self.last.setpoints,
-            self._lowest, self._highest, self.reach(time_step), limits.effort_min,
-            limits.effort_max, *self.tolerances, limits.is_effort_driven, *command,
-        )  # fmt: skip
-        return command if is_valid else None
+    def _copy(self, setpoints: np.ndarray, efforts: np.ndarray) -> ActuatorCommand:
+        limits, setpoints = self._limits, np.array(setpoints, dtype=float)
+        efforts = np.maximum(np.asarray(efforts, dtype=float), limits.effort_min)
+        efforts = np.minimum(efforts, limits.effort_max)
+        return ActuatorCommand(setpoints, np.where(limits.is_effort_driven, setpoints, efforts))
+
+    def _reachable(self, setpoints: np.ndarray, time_step: float) -> np.ndarray:
+        """The setpoints nearest to the given ones that limits and rates allow."""
+        before, reach = self.last.setpoints, self.reach(time_step)
+        return np.minimum(np.maximum(self.within(setpoints), before - reach), before + reach)
 
     def _violations(self, setpoints, efforts, time_step: float) -> tuple[str, ...]:
-        """Names of the limits that a command violates."""
+        shape = (len(self._names),)
+        if np.shape(setpoints) != shape or np.shape(efforts) != shape:
+            return ("wrong_size",)
         beyond, beyond_effort = self.tolerances
+        if keeps_all_limits(
+            np.asarray(setpoints, float), np.asarray(efforts, float), self.last.setpoints,
+            self._lowest, self._highest, self.reach(time_step), self._limits.effort_min,
+            self._limits.effort_max, beyond, beyond_effort,
+        ):  # fmt: skip
+            return ()
         moved = np.abs(setpoints - self.last.setpoints)
         too_fast = moved > self.reach(time_step) + beyond
         limits, grows = self._limits, self._limits.signs > 0.0

@@ -54,8 +54,6 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
     Returns:
         Points on the lines to the aims [m], same shape.
     """
-    if reach == math.inf:
-        return aims
     differences = aims - positions
     distances = np.sqrt((differences * differences).sum(axis=1, keepdims=True))
     far = distances > reach
@@ -136,8 +134,6 @@ class EffectorMeasurement:
             misfit: Measured minus predicted markers, at the same state of the model.
         """
         measured = np.full_like(predicted, np.nan)
-        if not misfit.visible:
-            return measured
         for effector, indices in enumerate(self._markers):
             vectors = misfit.vectors[indices]
             vectors = vectors[np.isfinite(vectors).all(axis=1)]
@@ -188,20 +184,22 @@ class TargetCorrection:
         self._stamp = 0
 
     def tick(
-        self, settings: LoopSettings, stamp: int, errors: np.ndarray | None, status: Status
+        self, settings: LoopSettings, following: bool, stamp: int, errors: np.ndarray,
+        status: Status,
     ) -> None:
         """Integrates each new measurement in closed loop; in open loop the correction decays.
 
         Args:
             settings: Whether the loop is closed, gain and limit.
+            following: Whether the effectors follow targets now.
             stamp: Time of the newest measurement [ns]; an old one is not integrated again.
-            errors: See `update`; None while the effectors do not follow targets.
+            errors: See `update`.
             status: Status of the last step.
         """
         since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
         if not settings.closed_loop:
             self.fade(settings.period, settings.correction_gain)
-        elif errors is not None and since != 0.0:
+        elif following and since != 0.0:
             self.update(
                 errors, abs(since), status, settings.correction_gain, settings.correction_limit
             )

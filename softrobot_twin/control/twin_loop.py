@@ -146,8 +146,6 @@ class Aims(NamedTuple):
     def is_approaching(self) -> bool:
         """True when an effector is sent to a point on the line to its target."""
         turns, wanted = self.turns, self.reading.orientations
-        if turns is None and self.aims is self.wanted:
-            return False
         if turns is not None and (~np.isclose(turns, wanted, equal_nan=True)).any():
             return True
         return bool((~self.arrived & np.isfinite(self.wanted)).any())
@@ -469,8 +467,6 @@ class TwinLoop:
         """Which input two publishers send on; empty where none."""
         if self.use_device and self.device.places.is_contested(now):
             return CONTESTED
-        if not self._contested:
-            return ""
         self._contested = {
             topic: one for topic, one in self._contested.items() if now < one[1]
         }  # fmt: skip
@@ -768,27 +764,25 @@ class TwinLoop:
         Returns:
             The plausible measured markers [m], same shape, and their misfit.
         """
-        stamp, plausibility = self.markers.stamp, self._plausibility
-        if seen is self.markers.hidden:
-            plausibility.judge(seen, stamp, activity.follows_robot)
-            return seen, Misfit(seen, math.nan, 0)
-        expected = self._history.at(stamp)
-        plausibility.judge(seen - expected, stamp, activity.follows_robot)
-        measured = plausibility.without_left_out(seen)
+        expected = self._history.at(self.markers.stamp)
+        self._plausibility.judge(seen - expected, self.markers.stamp, activity.follows_robot)
+        measured = self._plausibility.without_left_out(seen)
         return measured, self.markers.misfit(measured, expected)
 
     def _correct(
         self, activity: Activity, aims: Aims, effectors: np.ndarray, result: StepResult
     ) -> None:
         """Updates the correction of the targets by the measured effectors [m]."""
-        touches, errors = result.touches, None
-        # What a finger displaces is not an error of the model.
+        status, touches = result.status, result.touches
+        # While an effector approaches a far target, its distance is not the model's error.
+        comparable = np.where(aims.arrived, effectors, np.nan)
+        # What a finger displaces is not an error of the model either.
         is_touched = touches is not None and touches.is_touched.any()
-        if self.settings.closed_loop and activity is Activity.FOLLOWING and not is_touched:
-            # Nor is its distance while an effector approaches a far target.
-            comparable = np.where(aims.arrived, effectors, np.nan)
-            errors = self.measurement.differences(aims.reading.targets, comparable)
-        self.correction.tick(self.settings, self.markers.stamp, errors, result.status)
+        follows = activity is Activity.FOLLOWING and not is_touched
+        self.correction.tick(
+            self.settings, follows, self.markers.stamp,
+            self.measurement.differences(aims.reading.targets, comparable), status,
+        )  # fmt: skip
 
 
 def _commands_same(result: StepResult, before: StepResult) -> bool:
