@@ -179,7 +179,6 @@ class Simulation(Readouts):
         self._keeping = those_with(parts, "memory_at_rest", "may_keep")
         self._loading = those_with(parts, "loads", "load")
         self._depends_on_time = any(part.depends_on_time for part in parts)
-        self._keeping = those_with(parts, "memory_at_rest", "may_keep")
         self._results = StepResults(self.model, parts, self.newton, self.inverse)
         # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
         may_all = all(part.may_rest for part in parts)
