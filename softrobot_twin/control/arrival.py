@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from enum import Enum
 from typing import NamedTuple
 
@@ -224,7 +224,27 @@ class Input:
         """Time since the last accepted message [s]; infinite before the first."""
         return now - self._newest
 
-    def _remember(self, arrival: Arrival, key: object = None) -> None:
-        """Records an accepted message of a sender."""
-        self._headers[key].remember(arrival)
+    def _refused(
+        self, arrival: Arrival, key: object, find_fault: Callable[..., Refusal | None], *values
+    ) -> Refusal | None:  # fmt: skip
+        """Checks a message and counts it where it is refused; else its stamp is the newest.
+
+        Args:
+            arrival: Its header and time of arrival.
+            key: Its sender, one of the keys.
+            find_fault: Gives the reason to refuse the values, or None; called where the header is
+                accepted.
+            *values: What it takes.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        header = self._headers.get(key)
+        if header is None:
+            return self.refusals.add(Refusal.WRONG_NAMES)
+        refusal = header.refusal(arrival) or find_fault(*values)
+        if refusal is not None:
+            return self.refusals.add(refusal)
+        header.remember(arrival)
         self._newest = arrival.time
+        return None

@@ -119,16 +119,16 @@ class PressureInput(Input):
             refusals.
         frame_id: The only accepted frame, or None where it is not checked.
         settings: Timeouts.
-        takes_by_volume: Whether pressures of cavities whose volume is commanded are accepted, as of
-            measurements.
+        are_measured: Whether they are measurements, which are kept as efforts too, also of cavities
+            whose volume is commanded.
     """
 
     def __init__(
         self, cavities: CavityPressures, keeper: ActuatorInput, frame_id: str | None,
-        settings: LoopSettings, takes_by_volume: bool,
+        settings: LoopSettings, are_measured: bool,
     ):
         self._cavities, self._keeper, self._frame_id = cavities, keeper, frame_id
-        self._takes_by_volume = takes_by_volume
+        self._are_measured = are_measured
         super().__init__(settings, frame_id, cavities.names, keeper.refusals)
 
     def accept(self, name: str, pressure: float, arrival: Arrival) -> Refusal | None:
@@ -144,23 +144,20 @@ class PressureInput(Input):
         """
         if self._frame_id is not None and not arrival.frame_id:
             arrival = arrival._replace(frame_id=self._frame_id)
-        refusal = self._refusal(name, pressure, arrival)
-        if refusal is None:
-            gauge = pressure - self._cavities.ambient_pressure
-            refusal = self._keeper.put_pressure(self._cavities.places[name], gauge, arrival.time)
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        self._remember(arrival, name)
-        return None
+        return self._refused(arrival, name, self._put, name, pressure, arrival.time)
 
-    def _refusal(self, name: str, pressure: float, arrival: Arrival) -> Refusal | None:
-        if name not in self._headers:
-            return Refusal.WRONG_NAMES
-        if name in self._cavities.by_volume and not self._takes_by_volume:
+    def _put(self, name: str, pressure: float, time: float) -> Refusal | None:
+        """Passes a pressure on to the keeper; the reason to refuse it, or None."""
+        is_effort = name in self._cavities.by_volume
+        if is_effort and not self._are_measured:
             return Refusal.VOLUME_CONTROLLED
-        refusal = self._headers[name].refusal(arrival)
-        if refusal is not None:
-            return refusal
         if not math.isfinite(pressure):
             return Refusal.NOT_FINITE
-        return None if pressure > 0.0 else Refusal.BELOW_VACUUM
+        if pressure <= 0.0:
+            return Refusal.BELOW_VACUUM
+        place = np.array([self._cavities.places[name]])
+        gauge = pressure - self._cavities.ambient_pressure
+        refusal = None if is_effort else self._keeper.put(place, gauge, time)
+        if refusal is None and self._are_measured:
+            self._keeper.put_efforts(place, gauge)
+        return refusal

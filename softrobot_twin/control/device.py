@@ -225,40 +225,24 @@ class MeasuredSetpoints(ActuatorInput):
         self._implausible.pop(_OF_ALL, None)
         return super().accept(names, setpoints, efforts, arrival)
 
-    def put_pressure(self, actuator: int, pressure: float, time: float) -> Refusal | None:
-        """Keeps the measured gauge pressure of a cavity [Pa]; see `ActuatorInput.put_pressure`.
-
-        The pressure of a cavity whose volume is commanded is an effort.
-        """
-        name = self._actuator_names[actuator]
+    def put(self, places: np.ndarray, setpoints: np.ndarray, time: float) -> Refusal | None:
+        """Keeps measured setpoints of some actuators; see `ActuatorInput.put`."""
+        name = self._actuator_names[places[0]]
         self._implausible.pop(name, None)
-        if self._by_effort[actuator]:
-            measured = replaced(None, actuator, pressure, len(self._low))
-            if self._find_implausible(measured, name):
-                return Refusal.OUT_OF_RANGE
-            self._take(~np.isnan(measured), measured, time)
-        self.efforts = replaced(self.efforts, actuator, pressure, len(self._low))
-        return None
-
-    def put_lengths(self, actuators: np.ndarray, lengths: np.ndarray, time: float) -> Refusal | None:
-        """Keeps the measured lengths of the cables of a pulley [m]; see `ActuatorInput.put_lengths`.
-        """
-        name = self._actuator_names[actuators[0]]
-        self._implausible.pop(name, None)
-        measured = replaced(None, actuators, lengths, len(self._low))
+        measured = replaced(None, places, setpoints, len(self._low))
         if self._find_implausible(measured, name):
             return Refusal.OUT_OF_RANGE
         self._take(~np.isnan(measured), measured, time)
         return None
 
-    def put_tensions(self, actuators: np.ndarray, tensions: np.ndarray) -> None:
-        """Keeps measured tensions of some cables [N]; the other efforts stay.
+    def put_efforts(self, places: np.ndarray, efforts: np.ndarray) -> None:
+        """Keeps measured efforts of some actuators; the others stay.
 
         Args:
-            actuators: Indices of the cables.
-            tensions: Their tensions [N], same shape.
+            places: Indices of the actuators.
+            efforts: In the unit of each actuator's kind, same shape.
         """
-        self.efforts = replaced(self.efforts, actuators, tensions, len(self._low))
+        self.efforts = replaced(self.efforts, places, efforts, len(self._low))
 
     def age(self, now: float) -> float:
         """Time since each actuator was measured [s]: the greatest; infinite before the first."""

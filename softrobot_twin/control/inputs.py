@@ -107,11 +107,10 @@ class TargetInput(Input):
             The reason to refuse it, or None.
         """
         position = np.asarray(position, dtype=float)
-        refusal = self._headers[effector].refusal(arrival) or refusal_of_vector(position)
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        self._keep_position(effector, position, arrival, "point")
-        return None
+        refusal = self._refused(arrival, effector, refusal_of_vector, position)
+        if refusal is None:
+            self._keep_position(effector, position, "point")
+        return refusal
 
     def accept_pose(
         self, effector: int, position, quaternion, arrival: Arrival
@@ -128,27 +127,20 @@ class TargetInput(Input):
             The reason to refuse it, or None.
         """
         pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
-        refusal = self._headers[effector].refusal(arrival)
-        if refusal is None and not self._oriented[effector]:
-            refusal = Refusal.WRONG_NAMES
-        if refusal is None and (pose.position.shape, pose.quaternion.shape) != ((3,), (4,)):
-            refusal = Refusal.WRONG_SIZE
+        refusal = self._refused(arrival, effector, self._fault_of_pose, effector, pose)
         if refusal is None:
-            refusal = refusal_of_pose(pose)
-        length = math.hypot(*pose.quaternion.ravel())
-        if refusal is None and abs(length - 1.0) > _NOT_UNIT:
-            refusal = Refusal.NO_ROTATION
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        self._keep_position(effector, pose.position, arrival, "pose")
-        self._orientations[effector] = pose.quaternion / length
-        return None
+            self._keep_position(effector, pose.position, "pose")
+            self._orientations[effector] = pose.quaternion / math.hypot(*pose.quaternion)
+        return refusal
 
-    def _keep_position(
-        self, effector: int, position: np.ndarray, arrival: Arrival, source: str
-    ) -> None:
+    def _fault_of_pose(self, effector: int, pose: Pose) -> Refusal | None:
+        if not self._oriented[effector]:
+            return Refusal.WRONG_NAMES
+        is_off = abs(math.hypot(*pose.quaternion.ravel()) - 1.0) > _NOT_UNIT
+        return refusal_of_pose(pose) or (Refusal.NO_ROTATION if is_off else None)
+
+    def _keep_position(self, effector: int, position: np.ndarray, source: str) -> None:
         """Keeps a valid position [m], shape (3,); it replaces a velocity."""
-        self._remember(arrival, effector)
         self._targets[effector] = self.settings.in_workspace(position)
         self.clamped += bool((self._targets[effector] != position).any())
         self._source = source
@@ -255,18 +247,18 @@ class StiffnessInput(Input):
             The reason to refuse it, or None.
         """
         stiffness = np.array(stiffness, dtype=float)
-        refusal = self._headers[effector].refusal(arrival)
-        if refusal is None and not self._are_asked[effector]:
-            refusal = Refusal.WRONG_NAMES
-        refusal = refusal or refusal_of_vector(stiffness, may_be_nan=True)
-        if refusal is None and (stiffness <= 0.0).any():
-            refusal = Refusal.NOT_POSITIVE
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        self._remember(arrival, effector)
-        self.wanted[effector] = stiffness
-        self.is_given = bool(np.isfinite(self.wanted).any())
-        return None
+        refusal = self._refused(arrival, effector, self._fault_of, effector, stiffness)
+        if refusal is None:
+            self.wanted[effector] = stiffness
+            self.is_given = bool(np.isfinite(self.wanted).any())
+        return refusal
+
+    def _fault_of(self, effector: int, stiffness: np.ndarray) -> Refusal | None:
+        if not self._are_asked[effector]:
+            return Refusal.WRONG_NAMES
+        is_positive = not (stiffness <= 0.0).any()
+        return refusal_of_vector(stiffness, may_be_nan=True) or (
+            None if is_positive else Refusal.NOT_POSITIVE)
 
 
 # --- markers -------------------------------------------------------------------------------------
@@ -325,28 +317,25 @@ class MarkerInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        refusal = self._headers[None].refusal(arrival)
-        if refusal is None and positions.shape != (len(ids), 3):
-            refusal = Refusal.WRONG_SIZE
-        if refusal is None and np.isinf(positions).any():
-            refusal = Refusal.NOT_FINITE
-        if refusal is None and len(np.unique(ids)) != len(ids):
-            refusal = Refusal.DUPLICATE_ID
+        refusal = self._refused(arrival, None, self._fault_of, ids, positions)
         if refusal is not None:
-            return self.refusals.add(refusal)
-        self._remember(arrival)
+            return refusal
         self.stamp = arrival.stamp or arrival.ros_time
         measured = np.full_like(self.positions, np.nan)
-        if len(self._sorted_ids):
-            place = np.searchsorted(self._sorted_ids, ids).clip(max=len(self._sorted_ids) - 1)
-            known = self._sorted_ids[place] == ids
-            measured[self._order[place[known]]] = positions[known]
-            self.unknown += int((~known).sum())
-        else:
-            self.unknown += len(ids)
+        known = np.isin(ids, self._sorted_ids)
+        measured[self._order[np.searchsorted(self._sorted_ids, ids[known])]] = positions[known]
+        self.unknown += int((~known).sum())
         measured[np.isnan(measured).any(axis=1)] = np.nan
         self.positions = measured
         return None
+
+    @staticmethod
+    def _fault_of(ids: np.ndarray, positions: np.ndarray) -> Refusal | None:
+        if positions.shape != (len(ids), 3):
+            return Refusal.WRONG_SIZE
+        if np.isinf(positions).any():
+            return Refusal.NOT_FINITE
+        return Refusal.DUPLICATE_ID if len(np.unique(ids)) != len(ids) else None
 
     def measured(self, now: float) -> np.ndarray:
         """Valid positions [m], shape (marker_count, 3): all NaN when they are too old."""
@@ -373,8 +362,8 @@ class ActuatorInput(Input):
     It is used for direct commands and for measurements of a device. Slides accept setpoints but no
     efforts: a message with efforts only may omit them or give NaN for them, and they keep their
     position. A message may omit cavities whose pressure is commanded: these keep the pressure that
-    was last given, by a message or by `put_pressure`. A message with setpoints may likewise omit
-    cables that pulleys wind, whose lengths `put_lengths` gives.
+    was last given, by a message or by `put`. A message with setpoints may likewise omit cables that
+    pulleys wind, whose lengths `put` gives.
 
     Args:
         names: The names of actuators and motors.
@@ -420,57 +409,43 @@ class ActuatorInput(Input):
         setpoints = np.asarray(setpoints, dtype=float)
         efforts = np.asarray(efforts, dtype=float)
         order = self._order_of(tuple(names))
-        refusal = self._headers[None].refusal(arrival)
-        if refusal is None and (order is None or not self._names_fit(order, setpoints, efforts)):
-            refusal = Refusal.WRONG_NAMES
+        refusal = self._refused(arrival, None, self._fault_of, order, len(names), setpoints, efforts)
         if refusal is None:
-            refusal = self._refusal_of_values(order, len(names), setpoints, efforts)
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        self._remember(arrival)
-        self._keep(order, setpoints, efforts)
-        return None
+            self._keep(order, setpoints, efforts)
+        return refusal
 
-    def put_pressure(self, actuator: int, pressure: float, time: float) -> Refusal | None:
-        """Keeps the pressure of one cavity; the other actuators keep what they were given.
+    def _fault_of(
+        self, order: NameOrder | None, count: int, setpoints: np.ndarray, efforts: np.ndarray
+    ) -> Refusal | None:
+        """The reason to refuse a message of so many names, or None."""
+        if order is None or not self._names_fit(order, setpoints, efforts):
+            return Refusal.WRONG_NAMES
+        return self._refusal_of_values(order, count, setpoints, efforts)
+
+    def put(self, places: np.ndarray, setpoints: np.ndarray, time: float) -> Refusal | None:
+        """Keeps setpoints of some actuators; the others keep what they were given.
+
+        After a message of efforts, a length leaves the others where they are.
 
         Args:
-            actuator: Index of a cavity whose pressure is commanded.
-            pressure: Its gauge pressure [Pa], finite.
+            places: Indices of a cavity whose pressure is commanded, or of the cables of a pulley.
+            setpoints: Its gauge pressure [Pa], or their lengths [m], finite, same shape.
             time: Time of arrival [s].
 
         Returns:
-            The reason to refuse it, or None.
-        """
-        self._pressures[actuator] = pressure
-        if self.efforts is not None:
-            self.efforts = replaced(self.efforts, actuator, pressure)
-        if self.setpoints is not None or self.efforts is None:
-            self.setpoints = replaced(self.setpoints, actuator, pressure, len(self._pressures))
-        self._newest = time
-        return None
-
-    def put_lengths(self, actuators: np.ndarray, lengths: np.ndarray, time: float) -> Refusal | None:
-        """Keeps the lengths of the cables of a pulley; the other actuators keep what they were given.
-
-        After a message of efforts, the others stay where they are.
-
-        Args:
-            actuators: Indices of the cables.
-            lengths: Their lengths [m], finite, same shape.
-            time: Time of arrival [s].
-
-        Returns:
-            The reason to refuse it, or None.
+            The reason to refuse them, or None.
         """
         count = len(self._pressures)
-        self._pressures[actuators] = lengths
-        if self.efforts is not None and self.setpoints is None:
-            kept = np.where(self._names.by_pressure, self._pressures, np.nan)
-        else:
-            kept = np.full(count, np.nan) if self.setpoints is None else self.setpoints.copy()
-        kept[actuators] = lengths
-        self.setpoints, self.efforts, self._newest = kept, None, time
+        self._pressures[places] = setpoints
+        if self.efforts is not None and self._names.by_angle[places].any():
+            if self.setpoints is None:
+                self.setpoints = np.where(self._names.by_pressure, self._pressures, np.nan)
+            self.efforts = None
+        if self.setpoints is not None or self.efforts is None:
+            self.setpoints = replaced(self.setpoints, places, setpoints, count)
+        if self.efforts is not None:
+            self.efforts = replaced(self.efforts, places, setpoints)
+        self._newest = time
         return None
 
     def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
@@ -521,9 +496,9 @@ class ActuatorInput(Input):
 
 
 def replaced(
-    values: np.ndarray | None, place: int | np.ndarray, value: float | np.ndarray, count: int = 0
+    values: np.ndarray | None, place: np.ndarray, value: np.ndarray, count: int = 0
 ) -> np.ndarray:
-    """A copy with values replaced at a place, or at several; of NaN, shape (count,), where there are none yet."""
+    """A copy with values replaced at some places; of NaN, shape (count,), where there are none yet."""
     values = np.full(count, np.nan) if values is None else values.copy()
     values[place] = value
     return values
@@ -533,7 +508,7 @@ class SelectedActuatorInput(ActuatorInput):
     """Setpoints of the actuators that are commanded while the others follow targets.
 
     Each message replaces the selection by the actuators that it names, possibly none. Only cavities
-    that `put_pressure` selected stay selected until a message names them, or nothing.
+    that `put` selected stay selected until a message names them, or nothing.
 
     Attributes:
         setpoints: Commanded setpoints in the unit of each actuator's kind, shape (actuator_count,),
@@ -589,6 +564,8 @@ def is_pose(pose: Pose) -> bool:
 
 def refusal_of_pose(pose: Pose) -> Refusal | None:
     """The reason to refuse the numbers of a pose, or None."""
+    if (pose.position.shape, pose.quaternion.shape) != ((3,), (4,)):
+        return Refusal.WRONG_SIZE
     if not (np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()):
         return Refusal.NOT_FINITE
     return None if is_pose(pose) else Refusal.NO_ROTATION
@@ -629,17 +606,10 @@ class PoseInput(Input):
             The reason to refuse it, or None.
         """
         pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
-        refusal = self._refusal(name, pose, arrival)
+        refusal = self._refused(arrival, name, refusal_of_pose, pose)
         if refusal is not None:
-            return self.refusals.add(refusal)
-        self._remember(arrival, name)
+            return refusal
         inside = self.settings.in_workspace(pose.position)
         self.clamped += bool((inside != pose.position).any())
         self.newest[name] = pose._replace(position=inside)
         return None
-
-    def _refusal(self, name: str, pose: Pose, arrival: Arrival) -> Refusal | None:
-        if name not in self._headers:
-            return Refusal.WRONG_NAMES
-        refusal = self._headers[name].refusal(arrival)
-        return refusal_of_pose(pose) if refusal is None else refusal

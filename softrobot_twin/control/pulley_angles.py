@@ -48,28 +48,27 @@ class AngleInput(Input):
             The reason to refuse it, or None.
         """
         angles, torques = np.asarray(angles, dtype=float), np.asarray(torques, dtype=float)
-        refusal = self._refusal(names, angles, torques, arrival)
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        places = [self._pulleys.names.index(name) for name in names]
-        driven = np.concatenate([self._pulleys.driven[place] for place in places])
-        lengths = [self._pulleys.lengths(*pair) for pair in zip(places, angles, strict=True)]
-        refusal = self._keeper.put_lengths(driven, np.concatenate(lengths), arrival.time)
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        self._remember(arrival)
-        if len(torques):
-            tensions = [self._pulleys.tensions(*pair)
-                        for pair in zip(places, torques, strict=True)]  # fmt: skip
-            self._keeper.put_tensions(driven, np.concatenate(tensions))
-        return None
+        return self._refused(arrival, None, self._put, names, angles, torques, arrival.time)
 
-    def _refusal(
-        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray, arrival: Arrival
+    def _put(
+        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray, time: float
     ) -> Refusal | None:
-        refusal = self._headers[None].refusal(arrival)
-        if refusal is not None:
+        """Passes values on to the keeper; the reason to refuse them, or None."""
+        if refusal := self._fault_of(names, angles, torques):
             return refusal
+        pulleys = self._pulleys
+        places = [pulleys.names.index(name) for name in names]
+        driven = np.concatenate([pulleys.driven[place] for place in places])
+        lengths = np.concatenate(list(map(pulleys.lengths, places, angles)))
+        refusal = self._keeper.put(driven, lengths, time)
+        if refusal is None and len(torques):
+            tensions = np.concatenate(list(map(pulleys.tensions, places, torques)))
+            self._keeper.put_efforts(driven, tensions)
+        return refusal
+
+    def _fault_of(
+        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray
+    ) -> Refusal | None:
         unknown = any(name not in self._pulleys.names for name in names)
         if not len(names) or unknown or len(set(names)) != len(names):
             return Refusal.WRONG_NAMES

@@ -59,17 +59,11 @@ class TouchInput(Input):
         Returns:
             The reason to refuse it, or None. A refused force leaves the touch as it was.
         """
-        force = np.asarray(force, dtype=float)
-        refusal = self._headers[touch, _FORCE].refusal(arrival)
-        refusal = refusal or refusal_of_vector(force, may_be_nan=True)
-        size = float(np.linalg.norm(force)) if refusal is None else 0.0
-        if refusal is None and size > self._limits[touch]:
-            refusal = Refusal.OUT_OF_RANGE
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        ends = not size > 0.0
-        self._keep(touch, _FORCE, np.nan if ends else force, np.nan, arrival)
-        return None
+        force, most = np.asarray(force, dtype=float), self._limits[touch]
+        refusal = self._refused(arrival, (touch, _FORCE), _fault_of, force, 0.0, most)
+        if refusal is None:
+            self._keep(touch, force if np.linalg.norm(force) > 0.0 else np.nan, np.nan, arrival.time)
+        return refusal
 
     def accept_place(self, touch: int, place, arrival: Arrival) -> Refusal | None:
         """Checks a measured place of a touched point and keeps it.
@@ -82,20 +76,15 @@ class TouchInput(Input):
         Returns:
             The reason to refuse it, or None. A refused place leaves the touch as it was.
         """
-        place = np.asarray(place, dtype=float)
-        refusal = self._headers[touch, _PLACE].refusal(arrival)
-        refusal = refusal or refusal_of_vector(place, may_be_nan=True)
-        if refusal is None and np.linalg.norm(place - self._rest[touch]) > self._farthest:
-            refusal = Refusal.OUT_OF_RANGE
-        if refusal is not None:
-            return self.refusals.add(refusal)
-        self._keep(touch, _PLACE, np.nan, np.nan if np.isnan(place).any() else place, arrival)
-        return None
+        place, rest = np.asarray(place, dtype=float), self._rest[touch]
+        refusal = self._refused(arrival, (touch, _PLACE), _fault_of, place, rest, self._farthest)
+        if refusal is None:
+            self._keep(touch, np.nan, np.nan if np.isnan(place).any() else place, arrival.time)
+        return refusal
 
-    def _keep(self, touch: int, sender: str, force, place, arrival: Arrival) -> None:
-        self._remember(arrival, (touch, sender))
+    def _keep(self, touch: int, force, place, time: float) -> None:
         self._forces[touch], self._places[touch] = force, place
-        self._heard[touch] = arrival.time
+        self._heard[touch] = time
 
     def read(self, now: float) -> Touched | None:
         """The touches at a time on the clock of `Arrival.time` [s]; None where nothing touches."""
@@ -109,3 +98,10 @@ class TouchInput(Input):
         if not (touching & ~late).any():
             return None
         return Touched(self._forces.copy(), self._places.copy())
+
+
+def _fault_of(vector: np.ndarray, start, most: float) -> Refusal | None:
+    """The reason to refuse a vector, or None: it may be NaN, and ends so far from a start at most."""
+    if refusal := refusal_of_vector(vector, may_be_nan=True):
+        return refusal
+    return Refusal.OUT_OF_RANGE if np.linalg.norm(vector - start) > most else None

@@ -437,8 +437,8 @@ def test_a_pressure_without_limits_may_be_measured_slightly_below_zero(air_scene
     del scene["cavities"][0]["pressure"]
     simulation = Simulation.from_scene(scene_from_mapping(scene))
     loop = TwinLoop(simulation, LoopSettings(), Mode.DIRECT, use_device=True)
-    assert loop.device.put_pressure(LOW, -20.0, 0.0) is None
-    assert loop.device.put_pressure(LOW, -1e5, 0.0) is Refusal.OUT_OF_RANGE
+    assert loop.device.put(np.array([LOW]), -20.0, 0.0) is None
+    assert loop.device.put(np.array([LOW]), -1e5, 0.0) is Refusal.OUT_OF_RANGE
 
 
 def test_a_device_that_lost_its_pressure_is_not_driven_further(drive_air):
