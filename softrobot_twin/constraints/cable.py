@@ -26,6 +26,7 @@ import numpy as np
 from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.row_stack import add_row_forces
+from softrobot_twin.constraints.spread_stiffness import MOST_COUPLED, SpreadStiffness
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     ZERO,
@@ -35,6 +36,7 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import divided, dot, negated, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.force_term import DenseRows
 from softrobot_twin.mechanics.kinematics import (
     CarriedPoints,
     FoldedSegments,
@@ -199,6 +201,41 @@ def write_matrices(
         set_rows(matrices[s], scaled_matrix(*stiffness))
 
 
+@njit(**INLINED)
+def direction(r, least, rounding):
+    """d of one segment r [m], zero where it has none.
+
+    Args:
+        r: Three numbers.
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ [m].
+    """
+    length = norm(r)
+    scale = 1.0 / length if length > least else 0.0
+    if length < rounding:
+        scale = 1.0 / rounding
+    return scaled(r, scale)
+
+
+@njit(**KERNEL)
+def write_squares(x, nodes, coefficients, constants, least, rounding, stiffness, matrices):
+    """k d dᵀ of every segment.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+        coefficients: c of these nodes, same shape.
+        constants: r_0 of each segment [m], shape (segment_count, 3).
+        least: A segment that is not longer has no direction [m].
+        rounding: ρ of each segment [m], shape (segment_count,).
+        stiffness: k of each segment [N/m], shape (segment_count,).
+        matrices: Takes the matrices [N/m], shape (segment_count, 3, 3).
+    """
+    for s in range(len(nodes)):
+        d = direction(segment_vector(x, nodes[s], coefficients[s], constants[s]), least, rounding[s])
+        set_rows(matrices[s], add_outer(ZERO, scaled(d, max(stiffness[s], 0.0)), d))
+
+
 @njit(**KERNEL)
 def add_row_stiffness_kernel(
     x, nodes, coefficients, constants, least, rounding, stiffness, offsets, strides, storage
@@ -221,12 +258,7 @@ def add_row_stiffness_kernel(
     for s in range(len(nodes)):
         if stiffness[s] <= 0.0:
             continue
-        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
-        length = norm(r)
-        scale = 1.0 / length if length > least else 0.0
-        if length < rounding[s]:
-            scale = 1.0 / rounding[s]
-        d = scaled(r, scale)
+        d = direction(segment_vector(x, nodes[s], coefficients[s], constants[s]), least, rounding[s])
         pair = 0
         for b in range(width):
             for a in range(b, width):
@@ -286,7 +318,7 @@ class Cables(ConstraintTerm):
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
-        points: CarriedPoints | None = None,
+        points: CarriedPoints | None = None, may_spread: bool = False,
     ):  # fmt: skip
         """Divide the paths into segments.
 
@@ -296,6 +328,8 @@ class Cables(ConstraintTerm):
                 shape (node_count,).
             rest_positions: Node positions at rest [m], shape (node_count, 3).
             points: The carried points of the scene; None without any.
+            may_spread: Whether a part of the stiffness may be given as dense rows, where segments
+                couple many nodes.
         """
         self.paths = paths
         self.row_count = len(paths)
@@ -313,7 +347,10 @@ class Cables(ConstraintTerm):
         self._free_index = free_index
         self._bound = None
         self._lay_out_entries()
-        self._points, self._folded = None, None
+        self._points, self._folded, self._spread = None, None, None
+        if may_spread and points is None and (self._free >= 0).sum(axis=1).max(initial=0) > MOST_COUPLED:
+            self._spread = SpreadStiffness(self._free, self._coefficients)
+            self._matrices = np.empty((count, 3, 3))
         if points is not None and (self._free >= points.free_count).any():
             self._points, self._folded = points, FoldedSegments(points, self._free, self._coefficients)
             self._carriers = points_among(self._free, points.free_count)
@@ -351,13 +388,22 @@ class Cables(ConstraintTerm):
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each segment couples, -1 where none, shape (segment_count, width)."""
-        return self._free if self._folded is None else self._folded.stencils()
+        other = self._folded or self._spread
+        return self._free if other is None else other.stencils()
+
+    @property
+    def dense_rows(self) -> DenseRows | None:
+        """The part of the stiffness that is not assembled, at the state where it was added last; see
+        `ConstraintTerm`.
+        """
+        return None if self._spread is None else self._spread.dense_rows
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the geometric stiffness in the storage, and sort the segments' nodes.
         """
-        if self._folded is not None:
-            self._folded.bind(elimination_rank, slots)
+        other = self._folded or self._spread
+        if other is not None:
+            other.bind(elimination_rank, slots)
             return
         bound = bind_stencils(self._free, elimination_rank, slots)
         self._nodes = bound.sorted(self._nodes)
@@ -401,7 +447,7 @@ class Cables(ConstraintTerm):
         Projected, it omits the second-order rotation of points on free rigid bodies.
         """
         tensions = writable(multipliers)
-        if self._folded is None:
+        if self._bound is not None:
             add_stiffness_kernel(
                 positions, self._nodes, self._coefficients, self._constants, self._least,
                 self._rounding, self.cable_of_stretch, tensions, self._bound.offsets,
@@ -412,6 +458,9 @@ class Cables(ConstraintTerm):
             positions, self._nodes, self._coefficients, self._constants, self._least,
             self._rounding, self.cable_of_stretch, tensions, self._matrices,
         )  # fmt: skip
+        if self._spread is not None:
+            self._spread.add(self._matrices, storage)
+            return
         pulls = None
         if self._folded.turns and not projected:
             pulls = self._pulls_on_carried_points(positions, tensions)
@@ -427,10 +476,15 @@ class Cables(ConstraintTerm):
             stiffness: k of each segment [N/m], shape (segment_count,).
             storage: The factorization's storage [N/m]; added to.
         """
-        add_row_stiffness_kernel(
+        segments = (
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, writable(stiffness), self._bound.offsets, self._bound.strides, storage,
+            self._rounding, writable(stiffness),
         )  # fmt: skip
+        if self._spread is None:
+            add_row_stiffness_kernel(*segments, self._bound.offsets, self._bound.strides, storage)
+            return
+        write_squares(*segments, self._matrices)
+        self._spread.add(self._matrices, storage, is_more=True)
 
     def _pulls_on_carried_points(self, positions, tensions) -> np.ndarray:
         """Force of the cables on each carried point [N], shape (carried_count, 3)."""

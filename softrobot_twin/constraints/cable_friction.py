@@ -516,7 +516,7 @@ class FrictionCables(ElasticCables):
             materials: How they stretch and rub.
         """
         super().__init__(
-            paths, free_index, rest_positions, None, materials.axial_stiffness
+            paths, free_index, rest_positions, axial_stiffness=materials.axial_stiffness
         )
         self._materials, self._flexibility = materials, 1.0 / materials.axial_stiffness
         count = len(self.cable_of_stretch)

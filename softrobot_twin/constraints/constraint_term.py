@@ -12,6 +12,8 @@ from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
+from softrobot_twin.mechanics.force_term import DenseRows
+
 Group = Literal["actuators", "effectors", "contacts"]
 """What the rows of a term are for in the condensed problem."""
 
@@ -31,6 +33,8 @@ class ConstraintTerm(Protocol):
         conserves: Whether equilibria at held values of its rows are minima of an energy.
         yields: Whether its rows yield by themselves: then the term is a `YieldingTerm`.
         takes_efforts: Whether its rows depend on its efforts: then the term is an `EffortTerm`.
+        dense_rows: The part of the geometric stiffness that is not assembled, at the state where it
+            was added last; None where there is never any.
         memory_name: Under which name a state holds what it remembers, see `step_part`; else empty.
         row_count: Number of its rows k.
         entry_rows: Row of each entry of H, from 0, shape (entry_count,).
@@ -46,6 +50,7 @@ class ConstraintTerm(Protocol):
     conserves: ClassVar[bool] = True
     yields: ClassVar[bool] = False
     takes_efforts: ClassVar[bool] = False
+    dense_rows: DenseRows | None = None
     memory_name: ClassVar[str] = ""
     row_count: int
     entry_rows: np.ndarray

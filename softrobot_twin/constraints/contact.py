@@ -284,6 +284,7 @@ class Contacts:
     group = "contacts"
     varies = True
     curvature = None
+    dense_rows = None
 
     def __init__(
         self, pairs: tuple, free_index: np.ndarray, longest: Callable,

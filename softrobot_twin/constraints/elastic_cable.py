@@ -32,7 +32,8 @@ class ElasticCables(Cables):
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
-        points: CarriedPoints | None = None, axial_stiffness: np.ndarray = np.empty(0),
+        points: CarriedPoints | None = None, may_spread: bool = False,
+        axial_stiffness: np.ndarray = np.empty(0),
     ):  # fmt: skip
         """Divide the paths into segments.
 
@@ -42,13 +43,14 @@ class ElasticCables(Cables):
                 shape (node_count,).
             rest_positions: Node positions at rest [m], shape (node_count, 3).
             points: The carried points of the scene; None without any.
+            may_spread: See `Cables`.
             axial_stiffness: EA of each cable, infinite for one that does not stretch [N],
                 shape (row_count,).
         """
         self.axial_stiffness = np.array(axial_stiffness, float)
         self.compliance = np.zeros((len(paths), len(paths)))
         self._told = np.zeros(len(paths))
-        super().__init__(paths, free_index, rest_positions, points)
+        super().__init__(paths, free_index, rest_positions, points, may_spread)
         self._set_compliance(self.rest_lengths)
 
     @property

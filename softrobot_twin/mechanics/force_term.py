@@ -20,7 +20,7 @@ class DenseRows(NamedTuple):
         row_index: Row h of each entry, shape (entry_count,).
         node_index: Unknown of each entry, shape (entry_count,).
         blocks: The entries, shape (entry_count, 3).
-        stiffness: k of each row, positive, shape (row_count,).
+        stiffness: k of each row, not zero, shape (row_count,).
     """
 
     row_index: np.ndarray

@@ -310,7 +310,8 @@ class EffectorCompliance:
             self._lu = laid_out_like(model.factorization, SuperLU)
         lu, places = self._lu
         lu.storage[:] = self._storage[places]
-        dense = [term.dense_rows for term in model.forces if term.dense_rows is not None]
+        terms = (*model.forces, *model.rows.terms)
+        dense = [term.dense_rows for term in terms if term.dense_rows is not None]
         saddle = _Saddle(lu.matrix(), dense, self._displacement_rows(rows))
         return saddle.solve(rows, holding)
 

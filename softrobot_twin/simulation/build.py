@@ -74,13 +74,10 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     )  # fmt: skip
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = RowStack(constraints, nodes.carried)
-    dense = [term.dense_rows for term in forces if term.dense_rows is not None]
+    dense = [term for term in (*forces, *constraints) if term.dense_rows is not None]
     if dense:
-        factorization = DenseStiffness(factorization)
-    reached = np.unique(np.concatenate([rows.reached_nodes, *(part.node_index for part in dense)]))
-    factorization.prepare_rows(
-        reached, rows.row_capacity + sum(len(part.stiffness) for part in dense)
-    )
+        factorization = DenseStiffness(factorization, dense)
+    factorization.prepare_rows(rows.reached_nodes, rows.row_capacity)
     guided = any(not part.is_free for part in layout.rigid)
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]

@@ -224,7 +224,7 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
                 break
         else:
             return None
-        moves = _solved(model, forces)
+        moves = factorization.solve(forces).copy()
         longest = _longest(moves[soft])
         if not longest < np.inf:
             return None
@@ -315,28 +315,6 @@ def are_held(model: Model) -> bool:
         held |= set().union(*(own for own in waiting if own & held))
         waiting = floating
     return True
-
-
-def _solved(model: Model, forces: np.ndarray) -> np.ndarray:
-    """Moves under forces, shape (free_node_count, 3), by the factor and the terms' dense rows.
-
-    With X = A⁻¹Hᵀ, (A + HᵀKH)⁻¹ b = A⁻¹b - X (K⁻¹ + HX)⁻¹ H A⁻¹b.
-    """
-    solve = model.factorization.solve
-    moves = solve(forces).copy()
-    parts = [term.dense_rows for term in model.forces if term.dense_rows is not None]
-    loads, stiffness = [], np.concatenate([np.empty(0), *(part.stiffness for part in parts)])
-    for part in parts:
-        rows = np.zeros((len(part.stiffness), *forces.shape))
-        np.add.at(rows, (part.row_index, part.node_index), part.blocks)
-        loads += list(rows)
-    if not loads:
-        return moves
-    responses = [solve(load).copy() for load in loads]
-    compliance = np.array([[np.vdot(load, response) for response in responses] for load in loads])
-    along = np.array([np.vdot(load, moves) for load in loads])
-    multipliers = np.linalg.solve(np.diag(1.0 / stiffness) + compliance, along)
-    return moves - np.tensordot(multipliers, np.array(responses), axes=1)
 
 
 def _longest(moves: np.ndarray) -> float:

@@ -1,73 +1,233 @@
 """A factorization of A + Σ k h hᵀ, with a few rows h that couple many unknowns.
 
-With the rows h in S and C = diag(1/k), the Woodbury identity gives
+With the rows h in S and C = diag(1/k), A + Sᵀ C⁻¹ S has the inverse that the unknowns of
 
-    (A + Sᵀ C⁻¹ S)⁻¹ = A⁻¹ - A⁻¹ Sᵀ (C + S A⁻¹ Sᵀ)⁻¹ S A⁻¹,
+    [ A   Sᵀ ] [ x ]   [ b ]
+    [ S  -C  ] [ y ] = [ 0 ]
 
-so S is condensed below the rows H of each system, and eliminated from it.
+have, so S is condensed above the rows H of each system, and eliminated from it: C + S A⁻¹ Sᵀ, which
+is what the elimination of A leaves of the rows (with its sign changed), is divided into rows of
+positive k, then of negative ones. A is positive definite; the whole is where the pivots of the rows
+have the signs of their k (the inertia of the system from both sides; Nocedal and Wright, Numerical
+Optimization, 2006, section 16.3).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
-
 
 NO_ROWS = NodeRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), 0)
 
 
-class DenseStiffness:
-    """See `Factorization`; A is that of another one, whose storage is used."""
+@njit(**KERNEL)
+def eliminate(G, free, compliance, positive_count):
+    """Eliminate the first rows y of G y + free + C y = 0; what is left of G and free is condensed.
 
-    def __init__(self, inner: Factorization):
+    Args:
+        G: Compliance of all rows, shape (n, n); overwritten: by U and the unit factor L in the lines
+            and columns of the first rows, by the condensed compliance below.
+        free: Free violations, shape (n,); overwritten alike.
+        compliance: C of the first rows, shape (s,).
+        positive_count: How many of these, from the first on, are to have a positive pivot.
+
+    Returns:
+        Whether the pivots have the signs that they are to have.
+    """
+    s, n = len(compliance), len(free)
+    for k in range(s):
+        G[k, k] += compliance[k]
+    for k in range(s):
+        pivot = G[k, k]
+        if not (pivot > 0.0 if k < positive_count else pivot < 0.0):
+            return False
+        for i in range(k + 1, n):
+            factor = G[i, k] / pivot
+            G[i, k] = factor
+            free[i] -= factor * free[k]
+            for j in range(k + 1, n):
+                G[i, j] -= factor * G[k, j]
+    return True
+
+
+@njit(**KERNEL)
+def substitute(G, free, count, loads):
+    """Loads y of the first rows from those of the others, after `eliminate`.
+
+    Args:
+        G: See there, shape (n, n).
+        free: See there, shape (n,).
+        count: How many rows are eliminated, s.
+        loads: Of all rows, shape (m,), s <= m <= n; the first s are overwritten.
+    """
+    for k in range(count - 1, -1, -1):
+        value = -free[k]
+        for j in range(k + 1, len(loads)):
+            value -= G[k, j] * loads[j]
+        loads[k] = value / G[k, k]
+
+
+@njit(**KERNEL)
+def reduce_moves(G, moved):
+    """moved ← L⁻¹ moved, shape (s,), by the factor L of `eliminate` in G, shape (n, n)."""
+    for k in range(len(moved)):
+        for i in range(k + 1, len(moved)):
+            moved[i] -= G[i, k] * moved[k]
+
+
+@njit(**KERNEL)
+def order_by_sign(stiffness, place, compliance):
+    """Place rows of positive k before those of negative k.
+
+    Args:
+        stiffness: k of each row, shape (row_count,).
+        place: Takes the new place of each row, same shape.
+        compliance: Takes 1/k at these places, same shape.
+
+    Returns:
+        How many are positive.
+    """
+    positive_count = next_place = 0
+    for is_positive in (True, False):
+        for row in range(len(stiffness)):
+            if (stiffness[row] > 0.0) == is_positive:
+                place[row], compliance[next_place] = next_place, 1.0 / stiffness[row]
+                next_place += 1
+        if is_positive:
+            positive_count = next_place
+    return positive_count
+
+
+@njit(**KERNEL)
+def append_rows(row_index, node_index, blocks, place, first, all_rows, all_nodes, all_blocks):
+    """Write entries of rows behind others.
+
+    Args:
+        row_index: Row of each entry, shape (entry_count,).
+        node_index: Unknown of each, same shape.
+        blocks: The entries, shape (entry_count, 3).
+        place: Row that each row becomes, shape (row_count,).
+        first: Number of entries that are there already.
+        all_rows: Takes the rows.
+        all_nodes: Takes the unknowns.
+        all_blocks: Takes the entries.
+    """
+    for entry in range(len(row_index)):
+        all_rows[first + entry] = place[row_index[entry]]
+        all_nodes[first + entry] = node_index[entry]
+        for i in range(3):
+            all_blocks[first + entry, i] = blocks[entry, i]
+
+
+class DenseStiffness:
+    """See `Factorization`; A is that of another one, whose storage is used.
+
+    The rows are those that their terms give when it is factorized. Whether the whole is positive
+    definite is not known before it is condensed.
+    """
+
+    def __init__(self, inner: Factorization, terms: Sequence):
         """Take the factorization of A.
 
         Args:
             inner: It.
+            terms: All that have `dense_rows`, see `DenseRows`.
         """
-        self._inner, self.name = inner, inner.name
+        self._inner, self.name, self._terms = inner, inner.name, terms
         self.elimination_rank, self.storage = inner.elimination_rank, inner.storage
-        self.slots, self.blocks = inner.slots, inner.blocks
-        self.prepare_rows, self.clear, self.factor = inner.prepare_rows, inner.clear, inner.factor
-        self._rows, self._compliance = NO_ROWS, np.empty(0)
+        self.slots, self.blocks, self.clear = inner.slots, inner.blocks, inner.clear
+        self.is_traceable = getattr(inner, "is_traceable", False)
+        self._place, self._compliance, self._below = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64)
+        self._positive_count = self._entry_count = 0
+        # The rows h, then H, in the same arrays as long as there are as many.
+        self._joined = NO_ROWS
+        self._eliminated: Condensed | None = None
 
-    def set_rows(self, rows: NodeRows, stiffness: np.ndarray) -> None:
-        """Set the rows h.
+    def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
+        """See `Factorization.prepare_rows`."""
+        parts = [term.dense_rows for term in self._terms]
+        self._inner.prepare_rows(
+            np.unique(np.concatenate([node_index, *(part.node_index for part in parts)])),
+            row_count + sum(len(part.stiffness) for part in parts),
+        )
 
-        Args:
-            rows: They.
-            stiffness: k of each, positive, shape (row_count,).
-        """
-        self._rows, self._compliance = rows, 1.0 / stiffness
+    def factor(self) -> bool:
+        """Take the rows, and factorize A; False if A is not positive definite."""
+        parts = [term.dense_rows for term in self._terms]
+        stiffness = np.concatenate([part.stiffness for part in parts])
+        if len(stiffness) != len(self._place):
+            self._place, self._compliance = np.empty(len(stiffness), np.int64), np.empty(len(stiffness))
+        self._positive_count = order_by_sign(stiffness, self._place, self._compliance)
+        below = len(self._joined.row_index) - self._entry_count
+        self._entry_count = 0
+        self._make_room(sum(len(part.row_index) for part in parts) + below)
+        first = 0
+        for part in parts:
+            self._append(part, self._place[first:])
+            first += len(part.stiffness)
+        self._eliminated = None
+        return self._inner.factor()
+
+    def _make_room(self, entry_count: int) -> None:
+        """Keep the rows h, in arrays for a number of entries."""
+        if len(self._joined.row_index) != entry_count:
+            kept, own = self._entry_count, self._joined
+            self._joined = NodeRows(*np.empty((2, entry_count), np.int64), np.empty((entry_count, 3)), 0)
+            for new, old in zip(self._joined[:3], own[:3]):
+                new[:kept] = old[:kept]
+
+    def _append(self, rows: tuple, place: np.ndarray) -> None:
+        """Write rows behind those that are there; see `append_rows`."""
+        append_rows(*rows[:3], place, self._entry_count, *self._joined[:3])
+        self._entry_count += len(rows.row_index)
+
+    @property
+    def _own(self) -> NodeRows:
+        """The rows h."""
+        return NodeRows(*(part[: self._entry_count] for part in self._joined[:3]), len(self._place))
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
         """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
-        """See `Factorization.condense`."""
-        own, count = self._rows, H.row_count
-        found = self._inner.condense(
-            NodeRows(
-                np.concatenate([H.row_index, count + own.row_index]),
-                np.concatenate([H.node_index, own.node_index]),
-                np.concatenate([H.blocks, own.blocks]), count + own.row_count,
-            ),
-            b,
-        )  # fmt: skip
-        G, across = found.W[:count, :count], found.W[count:, :count]
-        M = np.diag(self._compliance) + found.W[count:, count:]
-        solved = np.linalg.solve(M, np.column_stack([across, found.free[count:]]))
-        self._of_multipliers, self._of_forces = solved[:, :-1], solved[:, -1]
-        W = G - across.T @ self._of_multipliers
-        return Condensed(0.5 * (W + W.T), found.free[:count] - across.T @ self._of_forces)
+        """See `Factorization.condense`.
+
+        Raises:
+            numpy.linalg.LinAlgError: The whole is not positive definite.
+        """
+        s, entries = len(self._place), self._entry_count
+        if len(self._below) != H.row_count or H.row_count and self._below[0] != s:
+            self._below = s + np.arange(H.row_count)
+        self._make_room(entries + len(H.row_index))
+        self._append(H, self._below)
+        self._entry_count = entries
+        W, free = self._inner.condense(self._joined._replace(row_count=s + H.row_count), b)
+        if not eliminate(W, free, self._compliance, self._positive_count):
+            raise np.linalg.LinAlgError("rows of a stiffness make it indefinite")
+        self._eliminated = Condensed(W, free)
+        W = W[s:, s:]
+        return Condensed(0.5 * (W + W.T), free[s:].copy())
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """See `Factorization.expand`."""
-        own = -self._of_forces - self._of_multipliers @ multipliers
-        return self._inner.expand(np.concatenate([multipliers, own]))
+        loads = np.concatenate([np.empty(len(self._place)), multipliers])
+        substitute(*self._eliminated, len(self._place), loads)
+        return self._inner.expand(loads)
 
     def solve(self, b: np.ndarray) -> np.ndarray:
-        """See `Factorization.solve`."""
-        self.condense(NO_ROWS, b)
-        return self.expand(np.empty(0)).copy()
+        """See `Factorization.solve`; what was condensed last stays."""
+        if self._eliminated is None:
+            self.condense(NO_ROWS, np.zeros_like(b))
+        own, found = self._own, self._inner.solve(b)
+        along = np.einsum("ij,ij->i", own.blocks, found[own.node_index])
+        moved = np.bincount(own.row_index, along, own.row_count)
+        reduce_moves(self._eliminated.W, moved)
+        loads = np.empty(own.row_count)
+        substitute(self._eliminated.W, moved, own.row_count, loads)
+        forces = np.array(b)
+        np.add.at(forces, own.node_index, own.blocks * loads[own.row_index, None])
+        return self._inner.solve(forces)

@@ -109,11 +109,14 @@ def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ..
     nodes = layout.nodes
     if any(cable.friction for cable in entries):
         return _friction_term(layout, paths, entries)
+    # Past limit points a given volume needs the whole of A, and so do beams that buckle.
+    others = sum(map(len, layout.scene.actuator_entries.values())) - len(entries)
+    taken = (
+        paths, nodes.free_index, nodes.rest_positions, nodes.carried, not others and not layout.beams
+    )  # fmt: skip
     if not any(_stretches(cable) for cable in entries):
-        return Cables(paths, nodes.free_index, nodes.rest_positions, nodes.carried)
-    return ElasticCables(
-        paths, nodes.free_index, nodes.rest_positions, nodes.carried, _axial_stiffness(entries)
-    )
+        return Cables(*taken)
+    return ElasticCables(*taken, _axial_stiffness(entries))
 
 
 def _axial_stiffness(entries: tuple[Cable, ...]) -> np.ndarray:

@@ -29,7 +29,7 @@ from softrobot_twin.simulation.step.merit import Merit
 from softrobot_twin.simulation.step.move import Move
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
-from softrobot_twin.solvers.factorization import Factorization, NodeRows
+from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.traced_stage import TracedStages, clear
 
 # Where no merit tells how far a linearization holds (in motion, with friction, with slender parts), no
@@ -123,10 +123,9 @@ class Newton:
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
         factorization = model.factorization
-        self._dense = factorization if isinstance(factorization, DenseStiffness) else None
         self._augmented, self._held = augmented_tangent_of(model), None
         self._projects_in_part = (
-            any(term.is_slender for term in model.forces) and self._dense is None
+            any(term.is_slender for term in model.forces) and not isinstance(factorization, DenseStiffness)
             and not model.is_dynamic and self._conserves
         )  # fmt: skip
         self._was_folded = False
@@ -318,8 +317,8 @@ class Newton:
         may_augment = may_augment and (not is_inverse or self._measure_stiffness(clock))
         if not (self._is_indefinite and may_augment):
             self._rows.limit_stiffness(False)
-            if self._factor(positions, multipliers, clock):
-                linear = self._condense(positions, multipliers)
+            linear = self._factored(positions, multipliers, clock)
+            if linear is not None:
                 self._is_indefinite = (
                     is_inverse and may_augment and self._augmented.is_near(linear.W_aa)
                     and self._augmented.choose(efforts, held)
@@ -333,13 +332,8 @@ class Newton:
             self.is_augmented, self._held = True, held
             for is_limited in (False, True) if self._rows.may_be_negative else (True,):
                 self._rows.limit_stiffness(is_limited)
-                if not self._factor(positions, multipliers, clock):
-                    continue
-                try:
-                    linear = self._condense(positions, multipliers)
-                except np.linalg.LinAlgError:
-                    pass  # Held actuators do not stabilise the bodies.
-                else:
+                linear = self._factored(positions, multipliers, clock)
+                if linear is not None:
                     self._is_indefinite = self._augmented.is_needed(
                         linear.W, linear.groups.contacts.start
                     )
@@ -349,9 +343,19 @@ class Newton:
             linear = self._least_projected(positions, multipliers, may_augment, clock)
             if linear is not None:
                 return linear
+        return self._factored(positions, multipliers, clock)
+
+    def _factored(
+        self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock
+    ) -> Linearized | None:
+        """See the bodies by the tangent of the kind that is set; None where it is not definite."""
         if not self._factor(positions, multipliers, clock):
             return None
-        return self._condense(positions, multipliers)
+        try:
+            return self._condense(positions, multipliers)
+        except np.linalg.LinAlgError:
+            # Held actuators do not stabilise the bodies, or rows that are not assembled unsettle them.
+            return None
 
     def _least_projected(
         self, positions: np.ndarray, multipliers: np.ndarray, augments: bool, clock: StageClock
@@ -853,8 +857,6 @@ class Newton:
             self._assemble(positions, multipliers, True)
         else:
             self._stages.run(ASSEMBLE, positions, multipliers)
-        if self._dense is not None:
-            self._dense.set_rows(*_joined_rows(model.forces))
         if self._has_rows_apart:
             storage = model.factorization.storage
             self._row_stages.run(ADD_STIFFNESS, positions, multipliers, storage, projected)
@@ -872,14 +874,3 @@ class Newton:
         if not self._has_rows_apart:
             self._rows.add_stiffness(positions, multipliers, factorization.storage, projected)
             self._rows.evaluate(positions)
-
-
-def _joined_rows(terms) -> tuple[NodeRows, np.ndarray]:
-    """Dense rows of all force terms, one below the other, and their stiffness."""
-    parts = [term.dense_rows for term in terms if term.dense_rows is not None]
-    counts = np.cumsum([0, *(len(part.stiffness) for part in parts)])
-    rows = [part.row_index + first for part, first in zip(parts, counts)]
-    return NodeRows(
-        np.concatenate(rows), np.concatenate([part.node_index for part in parts]),
-        np.concatenate([part.blocks for part in parts]), int(counts[-1]),
-    ), np.concatenate([part.stiffness for part in parts])  # fmt: skip
