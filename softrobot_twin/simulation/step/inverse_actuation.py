@@ -537,16 +537,18 @@ class InverseActuation:
         stiffness = self._in_branch(stiffness, branch)
         errors, weights, extra = _rows_to_track(linear, asked, weights, stiffness)
         within = self._bearing(stiffness, branch, bounds)
-        found = self._over_branches(
-            linear, errors, weights, held, within, commanded, extra, branch
-        )
-        if self.trust.longest < np.inf:
+        given = linear, errors, weights, held, within, commanded
+        is_plain = extra is None and branch is None
+        while True:
+            found = self._guessed(*given) if is_plain else None
+            if found is None:
+                found = self._over_branches(*given, extra, branch)
+            if found is None or self.trust.longest == np.inf:
+                break
             still = self._still(linear, held)
-            while found is not None and self.trust.is_too_long(still, found.drives(self._limits)):
-                self.trust.tighten()
-                found = self._over_branches(
-                    linear, errors, weights, held, within, commanded, extra, branch
-                )
+            if not self.trust.is_too_long(still, found.drives(self._limits)):
+                break
+            self.trust.tighten()
         if found is None and branch is not None:
             self.trust.branch = None
             return held, held
@@ -650,10 +652,6 @@ class InverseActuation:
         A cable becomes slack at most once, and taut again at most once. Cables that are `chosen`
         are slack in any case.
         """
-        if self._alone and extra is None and chosen is None and self._solver.guess is not None:
-            found = self._guessed(linear, errors, weights, held, bounds, commanded)
-            if found is not None:
-                return found
         count, contact = linear.groups.actuators.stop, held.contact.multipliers
         path, may_hang = linear.actuator_displacements(held.efforts, contact), self._may_hang
         if commanded.any():
@@ -694,7 +692,7 @@ class InverseActuation:
         stiffness = reference = self._none
         if linear.augmentation is not None:
             stiffness, reference, _ = linear.augmentation
-        if commanded.any() or len(active) < 2 * count:
+        if not self._alone or active is None or commanded.any() or len(active) < 2 * count:
             return None
         proved, efforts, within, active = guessed_actuation(
             linear.W, linear.groups.effectors.start, linear.violation, errors, weights,
