@@ -32,7 +32,7 @@ from softrobot_twin.solvers.quadratic_program import (
     whiten,
 )
 from softrobot_twin.solvers.superlu import OPTIONS
-from softrobot_twin.study.bench import make_folder
+from softrobot_twin.study.output_file import make_folder
 from softrobot_twin.study.bench_measurement import (
     BenchCase,
     SuperLUReference,

@@ -23,7 +23,7 @@ from specimens import column_mesh
 
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
-from softrobot_twin.study.bench import make_folder
+from softrobot_twin.study.output_file import make_folder
 from softrobot_twin.study.accuracy_study import write_mesh
 from softrobot_twin.study.bench_measurement import (
     INTERRUPTION,

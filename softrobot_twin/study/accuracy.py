@@ -40,9 +40,9 @@ from softrobot_twin.study.accuracy_study import (
     with_hold_radius,
     write_rows,
 )
-from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.figure import figure_file, load_pyplot
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.study.output_file import make_folder
 from softrobot_twin.study.reduced_models import (
     every_level,
     own_file,

@@ -28,7 +28,7 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import OutputError, cell, csv_output
+from softrobot_twin.study.output_file import cell, csv_output, make_folder
 from softrobot_twin.study.terminal import announce, by_key, console, report_activity, table
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
@@ -463,18 +463,6 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         draw_bench(output / "bench.png", sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")
     return 0
-
-
-def make_folder(folder: Path) -> None:
-    """Makes a folder for results.
-
-    Raises:
-        OutputError: It cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(folder, error.strerror or str(error)) from error
 
 
 def _measure_all(cases: Sequence[BenchCase], steps: int) -> list[SizeMeasurement]:

@@ -23,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import Scene, load_scene
@@ -37,7 +36,7 @@ from softrobot_twin.simulation.building.body_reduction import (
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.reduced_body import with_entries, without_reductions
 from softrobot_twin.simulation.runs.input_tables import read_targets
-from softrobot_twin.study.output_file import OutputError, output_file
+from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.reduction_basis import (
     Modes,
     blocks_of,
@@ -69,11 +68,10 @@ from softrobot_twin.study.reduction_states import (
     training_scene,
 )
 from softrobot_twin.study.sample_workers import (
-    DaskWorkers,
     Job,
-    LocalWorkers,
     SampleWorkers,
-    core_count,
+    scene_fingerprint,
+    workers_of,
 )
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.study.training_options import (
@@ -81,7 +79,7 @@ from softrobot_twin.study.training_options import (
     FIRST_SNAPSHOTS,
     TrainingOptions,
 )
-from softrobot_twin.study.workspace import Axis, sampled_axes, scene_fingerprint
+from softrobot_twin.study.workspace import Axis, sampled_axes
 
 # Most modes by energy: more make a step slower than many a full model.
 MOST_MODES = 96
@@ -416,9 +414,7 @@ def begin_training(path: Path, options: TrainingOptions, output: Path | None = N
     content = scene_fingerprint(scene)
     run = {"scene": content, "body": name, "loaded points": sampling.load_points,
            "contact": sampling.in_contact}  # fmt: skip
-    crew = LocalWorkers(options.workers or core_count())
-    if options.scheduler is not None:
-        crew = DaskWorkers(options.scheduler)
+    crew = workers_of(options.workers, options.scheduler)
     job = Job(FinderMaker(sampling), Path(path).resolve(), content)
     store = StateStore(output or output_path(scene, body, options), run)
     return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way)
@@ -653,13 +649,8 @@ def tell_whether_met(
 
 
 def _save(output: Path, reduction: BodyReduction, body: Body) -> None:
-    try:
-        with output_file(output) as partial, open(partial, "wb") as stream:
-            write_body_reduction(stream, reduction, reduction_fingerprints(body))
-    except SoftRobotTwinError:
-        raise
-    except OSError as error:
-        raise OutputError(output, error.strerror or str(error)) from error
+    with output_file(output) as partial, open(partial, "wb") as stream:
+        write_body_reduction(stream, reduction, reduction_fingerprints(body))
 
 
 def _said(

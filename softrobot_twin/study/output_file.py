@@ -33,6 +33,33 @@ BROKEN_OFF = ".part"
 
 
 @contextmanager
+def writing(path: Path | str, *errors: type[Exception]) -> Iterator[None]:
+    """Turns errors of the system into `OutputError`.
+
+    Args:
+        path: What is written.
+        errors: Further errors that mean the same.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    try:
+        yield
+    except (OSError, *errors) as error:
+        raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
+
+
+def make_folder(folder: Path) -> None:
+    """Makes a folder for results.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+@contextmanager
 def output_file(path: Path | str) -> Iterator[Path]:
     """Yields a temporary path in the same folder and moves it to the requested path at the end.
 
@@ -47,10 +74,8 @@ def output_file(path: Path | str) -> Iterator[Path]:
     """
     path = Path(path)
     partial = None
-    try:
+    with writing(path, ValueError):  # a name too long, or with a null character
         target = path.resolve()
-    except (OSError, ValueError) as error:  # a name too long, or with a null character
-        raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
     try:
         if target.exists() and not target.is_file():
             if target.is_dir():

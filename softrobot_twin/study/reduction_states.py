@@ -19,7 +19,7 @@ import hashlib
 import json
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,19 +37,19 @@ from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileEr
 from softrobot_twin.simulation.building.reduced_body import rides_on_a_slide, without_reductions
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.study.equilibrium import ANY_TIME
-from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, output_file
-from softrobot_twin.study.sample_workers import Job, SampleWorkers
+from softrobot_twin.study.output_file import BROKEN_OFF, output_file, writing
+from softrobot_twin.study.sample_workers import (
+    LOST,
+    Job,
+    SampleOutcome,
+    SampleWorkers,
+    check_fingerprint,
+    check_run,
+    run_samples,
+)
 from softrobot_twin.study.training_options import TargetBox
 from softrobot_twin.study.vertebrae_reduction import full_scene
-from softrobot_twin.study.workspace import (
-    LOST,
-    Axis,
-    SampleProgress,
-    closed,
-    scene_fingerprint,
-    setpoints_between,
-    shifted_sobol,
-)
+from softrobot_twin.study.workspace import Axis, setpoints_between, shifted_sobol
 
 # Linearizations of a step, and most steps to an equilibrium.
 ITERATIONS, MOST_STEPS = 4, 15
@@ -598,13 +598,10 @@ class FinderMaker(NamedTuple):
         """Build the scene; see `Job`.
 
         Raises:
-            TrainingError: It is not that of the fingerprint.
+            RunError: It is not that of the fingerprint.
         """
         read = without_reductions(load_scene(scene))
-        if scene_fingerprint(read) != content:
-            raise TrainingError(
-                f"{scene}: is not the scene of this run, or one of its files is not"
-            )
+        check_fingerprint(read, content)
         return StateFinder(training_scene(read, self.sampling), self.sampling.body)
 
 
@@ -631,31 +628,17 @@ class StateStore:
             run: What identifies it, by name.
 
         Raises:
-            TrainingError: The folder is of another run.
+            RunError: The folder is of another run.
             OutputError: It cannot be read or written.
         """
         self.path = output.with_name(output.name + BROKEN_OFF)
-        try:
+        with writing(self.path, UnicodeDecodeError):
             if (self.path / _RUN).is_file():
-                before = json.loads((self.path / _RUN).read_text(encoding="utf-8"))
-                if not isinstance(before, dict):
-                    raise OutputError(self.path, f"{_RUN} does not say which run it is of")
-                self._check(before, run)
+                check_run(self.path, (self.path / _RUN).read_text(encoding="utf-8"), run)
                 return
             self.path.mkdir(parents=True, exist_ok=True)
             with output_file(self.path / _RUN) as partial:
                 partial.write_text(json.dumps(run), encoding="utf-8")
-        except (OSError, ValueError) as error:
-            raise OutputError(self.path, getattr(error, "strerror", None) or str(error)) from error
-
-    def _check(self, before: dict, run: dict[str, object]) -> None:
-        for name, value in run.items():
-            # JSON has no tuples.
-            if before.get(name) != json.loads(json.dumps(value)):
-                raise TrainingError(
-                    f"{self.path}: is of a run with another {name}; remove it to begin anew, or "
-                    "take another --output"
-                )
 
     def _file(self, chain: np.ndarray) -> Path:
         return self.path / f"{hashlib.sha256(chain.tobytes()).hexdigest()[:24]}.npz"
@@ -720,22 +703,20 @@ def find_states(
         The states of all chains in their order, None of those that were lost; and why these were.
     """
     known = [store.find(chain) for chain in asked]
-    left = [(index, chain) for index, chain in enumerate(asked) if known[index] is None]
-    total = sum(map(len, asked))
     causes: list[str] = []
-    done = total - sum(len(chain) for _, chain in left)
-    shorter = "fewer --snapshots or --states, or more --workers on more cores, shorten it"
-    with SampleProgress(title, total, done, shorter) as shown:
-        outcomes: Iterator = closed(crew.run(job, left))
-        for index, states, cause in outcomes:
-            if states is None:
-                causes.append(f"{len(asked[index])} states are lost: {cause}")
-                statuses = [LOST] * len(asked[index])
-            else:
-                known[index] = states
-                store.add(asked[index], states)
-                statuses = ["ok" if found else "not_converged" for found in states.is_found]
-            shown.add(*statuses)
+
+    def keep(outcome: SampleOutcome) -> list[str]:
+        index, states, cause = outcome
+        if states is None:
+            causes.append(f"{len(asked[index])} states are lost: {cause}")
+            return [LOST] * len(asked[index])
+        known[index] = states
+        store.add(asked[index], states)
+        return ["ok" if found else "not_converged" for found in states.is_found]
+
+    done = {index for index, states in enumerate(known) if states is not None}
+    run_samples(title, crew, job, asked, done, keep,
+                "fewer --snapshots or --states, or more --workers on more cores, shorten it")
     return known, causes
 
 

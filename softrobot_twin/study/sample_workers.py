@@ -1,17 +1,23 @@
-"""Computes samples in processes of this machine, or on a Dask cluster.
+"""Computes the samples of a run in processes of this machine, or on a Dask cluster.
 
 Each sample is a job of its own, whose result does not depend on where, or after which other sample,
 it is computed. A process that is lost takes only the sample with it that it had, which is tried
 once more; so does a worker of a cluster.
+
+The file contains, in this order: what a run that goes on must have in common with the one before
+it, the workers, and the run with its progress.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
+from contextlib import closing
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -19,7 +25,19 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.entry import values_below
+from softrobot_twin.simulation.result import Status
 from softrobot_twin.study.figure import MissingExtraError
+from softrobot_twin.study.terminal import FirstSteps, progress
+
+LOST = "lost"
+"""Status of a sample whose worker was lost or failed."""
+NOT_AT_REST = (
+    LOST, *(status.value for status in Status
+            if status.is_failure or status in (Status.NOT_CONVERGED, Status.INVERTED)),
+)  # fmt: skip
+"""Statuses of samples that are no equilibrium."""
 
 # A sample is given up when it has taken so many processes with it.
 MOST_TRIES = 2
@@ -41,6 +59,77 @@ class SchedulerError(SoftRobotTwinError):
 
 class WorkerError(SoftRobotTwinError):
     """Processes of this machine end before they compute anything."""
+
+
+class RunError(SoftRobotTwinError):
+    """A run cannot go on: what is there is of another one.
+
+    Attributes:
+        path: What an earlier run left, or the scene of a worker.
+    """
+
+    def __init__(self, path: Path | str, reason: str):
+        self.path = Path(path)
+        super().__init__(f"{path}: {reason}")
+
+
+# --- what a run is of -----------------------------------------------------------------------------
+
+
+def scene_fingerprint(scene: Scene) -> str:
+    """Hash of a scene and of the content of all files that it names."""
+    entries = "\n".join(f"{key}: {value!r}" for key, _, value in values_below(scene)
+                        if not isinstance(value, Path))  # fmt: skip
+    found = hashlib.sha256(entries.encode())
+    for _, name, file in values_below(scene):
+        if name == "file" and file is not None:
+            found.update(scene.file_path(file).read_bytes())
+    return found.hexdigest()
+
+
+def check_fingerprint(scene: Scene, content: str) -> None:
+    """Refuses a scene that is not that of a run.
+
+    Raises:
+        RunError: Its fingerprint is another one.
+    """
+    if scene_fingerprint(scene) != content:
+        raise RunError(scene.path, "is not the scene of this run, or one of its files is not")
+
+
+def check_run(path: Path, before: str, run: dict[str, object]) -> None:
+    """Refuses what another run left.
+
+    Args:
+        path: What is there.
+        before: What identifies the run that left it, as JSON.
+        run: What identifies the present one, by name.
+
+    Raises:
+        RunError: It is of another run.
+    """
+    try:
+        known = json.loads(before)
+        if not isinstance(known, dict):
+            raise ValueError
+    except ValueError:
+        raise RunError(
+            path, "is no unfinished run of this command; remove it to begin anew"
+        ) from None
+    for name, value in json.loads(json.dumps(run)).items():  # JSON has no tuples
+        if known.get(name) != value:
+            raise RunError(
+                path, f"is of a run with another {name}: {_short(known.get(name))}, not "
+                f"{_short(value)}; remove it to begin anew, or take another --output",
+            )  # fmt: skip
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 24 else f"{text[:12]}..."
+
+
+# --- the workers ----------------------------------------------------------------------------------
 
 
 class Job(NamedTuple):
@@ -279,3 +368,46 @@ def compute_on_cluster(job: Job, setpoints: np.ndarray) -> object:
 def core_count() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+# --- the run --------------------------------------------------------------------------------------
+
+
+def workers_of(count: int | None, scheduler: str | None) -> SampleWorkers:
+    """The workers that are asked for.
+
+    Args:
+        count: Processes on this machine; None for one on each core.
+        scheduler: Address of the scheduler of a Dask cluster, in place of these.
+    """
+    return LocalWorkers(count or core_count()) if scheduler is None else DaskWorkers(scheduler)
+
+
+def run_samples(
+    title: str, crew: SampleWorkers, job: Job, samples: Sequence[np.ndarray], done: Container[int],
+    keep: Callable[[SampleOutcome], Sequence[str]], shorter: str,
+) -> None:  # fmt: skip
+    """Computes the samples of a run that are not done, and shows the progress on standard error.
+
+    Args:
+        title: What is computed.
+        crew: Computes them.
+        job: What they share.
+        samples: All samples; one with several rows counts as several.
+        done: Indices of those that an earlier call left.
+        keep: Keeps the outcome of a sample; gives its status, or that of each of its rows.
+        shorter: What makes the run shorter, which is said where it takes long.
+    """
+    left = [(index, sample) for index, sample in enumerate(samples) if index not in done]
+    total, open_count = (sum(len(np.atleast_2d(sample)) for sample in own)
+                         for own in (samples, (sample for _, sample in left)))
+    first, not_at_rest = FirstSteps(open_count, "samples", shorter), 0
+    # The workers end at once, whatever ends the loop.
+    with progress(tells_ends=True) as bar, closing(crew.run(job, left)) as outcomes:
+        task = bar.add_task(title, total=total, completed=total - open_count, note="")
+        for outcome in outcomes:
+            statuses = keep(outcome)
+            first.add(len(statuses))
+            not_at_rest += sum(status in NOT_AT_REST for status in statuses)
+            bar.update(task, advance=len(statuses),
+                       note=f"{not_at_rest} not at rest" if not_at_rest else "")

@@ -68,10 +68,14 @@ def listing(title: str, rows, piped: bool | None = None) -> Table:
     return made
 
 
-def progress() -> Progress | PipedProgress:
-    """A progress bar on standard error, or a line now and then where that is no terminal."""
+def progress(tells_ends: bool = False) -> Progress | PipedProgress:
+    """A progress bar on standard error, or a line now and then where that is no terminal.
+
+    Args:
+        tells_ends: Whether there are lines at the beginning and at the end too.
+    """
     if not sys.stderr.isatty():
-        return PipedProgress(sys.stderr)
+        return PipedProgress(sys.stderr, tells_ends)
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                     TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
                     console=Console(stderr=True))
@@ -88,16 +92,18 @@ _TENTH = 0.1
 class PipedProgress:
     """Progress as lines of text, for standard error that is no terminal.
 
-    It has what is used of `rich.progress.Progress`. Work of less than some seconds prints nothing.
+    It has what is used of `rich.progress.Progress`. Work of less than some seconds prints nothing,
+    or its beginning and its end.
     """
 
-    def __init__(self, stream: TextIO):
+    def __init__(self, stream: TextIO, tells_ends: bool = False):
         """Begins to count the time.
 
         Args:
             stream: Where lines are printed.
+            tells_ends: Whether there are lines at the beginning and at the end too.
         """
-        self._stream, self._begin = stream, time.monotonic()
+        self._stream, self._tells_ends, self._begin = stream, tells_ends, time.monotonic()
         self._printed_at, self._printed = self._begin, 0.0
         self._title, self._total, self._first, self._done, self._note = "", 0.0, 0.0, 0.0, ""
 
@@ -105,7 +111,8 @@ class PipedProgress:
         return self
 
     def __exit__(self, *_) -> None:
-        pass
+        if self._tells_ends:
+            self._print()
 
     def add_task(self, description: str, total: float, completed: float = 0, note: str = "") -> int:
         """Begins the one task.
@@ -118,6 +125,8 @@ class PipedProgress:
         """
         self._title, self._total, self._note = description, total, note
         self._first = self._done = self._printed = completed
+        if self._tells_ends:
+            self._print()
         return 0
 
     def advance(self, task: int, advance: float = 1) -> None:

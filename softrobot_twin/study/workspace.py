@@ -16,16 +16,13 @@ import hashlib
 import json
 import math
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.scene import Scene
-from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.building.table_columns import STATUS, column, position_columns
@@ -39,35 +36,29 @@ from softrobot_twin.simulation.runs.run_columns import (
 )
 from softrobot_twin.study.equilibrium import WAY, Rest, bring_to_rest
 from softrobot_twin.study.figure import figure_file, legend_below, load_pyplot
-from softrobot_twin.study.output_file import BROKEN_OFF, OutputError, csv_output
+from softrobot_twin.study.output_file import BROKEN_OFF, csv_output, writing
 from softrobot_twin.study.sample_workers import (
-    DaskWorkers,
+    LOST,
+    NOT_AT_REST,
     Job,
-    LocalWorkers,
+    RunError,
     SampleOutcome,
     SampleWorkers,
-    core_count,
+    check_fingerprint,
+    check_run,
+    run_samples,
+    scene_fingerprint,
+    workers_of,
 )
 from softrobot_twin.study.stiffness import ActuationError, actuator_column_places
-from softrobot_twin.study.terminal import (
-    FirstSteps,
-    approximate_duration,
-    console,
-    progress,
-    table,
-    terminal_status,
-    warn,
-)
-
-LOST = "lost"
-"""Status of a sample whose worker was lost or failed."""
+from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 
 class WorkspaceError(SoftRobotTwinError):
-    """A scene has no workspace that can be sampled, or a run cannot be resumed.
+    """A scene has no workspace that can be sampled.
 
     Attributes:
-        path: The scene, or the file of the run.
+        path: The scene.
     """
 
     def __init__(self, path: Path | str, reason: str):
@@ -268,8 +259,8 @@ class SampleComputer:
             SoftRobotTwinError: The scene cannot be used, or is not that of the fingerprint.
         """
         self.simulation = Simulation.from_scene_file(scene)
-        if content and scene_fingerprint(self.simulation.scene) != content:
-            raise WorkspaceError(scene, "is not the scene of this run, or one of its files is not")
+        if content:
+            check_fingerprint(self.simulation.scene, content)
         self._compliance = EffectorCompliance(self.simulation)
 
     def __call__(self, setpoints: np.ndarray) -> list:
@@ -305,17 +296,6 @@ class SampleComputer:
         return bring_to_rest(self.simulation, setpoints, way)
 
 
-def scene_fingerprint(scene: Scene) -> str:
-    """Hash of a scene and of the content of all files that it names."""
-    entries = "\n".join(f"{key}: {value!r}" for key, _, value in values_below(scene)
-                        if not isinstance(value, Path))  # fmt: skip
-    found = hashlib.sha256(entries.encode())
-    for _, name, file in values_below(scene):
-        if name == "file" and file is not None:
-            found.update(scene.file_path(file).read_bytes())
-    return found.hexdigest()
-
-
 # --- rows that a stopped run leaves behind -------------------------------------------------------
 
 
@@ -339,24 +319,20 @@ class UnfinishedFile:
             header: Columns.
 
         Raises:
-            WorkspaceError: The rows are of another run.
+            RunError: The rows are of another run, or damaged.
             OutputError: The file cannot be read or written.
         """
         self.path = output.with_name(output.name + BROKEN_OFF)
         self._run, self.header = run, list(header)
         self.rows: dict[int, list[str]] = {}
-        try:
+        with writing(self.path, UnicodeDecodeError):
             size = self._read() if self.path.is_file() else 0
             output.parent.mkdir(parents=True, exist_ok=True)
             self._stream: TextIO = open(self.path, "a", encoding="utf-8", newline="")
             self._stream.truncate(size)
             if not size:
                 self._stream.write(f"# {json.dumps(run)}\n")
-                csv.writer(self._stream, lineterminator="\n").writerow(self.header)
-                self._stream.flush()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise OutputError(self.path, reason) from error
+                self._write(self.header)
 
     def _read(self) -> int:
         """Take in the rows; gives the bytes of all whole lines."""
@@ -365,42 +341,26 @@ class UnfinishedFile:
         whole = [line.decode() for line in lines[:-1]]
         if len(whole) < 2:
             return 0
-        self._check(whole[0])
+        check_run(self.path, whole[0].removeprefix("# "), self._run)
         for row in csv.reader(whole[2:]):
             if len(row) != len(self.header):
-                raise WorkspaceError(
+                raise RunError(
                     self.path, f"a row has {len(row)} cells, not {len(self.header)}: the file is "
                     "damaged; remove it to begin anew")  # fmt: skip
             self.rows[int(row[0])] = row
         return sum(len(line) + 1 for line in lines[:-1])
-
-    def _check(self, first: str) -> None:
-        try:
-            before = json.loads(first.removeprefix("# "))
-            if not isinstance(before, dict):
-                raise ValueError
-        except ValueError:
-            raise WorkspaceError(
-                self.path, "is no unfinished run of this command; remove it to begin anew"
-            ) from None
-        for name, value in self._run.items():
-            if before.get(name) != value:
-                raise WorkspaceError(
-                    self.path,
-                    f"is of a run with another {name}: {_short(before.get(name))}, not "
-                    f"{_short(value)}; remove it to begin anew, or take another --output",
-                )  # fmt: skip
 
     def add(self, index: int, cells: Sequence) -> None:
         """Write a row."""
         row = [str(index), *(repr(cell) if isinstance(cell, float) else str(cell)
                              for cell in cells)]  # fmt: skip
         self.rows[index] = row
-        try:
-            csv.writer(self._stream, lineterminator="\n").writerow(row)
-            self._stream.flush()
-        except OSError as error:
-            raise OutputError(self.path, error.strerror or str(error)) from error
+        with writing(self.path):
+            self._write(row)
+
+    def _write(self, row: Sequence[str]) -> None:
+        csv.writer(self._stream, lineterminator="\n").writerow(row)
+        self._stream.flush()
 
     def close(self) -> None:
         """Stop writing; the file stays."""
@@ -413,11 +373,6 @@ class UnfinishedFile:
             for index in sorted(self.rows):
                 write(self.rows[index])
         self.path.unlink(missing_ok=True)
-
-
-def _short(value: object) -> str:
-    text = str(value)
-    return text if len(text) <= 24 else f"{text[:12]}..."
 
 
 # --- the picture ---------------------------------------------------------------------------------
@@ -524,75 +479,6 @@ def draw_workspace(
 
 # --- the command ---------------------------------------------------------------------------------
 
-# Time between two lines of progress where the output is no terminal [s].
-PIPED_PERIOD = 5.0
-
-
-class SampleProgress:
-    """Progress of a run on standard error: a bar on a terminal, a line now and then elsewhere."""
-
-    def __init__(self, title: str, total: int, done: int, shorter: str):
-        """Begins to count.
-
-        Args:
-            title: What is computed.
-            total: Number of samples.
-            done: Samples that were done before.
-            shorter: What makes the run shorter, which is said where it takes long.
-        """
-        self._first_steps = FirstSteps(total - done, "samples", shorter)
-        self._title, self._total, self._done = title, total, done
-        self._begin = self._printed = time.monotonic()
-        self._first = done
-        self._not_at_rest = 0
-        self._bar = self._task = None
-
-    def __enter__(self) -> SampleProgress:
-        if sys.stderr.isatty():
-            self._bar = progress()
-            self._bar.start()
-            self._task = self._bar.add_task(
-                self._title, total=self._total, completed=self._done, note=""
-            )
-        else:
-            self._print()
-        return self
-
-    def __exit__(self, *_) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-        else:
-            self._print()
-
-    def add(self, *statuses: str) -> None:
-        """Count samples by their statuses."""
-        self._first_steps.add(len(statuses))
-        self._done += len(statuses)
-        self._not_at_rest += sum(status in NOT_AT_REST for status in statuses)
-        note = f"{self._not_at_rest} not at rest" if self._not_at_rest else ""
-        if self._bar is not None:
-            self._bar.update(self._task, completed=self._done, note=note)
-        elif time.monotonic() - self._printed >= PIPED_PERIOD:
-            self._print()
-
-    def _print(self) -> None:
-        self._printed = now = time.monotonic()
-        line = f"{self._title}: {self._done}/{self._total} samples"
-        if self._not_at_rest:
-            line += f", {self._not_at_rest} not at rest"
-        computed = self._done - self._first
-        if computed and self._done < self._total:
-            left = (now - self._begin) * (self._total - self._done) / computed
-            line += f", {approximate_duration(left)} left"
-        print(line, file=sys.stderr, flush=True)
-
-
-NOT_AT_REST = (
-    LOST, *(status.value for status in Status
-            if status.is_failure or status in (Status.NOT_CONVERGED, Status.INVERTED)),
-)  # fmt: skip
-
-
 def workspace(
     scene: Path, output: Path, picture: Path | None = None, samples: int = 200, seed: int = 0,
     ranges: Sequence[str] = (), workers: int | None = None, scheduler: str | None = None,
@@ -631,9 +517,7 @@ def workspace(
     # Before anything is computed: an unfinished run of something else is refused.
     unfinished = UnfinishedFile(output, run, header)
     try:
-        crew = LocalWorkers(workers or core_count())
-        if scheduler is not None:
-            crew = DaskWorkers(scheduler)
+        crew = workers_of(workers, scheduler)
         job = Job(SampleComputer, Path(scene).resolve(), content)
         causes = _compute(simulation.scene.name, crew, job, setpoints, unfinished)
     except KeyboardInterrupt:
@@ -661,28 +545,19 @@ def _compute(
     title: str, crew: SampleWorkers, job: Job, setpoints: np.ndarray, unfinished: UnfinishedFile
 ) -> list[tuple[int, str]]:
     """Computes the samples that are not done yet; gives those that were lost, with the cause."""
-    left = [(index, sample) for index, sample in enumerate(setpoints)
-            if index not in unfinished.rows]  # fmt: skip
     causes: list[tuple[int, str]] = []
-    shorter = "fewer --samples, or more --workers on more cores, shorten it"
-    with SampleProgress(title, len(setpoints), len(setpoints) - len(left), shorter) as shown:
-        for index, row, cause in closed(crew.run(job, left)):
-            if row is None:
-                causes.append((index, cause))
-                row = [math.nan] * (len(unfinished.header) - 3) + ["", LOST]
-            unfinished.add(index, row)
-            shown.add(row[-1])
+
+    def keep(outcome: SampleOutcome) -> list[str]:
+        row = outcome.row
+        if row is None:
+            causes.append((outcome.index, outcome.cause))
+            row = [math.nan] * (len(unfinished.header) - 3) + ["", LOST]
+        unfinished.add(outcome.index, row)
+        return row[-1:]
+
+    run_samples(title, crew, job, setpoints, unfinished.rows, keep,
+                "fewer --samples, or more --workers on more cores, shorten it")
     return causes
-
-
-def closed(outcomes: Iterator[SampleOutcome]) -> Iterator[SampleOutcome]:
-    """Outcomes; the workers end at once, whatever ends the loop over them."""
-    try:
-        yield from outcomes
-    finally:
-        close: Callable | None = getattr(outcomes, "close", None)
-        if close is not None:
-            close()
 
 
 def _print_summary(shown: Sequence[Cloud], statuses: Sequence[str]) -> None:

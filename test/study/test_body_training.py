@@ -76,7 +76,7 @@ def test_two_processes_train_the_same(trained, column, call, tmp_path):
     assert done.code == 0, done.errors
     assert equal(trained, tmp_path / "r.npz")
     assert "48 of 48" in done.output and "8 fresh states" in done.output
-    assert "56/56 samples" in done.errors
+    assert "56 of 56" in done.errors
 
 
 def test_the_scene_that_names_the_file_trains_it_again(trained, column, call, tmp_path):
@@ -221,7 +221,7 @@ def test_a_stopped_run_goes_on_where_it_was(column, stop, call, tmp_path):
     assert len(list(part.glob("[!.]*.npz"))) == 2 and not output.exists()
     done = call(*arguments)
     assert done.code == 0 and not part.exists()
-    assert "24/60 samples" in done.errors
+    assert "24 of 60" in done.errors
     assert read_body_reduction(output).training["states"] == 60
 
 

@@ -19,7 +19,6 @@ from softrobot_twin.study.reduction_states import (
     StateFinder,
     StateStore,
     TargetBox,
-    TrainingError,
     chains,
     columns_of,
     find_states,
@@ -29,8 +28,8 @@ from softrobot_twin.study.reduction_states import (
     spread_points,
     training_scene,
 )
-from softrobot_twin.study.sample_workers import Job, SampleOutcome
-from softrobot_twin.study.workspace import sampled_axes, scene_fingerprint
+from softrobot_twin.study.sample_workers import Job, RunError, SampleOutcome, scene_fingerprint
+from softrobot_twin.study.workspace import sampled_axes
 
 TIP = (0.01, 0.01, 0.10)
 SAMPLING = Sampling("body", 0.05, ((TIP,), ((0.0, 0.0, 0.06),)), math.radians(30.0))
@@ -269,7 +268,7 @@ def test_chains_of_a_stopped_run_are_not_computed_again(tmp_path):
 
 def test_chains_of_another_run_are_refused_by_name(tmp_path):
     StateStore(tmp_path / "r.npz", {"scene": "this", "body": "a"})
-    with pytest.raises(TrainingError, match="r.npz.part: is of a run with another body"):
+    with pytest.raises(RunError, match="r.npz.part: is of a run with another body"):
         StateStore(tmp_path / "r.npz", {"scene": "this", "body": "b"})
 
 
@@ -280,7 +279,7 @@ def test_a_worker_refuses_another_scene(column, tmp_path):
     assert maker(tmp_path / "copy" / column.name, content).simulation.effector_names == ("tip",)
     mesh = tmp_path / "copy" / "column.vtk"
     mesh.write_bytes(mesh.read_bytes() + b"\n")
-    with pytest.raises(TrainingError, match="is not the scene of this run"):
+    with pytest.raises(RunError, match="is not the scene of this run"):
         maker(tmp_path / "copy" / column.name, content)
 
 

@@ -86,7 +86,7 @@ def test_two_processes_write_the_same_bytes(sampled, column, call, tmp_path):
     assert done.code == 0, done.errors
     assert (tmp_path / "w.csv").read_bytes() == sampled.read_bytes()
     assert not (tmp_path / "w.csv.part").exists()
-    assert "7/7 samples" in done.errors and "7 ok" in done.output
+    assert "7 of 7" in done.errors and "7 ok" in done.output
 
 
 def test_samples_fill_the_box_and_more_of_them_begin_with_the_same(column):
@@ -131,7 +131,7 @@ def test_a_stopped_run_goes_on_where_it_was(column, sampled, stop, call, tmp_pat
     assert part.read_bytes() == before
     again = call(*arguments, "--workers", 1)
     assert again.code == 0 and not part.exists()
-    assert "3/12 samples" in again.errors
+    assert "3 of 12" in again.errors
     lines = output.read_text().splitlines()
     assert [line.split(",")[0] for line in lines[1:]] == [str(index) for index in range(12)]
     assert lines[:8] == sampled.read_text().splitlines()
@@ -166,7 +166,7 @@ def test_what_is_no_unfinished_run_is_left_alone(tmp_path):
 def test_a_fingerprint_depends_on_the_mesh_and_not_on_the_folder(column, tmp_path):
     def run_of(folder):
         computer = SampleComputer(folder / column.name)
-        from softrobot_twin.study.workspace import scene_fingerprint
+        from softrobot_twin.study.sample_workers import scene_fingerprint
         return scene_fingerprint(computer.simulation.scene)
 
     shutil.copytree(column.parent, tmp_path / "copy")
