@@ -269,12 +269,7 @@ def simulate(
             --targets.
     """
     from softrobot_twin.study import offline_run
-    from softrobot_twin.study.direct_run import (
-        DEFAULT_RATE,
-        Picture,
-        simulate_alone,
-        simulate_commands,
-    )
+    from softrobot_twin.study.direct_run import DEFAULT_RATE, simulate_alone, simulate_commands
 
     _check_outputs((scene, targets, commands), output=output, picture=picture)
     if targets is not None:
@@ -284,7 +279,7 @@ def simulate(
         raise OptionError("--settle", "requires --targets")
     if picture is None:
         refuse("requires --picture", picture_at=picture_at, picture_view=picture_view)
-    drawn = None if picture is None else Picture(picture, tuple(picture_at or ()), picture_view)
+    drawn = picture and offline_run.Picture(picture, tuple(picture_at or ()), picture_view)
     steps_a_second = rate or DEFAULT_RATE
     if commands is not None:
         return simulate_commands(scene, commands, output, steps_a_second, drawn)

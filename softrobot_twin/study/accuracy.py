@@ -52,6 +52,7 @@ from softrobot_twin.study.reduced_models import (
 from softrobot_twin.study.terminal import (
     approximate_duration,
     console,
+    print_apart,
     print_to_stderr,
     report_activity,
     table,
@@ -63,15 +64,18 @@ _CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces presc
 
 def mesh_table(rows: Sequence[AccuracyRow]) -> Table:
     """Table of the error and time of every mesh, element and law."""
-    made = table("Error of the effector, % of its displacement, and time of a step", "mesh",
-                 "element", "law", "dof", "step [ms]", "p99 [ms]",
-                 *(_CASE_LABELS[case] for case in CASES))
-    for row in rows:
-        if row.knob == MESH:
-            made.add_row(row.mesh, row.element, row.law, str(row.dof_count), f"{row.step_ms:.2f}",
-                         f"{row.step_p99_ms:.2f}",
-                         *(_percent(getattr(row, f"error_{case}")) for case in CASES))
-    return made
+    return table(
+        "Error of the effector, % of its displacement, and time of a step", "mesh", "element",
+        "law", "dof", "step [ms]", "p99 [ms]", *(_CASE_LABELS[case] for case in CASES),
+        rows=([row.mesh, row.element, row.law, str(row.dof_count), *_times_and_errors(row)]
+              for row in rows if row.knob == MESH))
+
+
+def _times_and_errors(row: AccuracyRow) -> list[str]:
+    """Median and 99th percentile of a step, and the error of each load case."""
+    errors = (100.0 * getattr(row, f"error_{case}") for case in CASES)
+    return [f"{row.step_ms:.2f}", f"{row.step_p99_ms:.2f}",
+            *(f"{error:.2f}" if np.isfinite(error) else "not converged" for error in errors)]
 
 
 def reduced_table(rows: Sequence[AccuracyRow]) -> Table | None:
@@ -79,18 +83,20 @@ def reduced_table(rows: Sequence[AccuracyRow]) -> Table | None:
     reduced = [row for row in rows if row.knob == REDUCED]
     if not reduced:
         return None
-    made = table("Reduced models: errors include that of the mesh, in brackets those of its full "
-                 "model", "file", "mesh", "element", "modes", "points", "step [ms]", "p99 [ms]",
-                 *(_CASE_LABELS[case] for case in CASES))
-    for row in reduced:
-        full = full_row(rows, row)
-        made.add_row(row.file, row.mesh, row.element, str(row.mode_count), str(row.point_count),
-                     _beside(f"{row.step_ms:.2f}", full and f"{full.step_ms:.2f}"),
-                     _beside(f"{row.step_p99_ms:.2f}", full and f"{full.step_p99_ms:.2f}"),
-                     *(_beside(_percent(getattr(row, f"error_{case}")),
-                               full and _percent(getattr(full, f"error_{case}")))
-                       for case in CASES))
-    return made
+    return table(
+        "Reduced models: errors include that of the mesh, in brackets those of its full model",
+        "file", "mesh", "element", "modes", "points", "step [ms]", "p99 [ms]",
+        *(_CASE_LABELS[case] for case in CASES),
+        rows=([row.file, row.mesh, row.element, str(row.mode_count), str(row.point_count),
+               *_beside(row, full_row(rows, row))] for row in reduced))
+
+
+def _beside(row: AccuracyRow, full: AccuracyRow | None) -> list[str]:
+    """Times and errors, in brackets those of the full model."""
+    own = _times_and_errors(row)
+    if full is None:
+        return own
+    return [f"{text} ({other})" for text, other in zip(own, _times_and_errors(full), strict=True)]
 
 
 def full_row(rows: Sequence[AccuracyRow], reduced: AccuracyRow) -> AccuracyRow | None:
@@ -100,19 +106,13 @@ def full_row(rows: Sequence[AccuracyRow], reduced: AccuracyRow) -> AccuracyRow |
                  and row.knob == MESH), None)
 
 
-def _beside(text: str, other: str | None) -> str:
-    return text if other is None else f"{text} ({other})"
-
-
 def knob_table(rows: Sequence[AccuracyRow]) -> Table:
     """Table of the errors that are added by the other settings."""
-    made = table("Error added by other settings, on the scene's own mesh", "varied", "setting",
-                 "step [ms]", "added error [%]")
-    for row in rows:
-        if row.knob not in (MESH, REDUCED):
-            made.add_row(row.knob, row.setting, f"{row.step_ms:.2f}",
-                         f"{100.0 * row.error_added:.2g}")
-    return made
+    return table(
+        "Error added by other settings, on the scene's own mesh", "varied", "setting", "step [ms]",
+        "added error [%]",
+        rows=([row.knob, row.setting, f"{row.step_ms:.2f}", f"{100.0 * row.error_added:.2g}"]
+              for row in rows if row.knob not in (MESH, REDUCED)))
 
 
 def reference_table(references: dict[str, Reference]) -> Table:
@@ -126,10 +126,6 @@ def reference_table(references: dict[str, Reference]) -> Table:
         made.add_row(_CASE_LABELS[case], f"{1e3 * reference.displacement:.2f}", by,
                      f"{100.0 * reference.uncertainty:.2f}", ", ".join(reference.meshes))
     return made
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2f}" if np.isfinite(share) else "not converged"
 
 
 _COLOURS = {"linear": "#1b6ca8", "smoothed": "#c51b7d", "quadratic": "#d95f02", "hexahedral": "#4d9221"}
@@ -398,11 +394,8 @@ def accuracy(
         shown.print("The force of a cable at a point acts on the material within "
                     f"{1e3 * held.cables[0].hold_radius:.1f} mm.")
     shown.print()
-    for made in (reference_table(study.references), mesh_table(rows), reduced_table(rows),
-                 knob_table(rows)):
-        if made is not None:
-            shown.print(made)
-            shown.print()
+    print_apart(reference_table(study.references), mesh_table(rows), reduced_table(rows),
+                knob_table(rows))
     write_rows(output / "accuracy.csv", rows)
     draw_accuracy(output / "accuracy.png", scene.name, rows, conditions)
     shown.print(f"written: {output / 'accuracy.csv'}, {output / 'accuracy.png'}")

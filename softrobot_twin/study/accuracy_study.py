@@ -54,7 +54,7 @@ from softrobot_twin.simulation.mesh_error import (
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection
-from softrobot_twin.study.output_file import cell, csv_output, output_file
+from softrobot_twin.study.output_file import cell, csv_output, writing
 from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.terminal import progress, warn
 
@@ -114,8 +114,8 @@ def write_scene_copy(
     content["solver"] = solver
     head = "".join(f"# {line}\n" for line in remarks)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
-    with output_file(path) as partial:
-        partial.write_text(head + text, encoding="utf-8")
+    with writing(path):
+        path.write_text(head + text, encoding="utf-8")
 
 
 def replaced(

@@ -29,7 +29,15 @@ from softrobot_twin.study.bench_measurement import (
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import cell, csv_output, make_folder
-from softrobot_twin.study.terminal import announce, by_key, console, report_activity, table
+from softrobot_twin.study.run_summary import Spread
+from softrobot_twin.study.terminal import (
+    announce,
+    by_key,
+    console,
+    print_apart,
+    report_activity,
+    table,
+)
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
     """Writes all sizes as CSV; unknown values are left empty.
@@ -84,14 +92,12 @@ _QUIET_SHARE = 0.005
 
 def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
     """Median, 99th percentile and maximum of each stage of each size."""
-    made = table("Time of a step in ms: median / p99 / max", "stage",
-                 *map(_title, sizes))
-    for stage in stage_names(sizes):
-        made.add_row(stage, *(_times(size, stage) for size in sizes))
-    made.add_row("one SuperLU factorization", *(
-        f"{_ms(size.superlu.median)} / {_ms(size.superlu.p99)} / {_ms(size.superlu.maximum)}"
-        if size.superlu_count else "-" for size in sizes))
-    return made
+    rows = [[stage, *(_times(size.stages.get(stage)) for size in sizes)]
+            for stage in stage_names(sizes)]
+    rows.append(["one SuperLU factorization", *(
+        _times(size.superlu if size.superlu_count else None) for size in sizes)])
+    return table("Time of a step in ms: median / p99 / max", "stage", *map(_title, sizes),
+                 rows=rows)
 
 
 def _title(size: SizeMeasurement) -> str:
@@ -101,9 +107,7 @@ def _title(size: SizeMeasurement) -> str:
 
 def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
     """Table of the other measurements of each size."""
-    made = table("Each size", "what",
-                 *map(_title, sizes))
-    for what, words in (
+    cells = (
         ("nodes, tets", lambda size: f"{size.node_count}, {size.tet_count}"),
         ("modes, sampled points",
          lambda size: f"{size.mode_count}, {size.point_count}" if size.is_reduced else "-"),
@@ -130,9 +134,9 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("memory of the process, MB", lambda size: _count(size.resident)),
         ("status of the steps", lambda size: _shares(size.statuses)),
         ("QP solved by", lambda size: _shares(size.qp_solvers) if any(size.qp_solvers) else "-"),
-    ):
-        made.add_row(what, *map(words, sizes))
-    return made
+    )
+    return table("Each size", "what", *map(_title, sizes),
+                 rows=([what, *map(words, sizes)] for what, words in cells))
 
 
 def growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
@@ -141,16 +145,15 @@ def growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
                 if len({size.dof_count for size in members}) > 1}
     if not families:
         return None
-    made = table("Growth: time ~ dof^p, p fitted to medians", "stage", *(
-        f"{family} ({len(members)} sizes)" for family, members in families.items()))
-    for stage in stage_names(sizes):
-        made.add_row(stage, *(
-            _number(exponent(members, stage), "{:.2f}") for members in families.values()))
-    made.add_row("one SuperLU factorization", *(
-        _number(growth_exponent([size.dof_count for size in members],
-                                [size.superlu.median for size in members]), "{:.2f}")
-        for members in families.values()))
-    return made
+    rows = [[stage, *(exponent(members, stage) for members in families.values())]
+            for stage in stage_names(sizes)]
+    rows.append(["one SuperLU factorization", *(
+        growth_exponent([size.dof_count for size in members],
+                        [size.superlu.median for size in members])
+        for members in families.values())])
+    return table("Growth: time ~ dof^p, p fitted to medians", "stage", *(
+        f"{family} ({len(members)} sizes)" for family, members in families.items()),
+        rows=([name, *(_number(p, "{:.2f}") for p in powers)] for name, *powers in rows))
 
 
 def families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
@@ -232,11 +235,8 @@ def _met(yes: bool) -> str:
     return "met" if yes else "not met"
 
 
-def _times(size: SizeMeasurement, stage: str) -> str:
-    if stage not in size.stages:
-        return "-"
-    times = size.stages[stage]
-    return f"{_ms(times.median)} / {_ms(times.p99)} / {_ms(times.maximum)}"
+def _times(times: Spread | None) -> str:
+    return "-" if times is None else " / ".join(map(_ms, times))
 
 
 def _ms(seconds: float) -> str:
@@ -444,10 +444,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
                 "does not include other processes. Reduced models are compared with full ones of\n"
                 "the same mesh and element in the same run.")
     shown.print(conditions + "\n")
-    for made in (stage_table(sizes), size_table(sizes), growth_table(sizes)):
-        if made is not None:
-            shown.print(made)
-            shown.print()
+    print_apart(stage_table(sizes), size_table(sizes), growth_table(sizes))
     for size in sizes:
         if size.case.has_requirements:
             for words in check_requirements(size):

@@ -49,7 +49,7 @@ from softrobot_twin.simulation.runs.input_tables import read_commands, read_targ
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, reach_from
-from softrobot_twin.solvers.superlu import OPTIONS
+from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.machine_facts import DenseSpeed, page_faults, resident_bytes
 from softrobot_twin.study.run_summary import Spread, spread
@@ -127,6 +127,10 @@ def _heights(n: np.ndarray) -> np.ndarray:
     return 0.5 * n * (n + 1.0)
 
 
+_TRANSPOSED = np.arange(9).reshape(3, 3).T.ravel()
+"""Places of the entries of a transposed block."""
+
+
 class SuperLUReference:
     """Factorizes a simulation's matrix by SuperLU, for comparison, with nodes in the mesh's
     order.
@@ -140,15 +144,21 @@ class SuperLUReference:
         """
         self._factorization = factorization
         if isinstance(factorization, Multifrontal):
-            self._gather, self._indices, self._indptr = _pattern(factorization)
+            keys, count = factorization.layout.block_keys, len(factorization.elimination_rank)
+            node = np.argsort(factorization.elimination_rank)
+            rows, columns = node[keys % count], node[keys // count]
+            self._copy = SuperLU(rows, columns, count)
+            starts, _ = self._copy.slots(np.maximum(rows, columns), np.minimum(rows, columns))
+            # What is below the diagonal in one order may be above it in the other.
+            within = np.where((rows < columns)[:, None], _TRANSPOSED, np.arange(9))
+            self._places = (starts[:, None] + within).ravel()
 
-    def matrix(self) -> sp.csc_matrix:
+    def matrix(self) -> sp.csc_array:
         """The matrix assembled last, full, shape (dof_count, dof_count)."""
         if not isinstance(self._factorization, Multifrontal):
-            return sp.csc_matrix(self._factorization.matrix())
-        count = len(self._indptr) - 1
-        values = self._factorization.storage[self._gather]
-        return sp.csc_matrix((values, self._indices, self._indptr), shape=(count, count))
+            return self._factorization.matrix()
+        self._copy.storage[self._places] = self._factorization.storage
+        return self._copy.matrix()
 
     def factorize(self) -> tuple[float, int]:
         """Processor time of one factorization [s], whose result is not used, and its page faults:
@@ -159,29 +169,6 @@ class SuperLUReference:
         start = thread_time()
         splu(matrix, **OPTIONS)
         return thread_time() - start, page_faults() - faults
-
-
-def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Place in storage of each entry of the full matrix, its row indices and column starts."""
-    rank = factorization.elimination_rank
-    node_count = len(rank)
-    node = np.empty(node_count, dtype=np.int64)
-    node[rank] = np.arange(node_count)
-    keys = factorization.layout.block_keys
-    rows, columns = node[keys % node_count], node[keys // node_count]
-    local_column, local_row = np.divmod(np.arange(9), 3)
-    i = (3 * rows[:, None] + local_row).ravel()
-    j = (3 * columns[:, None] + local_column).ravel()
-    place = np.arange(len(i))
-    mirrored = np.repeat(rows != columns, 9)
-    count = 3 * node_count
-    # Indices start at one, because the sparse format would drop a stored zero.
-    full = sp.coo_matrix(
-        (np.concatenate([place, place[mirrored]]) + 1,
-         (np.concatenate([i, j[mirrored]]), np.concatenate([j, i[mirrored]]))),
-        shape=(count, count)).tocsc()
-    full.sort_indices()
-    return full.data - 1, full.indices.astype(np.int32), full.indptr.astype(np.int32)
 
 
 CIRCLE_TIME_STEP = 0.01

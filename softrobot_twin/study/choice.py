@@ -769,8 +769,6 @@ _LINES = 4
 def _table(
     candidates: list[Candidate], best: Candidate, rate: float, foreseen: Sequence[Foreseen]
 ):
-    made = table(f"Candidates for {rate:g} Hz, the most accurate first", "setting", "median [ms]",
-                 "p99 [ms]", "error [%]", f"within {MARGIN:g} of the period")
     lines = []
     for one in candidates:
         mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"
@@ -781,7 +779,9 @@ def _table(
         keeps = "yes" if one.measured.p99 <= MARGIN / rate else "no"
         mark = f"{keeps}, after {approximate_duration(one.seconds)} of training"
         lines.append((one.error, name, one.measured, mark))
-    for error, name, measured, mark in sorted(lines, key=lambda line: line[0]):
-        made.add_row(name, f"{1e3 * measured.median:.2f}", f"{1e3 * measured.p99:.2f}",
-                     f"{100 * error:.2f}", mark)
-    return made
+    return table(
+        f"Candidates for {rate:g} Hz, the most accurate first", "setting", "median [ms]",
+        "p99 [ms]", "error [%]", f"within {MARGIN:g} of the period",
+        rows=([name, f"{1e3 * measured.median:.2f}", f"{1e3 * measured.p99:.2f}",
+               f"{100 * error:.2f}", mark]
+              for error, name, measured, mark in sorted(lines, key=lambda line: line[0])))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,17 +13,11 @@ from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, CommandEfforts,
 from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.unit_checks import unlikely_commands
-from softrobot_twin.study.offline_run import (
-    end_of_run,
-    load_with_notes,
-    print_run,
-    recorded,
-    run_file,
-)
+from softrobot_twin.study.offline_run import Picture, load_with_notes, run_and_report
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
-from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import terminal_status, warn
+from softrobot_twin.study.scene_picture import Snapshot, take_snapshot
+from softrobot_twin.study.terminal import warn
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
@@ -88,20 +81,6 @@ def unlikely_commands_of(simulation: Simulation, table: CommandTable) -> str | N
     return unlikely_commands(actuators, setpoints, np.array(efforts) if efforts else None)
 
 
-class Picture(NamedTuple):
-    """A picture to draw of a run.
-
-    Attributes:
-        path: File to write; its suffix determines the format.
-        times: Times to draw side by side [s]; empty to draw the last state.
-        view: Elevation and azimuth of the eye [degrees], or None for the default.
-    """
-
-    path: Path
-    times: tuple[float, ...] = ()
-    view: tuple[float, float] | None = None
-
-
 def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = DEFAULT_RATE,
                       picture: Picture | None = None) -> int:
     """Runs a scene with a commands file and writes the results.
@@ -153,31 +132,25 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
 def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
                     summary: RunSummary, picture: Picture | None,
                     body_readouts: BodyReadouts | None = None) -> int:
-    """Runs all steps, writes the run file and the picture, and prints the summary."""
-    with terminal_status("compiling and warming up"):
-        simulation.warm_up()
-    if picture is not None:
-        check_picture(picture.path)  # An error is raised before the run, not after it.
-    shots, wanted = [], _wanted_times(picture, commanded)
-    columns = RunColumns(simulation, None, () if body_readouts is None else body_readouts.columns)
-    with run_file(output, columns) as write:
-        rows = run_commands(simulation, commanded, rate, columns)
-        if body_readouts is not None:
-            rows = (row._replace(observed=body_readouts.read()) for row in rows)
-        for row in recorded(rows, simulation, len(step_times(commanded, rate)), "steps",
-                            "a lower --rate or a shorter time shortens it", write, summary):
-            while wanted and row.time >= wanted[0] - 1e-9:
-                time = f"{wanted.pop(0):g} s"
-                shots.append(take_snapshot(simulation, row.result.contacts, time))
-        if picture is not None:
-            draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
-    how = "direct" if body_readouts is None else "no commands"
-    lines = summary.lines() + ([] if body_readouts is None else body_readouts.lines())
-    print_run(simulation, f"{how}, {rate:g} Hz", summary, lines, output, picture and picture.path)
-    if summary.failed:
-        warn(f"{summary.failed} steps found no solution; their rows contain the last safe "
-             f"state, see column status of {output}")
-    return end_of_run(summary)
+    """Runs all steps, and takes a snapshot at each wanted time."""
+    wanted, seen = _wanted_times(picture, commanded), body_readouts
+    columns = RunColumns(simulation, None, () if seen is None else seen.columns)
+    rows: Iterator[RunRow] = run_commands(simulation, commanded, rate, columns)
+    if seen is not None:
+        rows = (row._replace(observed=seen.read()) for row in rows)
+
+    def shots(row: RunRow) -> list[Snapshot]:
+        taken = []
+        while wanted and row.time >= wanted[0] - 1e-9:
+            time = f"{wanted.pop(0):g} s"
+            taken.append(take_snapshot(simulation, row.result.contacts, time))
+        return taken
+
+    return run_and_report(
+        simulation, rows, columns, len(step_times(commanded, rate)),
+        "a lower --rate or a shorter time shortens it",
+        f"{'direct' if seen is None else 'no commands'}, {rate:g} Hz", output, summary, picture,
+        shots, list if seen is None else seen.lines)
 
 
 def _wanted_times(picture: Picture | None, commanded: CommandTable) -> list[float]:

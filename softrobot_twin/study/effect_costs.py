@@ -271,11 +271,10 @@ def print_effects(scene: Path, given: Sequence[str] = ()) -> int:
         rows = list(effect_costs(loaded, given))
     output = console()
     output.print(f"{loaded.name}: {scene}\n")
-    shown = table("What each effect costs, and what changes without it", "effect", "µs a step",
-                  "share", "on the way, mm", "at the end, mm", "as a force, N")  # fmt: skip
-    for row in rows:
-        shown.add_row(row.name, *told(row))
-    output.print(shown)
+    output.print(table(
+        "What each effect costs, and what changes without it", "effect", "µs a step", "share",
+        "on the way, mm", "at the end, mm", "as a force, N",
+        rows=([row.name, *told(row)] for row in rows)))
     output.print(
         "\nA cost is the median time of a step with all effects, less that without this one, driven "
         "the same way; share in %. That of nothing, two equal scenes, tells how well times are known. "

@@ -36,6 +36,7 @@ from softrobot_twin.study.terminal import (
     by_key,
     console,
     listing,
+    print_apart,
     table,
     terminal_status,
     warn,
@@ -292,8 +293,7 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
         console().print(str(unknown))
         return
     if with_table:
-        console().print(_by_load(error))
-        console().print()
+        print_apart(_by_load(error))
     if with_table and error.is_large:
         warn(error.in_words())
     else:
@@ -330,11 +330,11 @@ def _by_load(error: MeshError) -> Table:
     forces, lengths = (f"{words} given" for words in error.given)
     compared = {one.element: one for one in (error.own, error.quadratic)}
     columns = [f"{element}, {given}" for element in compared for given in (forces, lengths)]
-    made = table("Estimated error of the effectors' motion due to the mesh", "load", *columns)
-    for loads in zip(*(one.loads for one in compared.values()), strict=True):
-        shares = [share for load in loads for share in (load.forces, load.lengths)]
-        made.add_row(loads[0].load, *map(_percent, shares))
-    return made
+    return table(
+        "Estimated error of the effectors' motion due to the mesh", "load", *columns,
+        rows=([loads[0].load, *(_percent(share) for load in loads
+                                for share in (load.forces, load.lengths))]
+              for loads in zip(*(one.loads for one in compared.values()), strict=True)))
 
 
 def _percent(share: float) -> str:
@@ -888,8 +888,7 @@ def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
         ("Stages of a step", [(", ".join(simulation.stages), "")]),
     ):
         if rows:
-            output.print(listing(title, rows))
-            output.print()
+            print_apart(listing(title, rows))
     if picture is not None:
         shot = take_snapshot(simulation, None, simulation.scene.name)
         draw_snapshots([shot], picture, f"{simulation.scene.name} at rest", view, labelled=True)

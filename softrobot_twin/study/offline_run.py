@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,12 @@ from softrobot_twin.simulation.unit_checks import unlikely_commands
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.run_summary import BAD_END, RunSummary
-from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
+from softrobot_twin.study.scene_picture import (
+    Snapshot,
+    check_picture,
+    draw_snapshots,
+    take_snapshot,
+)
 from softrobot_twin.study.terminal import console, table, terminal_status, tracked, warn
 
 
@@ -83,26 +89,72 @@ def run_file(path: Path | str, columns: RunColumns) -> Iterator[Callable[[RunRow
         yield lambda row: write(columns.texts(row))
 
 
-def recorded(
-    rows: Iterable[RunRow], simulation: Simulation, count: int, what: str, shorter: str,
-    write: Callable[[RunRow], None], summary: RunSummary,
-) -> Iterator[RunRow]:  # fmt: skip
-    """Rows of a run as they are computed: each is written and summed up, and the progress is shown.
+class Picture(NamedTuple):
+    """A picture to draw of a run.
+
+    Attributes:
+        path: File to write; its suffix determines the format.
+        times: Times to draw side by side [s]; empty to draw the last state.
+        view: Elevation and azimuth of the eye [degrees], or None for the default.
+    """
+
+    path: Path
+    times: tuple[float, ...] = ()
+    view: tuple[float, float] | None = None
+
+
+def run_and_report(
+    simulation: Simulation, rows: Iterable[RunRow], columns: RunColumns, count: int, shorter: str,
+    how: str, output: Path, summary: RunSummary, picture: Picture | None,
+    shots: Callable[[RunRow], list[Snapshot]], more: Callable[[], list[tuple[str, str]]] = list,
+) -> int:  # fmt: skip
+    """Computes the rows of a run, writes the run file and the picture, and prints what it gave.
 
     Args:
-        rows: The rows.
         simulation: What runs.
+        rows: The rows, each computed when it is asked for.
+        columns: Those of the file.
         count: Number of rows.
-        what: What the rows are called.
         shorter: What makes the run shorter.
-        write: Writes a row.
+        how: How it is driven, for the title.
+        output: The run file.
         summary: Sums the run up.
+        picture: Picture to draw, or None.
+        shots: States to draw that are reached with a row.
+        more: Further names and values to print, as they are at the end.
+
+    Returns:
+        Exit code: see `RunSummary.exit_code`.
+
+    Raises:
+        SoftRobotTwinError: An output cannot be written.
     """
-    for row in tracked(rows, simulation.scene.name, count, what, shorter,
-                       lambda row: row.result.status.value):
-        write(row)
-        summary.add(row)
-        yield row
+    if picture is not None:
+        check_picture(picture.path)  # An error is raised before the run, not after it.
+    with terminal_status("compiling and warming up"):
+        simulation.warm_up()
+    name, drawn = simulation.scene.name, []
+    with run_file(output, columns) as write:
+        for row in tracked(rows, name, count, summary.unit, shorter,
+                           lambda row: row.result.status.value):
+            write(row)
+            summary.add(row)
+            drawn += shots(row)
+        if picture is not None:
+            draw_snapshots(drawn, picture.path, name, picture.view)
+    lines = [*summary.lines(), *more(), ("run", str(output))]
+    if picture is not None:
+        lines.append(("picture", str(picture.path)))
+    console().print(table(f"{name}, {how}", "what", "value", rows=lines))
+    print_mesh_error(simulation.scene)
+    print_reduction_errors(simulation, summary.sampled_range)
+    if summary.failed:
+        warn(f"{summary.failed} of {count} {summary.unit} found no solution and contain the last "
+             f"safe state, see column status of {output}")
+    if summary.exit_code == BAD_END:
+        warn(f"the last row is {summary.last_status}: see its residual, and docs/statuses.md "
+             f"(exit code {BAD_END})")  # fmt: skip
+    return summary.exit_code
 
 
 def load_with_notes(scene: Path) -> Simulation:
@@ -136,58 +188,17 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
         warn(note)
     if far := far_target_warning(simulation, rows):
         warn(far)
-    if picture is not None:
-        check_picture(picture)
-    with terminal_status("compiling and warming up"):
-        simulation.warm_up()
     summary, name = RunSummary(simulation, unit="rows"), simulation.scene.name
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
+    goal = rows.values[-1] if rows.kind == "targets" else None
+
+    def shots(row: RunRow) -> list[Snapshot]:
+        effector_path[row.step] = row.result.effector_positions
+        is_last = picture is not None and row.step == len(effector_path) - 1
+        return [take_snapshot(simulation, None, name, goal, effector_path)] if is_last else []
+
     columns = columns_of(simulation, rows)
-    with run_file(output, columns) as write:
-        for row in recorded(run(simulation, rows, settle, columns), simulation, len(rows.times),
-                            "rows", "fewer rows of targets shorten it", write, summary):
-            effector_path[row.step] = row.result.effector_positions
-        if picture is not None:
-            goal = rows.values[-1] if rows.kind == "targets" else None
-            shot = take_snapshot(simulation, None, name, goal, effector_path)
-            draw_snapshots([shot], picture, name)
-    print_run(simulation, "offline", summary, summary.lines(), output, picture)
-    if summary.failed:
-        warn(f"{summary.failed} of {len(rows.times)} rows found no solution and contain the last "
-             f"safe command, see column status of {output}")
-    return end_of_run(summary)
-
-
-def end_of_run(summary: RunSummary) -> int:
-    """The exit code of a run; a warning says that its last row is not good.
-
-    Args:
-        summary: Summary of the run.
-    """
-    if summary.exit_code == BAD_END:
-        warn(f"the last row is {summary.last_status}: see its residual, and docs/statuses.md "
-             f"(exit code {BAD_END})")  # fmt: skip
-    return summary.exit_code
-
-
-def print_run(simulation: Simulation, how: str, summary: RunSummary,
-              lines: list[tuple[str, str]], output: Path, picture: Path | None) -> None:
-    """Prints what a run gave, and the errors that its model is estimated to have.
-
-    Args:
-        simulation: Where the run ended.
-        how: How it was driven, for the title.
-        summary: Summary of the run.
-        lines: Names and values to print.
-        output: The file that was written.
-        picture: The picture that was written, or None.
-    """
-    made = table(f"{simulation.scene.name}, {how}", "what", "value")
-    for line in lines:
-        made.add_row(*line)
-    made.add_row("run", str(output))
-    if picture is not None:
-        made.add_row("picture", str(picture))
-    console().print(made)
-    print_mesh_error(simulation.scene)
-    print_reduction_errors(simulation, summary.sampled_range)
+    return run_and_report(
+        simulation, run(simulation, rows, settle, columns), columns, len(effector_path),
+        "fewer rows of targets shorten it", "offline", output, summary,
+        picture and Picture(picture), shots)

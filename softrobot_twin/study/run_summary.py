@@ -47,6 +47,7 @@ class RunSummary:
     """Collects a few numbers of each row for a summary.
 
     Attributes:
+        unit: What rows are called.
         statuses: Number of rows of each status.
         sampled_range: Largest share of the range of reduced bodies.
         failed: Number of rows without a solution.
@@ -60,9 +61,9 @@ class RunSummary:
         Args:
             simulation: Heights are measured from its present state.
             hold: Start and end of the interval in which creep is measured [s]; NaN for none.
-            unit: What a row is called.
+            unit: What rows are called.
         """
-        self._unit, self._hold = unit, hold
+        self.unit, self._hold = unit, hold
         self._effectors = simulation.effector_names
         self._kinds = simulation.actuators.kind_of
         self._pairs = pair_names(simulation)
@@ -134,8 +135,8 @@ class RunSummary:
     def lines(self) -> list[tuple[str, str]]:
         """The summary as names and values with units."""
         if not self._rows:
-            return [(self._unit, "0")]
-        lines = [(self._unit, f"{len(self._rows)}, {self._rows[-1].time:.6g} s at their end")]
+            return [(self.unit, "0")]
+        lines = [(self.unit, f"{len(self._rows)}, {self._rows[-1].time:.6g} s at their end")]
         lines += self._of_effectors()
         lines += self._of_bodies()
         lines += self._of_actuators()
@@ -221,7 +222,7 @@ class RunSummary:
                           f"resultant median {np.median(whole):.3f} N, max "
                           f"{whole.max():.3f} N; sum of magnitudes median "
                           f"{np.median(summed):.3f} N, max {summed.max():.3f} N; "
-                          f"touching in {100 * touched.mean():.0f} % of {self._unit}"))
+                          f"touching in {100 * touched.mean():.0f} % of {self.unit}"))
         if len(order) > _SHOWN:
             lines.append((f"{len(order) - _SHOWN} more pairs that touched", "press less"))
         return lines
@@ -233,7 +234,7 @@ class RunSummary:
             return []
         told = [f"{name} {_share(count, len(self._rows))}" for name, count in met[:_SHOWN]]
         more = f", and {len(met) - _SHOWN} more" if len(met) > _SHOWN else ""
-        return [("limits met most", f"{', '.join(told)} of {self._unit}{more}")]
+        return [("limits met most", f"{', '.join(told)} of {self.unit}{more}")]
 
     def _of_steps(self) -> list[tuple[str, str]]:
         """Residual, error estimates, time and statuses."""
@@ -257,7 +258,7 @@ class RunSummary:
         for name, count in sorted(self.statuses.items()):
             is_last = len(self.statuses) > 1 and name == self.last_status
             end = ", the last too" if is_last else ""
-            lines.append((f"status {name}", f"{count} {self._unit}{end}"))
+            lines.append((f"status {name}", f"{count} {self.unit}{end}"))
         return lines
 
 

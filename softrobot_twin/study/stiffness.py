@@ -13,7 +13,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, apparent_compliance
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.study.equilibrium import bring_to_rest
-from softrobot_twin.study.terminal import console, table, terminal_status, warn
+from softrobot_twin.study.terminal import console, print_apart, table, terminal_status, warn
 
 # Factor and unit in which a motion [m] by one unit of an actuator is shown.
 _SHOWN = {
@@ -65,9 +65,7 @@ def print_stiffness(scene: Path, given: Sequence[str] = ()) -> int:
     place = "at " + ", ".join(given) if given else "at rest"
     output.print(f"{simulation.scene.name}: {scene}, {place}: {rest.status}"
                  f"{_touching(simulation, found)}\n")
-    for shown in tables(simulation, found):
-        output.print(shown)
-        output.print()
+    print_apart(*tables(simulation, found))
     output.print("Where actuators hold their displacement and contacts their gap. A column of "
                  "the Jacobian is the motion by one actuator, the others held.")
     _warn_of(simulation, found, rest.is_reached)
@@ -148,19 +146,17 @@ def actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int],
 def tables(simulation: Simulation, found: ApparentCompliance) -> list[Table]:
     """Tables of principal stiffnesses, of compliances, and of the Jacobian of each effector."""
     names = simulation.effector_names
-    principal = table("Stiffness of the effectors, the softest direction first", "effector",
-                      "stiffness [N/m]", "direction x", "y", "z")
-    for index, name in enumerate(names):
-        for stiffness, direction in zip(*found.principal_stiffness(index), strict=True):
-            principal.add_row(name, f"{stiffness:.4g}",
-                              *(f"{round(part, 3) + 0.0:.3f}" for part in direction))
-    made = [principal]
-    for index, name in enumerate(names):
-        compliance = table(f"Compliance of {name}", "motion [m/N]", "by a force along x", "y", "z")
-        cells = _numbers(found.compliance[index].ravel())
-        for row, axis in enumerate("xyz"):
-            compliance.add_row(axis, *cells[3 * row : 3 * row + 3])
-        made.append(compliance)
+    principal = table(
+        "Stiffness of the effectors, the softest direction first", "effector", "stiffness [N/m]",
+        "direction x", "y", "z",
+        rows=([name, f"{stiffness:.4g}", *(f"{round(part, 3) + 0.0:.3f}" for part in direction)]
+              for index, name in enumerate(names)
+              for stiffness, direction in zip(*found.principal_stiffness(index), strict=True)))
+    cells = [_numbers(compliance.ravel()) for compliance in found.compliance]
+    made = [principal, *(
+        table(f"Compliance of {name}", "motion [m/N]", "by a force along x", "y", "z",
+              rows=([axis, *own[3 * row : 3 * row + 3]] for row, axis in enumerate("xyz")))
+        for name, own in zip(names, cells, strict=True))]
     if simulation.actuators.count:
         made += [_jacobian(simulation.actuators, found, index, name)
                  for index, name in enumerate(names)]  # fmt: skip
@@ -168,15 +164,15 @@ def tables(simulation: Simulation, found: ApparentCompliance) -> list[Table]:
 
 
 def _jacobian(actuators: Actuators, found: ApparentCompliance, index: int, name: str) -> Table:
-    made = table(f"Jacobian of {name}: its motion by each actuator", "actuator", "by", "x", "y",
-                 "z", "unit", "holds")
+    rows = []
     quantities = actuators.driven_quantities(found.is_by_effort)
     for place, (actuator, quantity) in enumerate(zip(actuators.names, quantities, strict=True)):
         factor, unit = _SHOWN.get(quantity.unit, (1.0, f"m/{quantity.unit}"))
         motion = factor * found.jacobian[index, :, place]
-        made.add_row(actuator, quantity.word, *_numbers(motion), unit,
-                     _what_it_holds(actuators, found, place))
-    return made
+        rows.append([actuator, quantity.word, *_numbers(motion), unit,
+                     _what_it_holds(actuators, found, place)])
+    return table(f"Jacobian of {name}: its motion by each actuator", "actuator", "by", "x", "y",
+                 "z", "unit", "holds", rows=rows)
 
 
 def _what_it_holds(actuators: Actuators, found: ApparentCompliance, place: int) -> str:

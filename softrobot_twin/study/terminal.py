@@ -32,15 +32,27 @@ def console(stream: TextIO | None = None) -> Console:
     return Console(file=stream, width=width, highlight=False, markup=False)
 
 
-def table(title: str, *columns: str, piped: bool | None = None) -> Table:
-    """An empty table: with a frame on a terminal, plain columns through a pipe."""
+def table(
+    title: str, *columns: str, rows: Iterable[Iterable[str]] = (), piped: bool | None = None
+) -> Table:  # fmt: skip
+    """A table: with a frame on a terminal, plain columns through a pipe."""
     plain = not sys.stdout.isatty() if piped is None else piped
     made = Table(title=title, title_justify="left", title_style="" if plain else "bold",
                  box=None if plain else box.ROUNDED, pad_edge=not plain,
                  min_width=len(title) + 2)
     for column in columns:
         made.add_column(column)
+    for row in rows:
+        made.add_row(*row)
     return made
+
+
+def print_apart(*shown: Table | str | None) -> None:
+    """Prints tables and texts with an empty line behind each; None is left out."""
+    for one in shown:
+        if one is not None:
+            console().print(one)
+            console().print()
 
 
 def by_key(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:

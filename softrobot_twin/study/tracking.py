@@ -17,7 +17,7 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.study.figure import figure_file, legend_below
 from softrobot_twin.study.machine_facts import machine, versions
-from softrobot_twin.study.output_file import output_file
+from softrobot_twin.study.output_file import writing
 
 
 class TimedValues(NamedTuple):
@@ -214,8 +214,8 @@ def write_report(path: Path, report: dict) -> None:
     Raises:
         OutputError: The file cannot be written.
     """
-    with output_file(path) as partial:
-        partial.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    with writing(path):
+        path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _milliseconds(seconds: float | None) -> float | None:

@@ -16,6 +16,7 @@ import hashlib
 import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, TextIO
@@ -51,7 +52,7 @@ from softrobot_twin.study.sample_workers import (
     workers_of,
 )
 from softrobot_twin.study.stiffness import ActuationError, actuator_column_places
-from softrobot_twin.study.terminal import console, table, terminal_status, warn
+from softrobot_twin.study.terminal import console, print_apart, table, terminal_status, warn
 
 
 class WorkspaceError(SoftRobotTwinError):
@@ -561,20 +562,17 @@ def _compute(
 
 
 def _print_summary(shown: Sequence[Cloud], statuses: Sequence[str]) -> None:
-    made = table("Reached places", "effector", "x [mm]", "y [mm]", "z [mm]",
-                 "stiffness in the softest direction [N/m]")
+    rows = []
     for cloud in shown:
         good = cloud.is_good
         if not good.any():
-            made.add_row(cloud.name, *["nowhere"] * 3, "")
+            rows.append([cloud.name, *["nowhere"] * 3, ""])
             continue
         low, high = 1e3 * cloud.points[good].min(axis=0), 1e3 * cloud.points[good].max(axis=0)
         stiffness = cloud.stiffness[good & np.isfinite(cloud.stiffness)]
         softest = f"{stiffness.min():.4g} to {stiffness.max():.4g}" if len(stiffness) else ""
-        made.add_row(cloud.name, *(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high)), softest)
-    output = console()
-    output.print(made)
-    output.print()
-    counts = {status: statuses.count(status) for status in dict.fromkeys(sorted(statuses))}
-    output.print(f"{len(statuses)} samples: "
-                 + ", ".join(f"{number} {status}" for status, number in counts.items()))
+        rows.append([cloud.name, *(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high)), softest])
+    print_apart(table("Reached places", "effector", "x [mm]", "y [mm]", "z [mm]",
+                      "stiffness in the softest direction [N/m]", rows=rows))
+    counts = ", ".join(f"{number} {status}" for status, number in sorted(Counter(statuses).items()))
+    console().print(f"{len(statuses)} samples: {counts}")
