@@ -257,8 +257,7 @@ class MeasuredSetpoints(ActuatorInput):
 
     def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
         self.efforts = order.values(efforts) if len(efforts) else None
-        if len(setpoints):
-            self._take(order.named, order.values(setpoints) + order.offsets, self._newest)
+        self._take(order.named, order.values(setpoints) + order.offsets, self._newest)
 
     def _take(self, named: np.ndarray, measured: np.ndarray, time: float) -> None:
         """Keeps the setpoints of some actuators that arrived at a time [s]."""
@@ -291,8 +290,9 @@ class MeasuredSetpoints(ActuatorInput):
     def _refusal_of_values(
         self, order: NameOrder, count: int, setpoints: np.ndarray, efforts: np.ndarray
     ) -> Refusal | None:
-        refusal = super()._refusal_of_values(order, count, setpoints, efforts)
-        if refusal is not None or not len(setpoints):
+        if not len(setpoints):
+            return Refusal.WRONG_SIZE
+        if refusal := super()._refusal_of_values(order, count, setpoints, efforts):
             return refusal
         measured = order.values(setpoints) + order.offsets
         return Refusal.OUT_OF_RANGE if self._find_implausible(measured, _OF_ALL) else None

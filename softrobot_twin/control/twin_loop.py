@@ -243,6 +243,7 @@ class TwinLoop:
     Attributes:
         cavities: The cavities, and their absolute pressures.
         pulleys: The pulleys that wind cables, and their angles.
+        commands: Commands of actuators; in inverse mode they exclude these from the optimisation.
         is_repeating: True when the last tick repeated the outcome of the one before.
 
     Raises:
@@ -288,9 +289,9 @@ class TwinLoop:
         )
         self.direct = ActuatorInput(known, settings)
         self.selected = SelectedActuatorInput(known, settings)
-        commands = self.direct if mode is Mode.DIRECT else self.selected
-        self.pressures = PressureInput(self.cavities, commands, frame_id, settings, False)
-        self.angles = AngleInput(self.pulleys, commands, settings, False)
+        self.commands = self.direct if mode is Mode.DIRECT else self.selected
+        self.pressures = PressureInput(self.cavities, self.commands, frame_id, settings, False)
+        self.angles = AngleInput(self.pulleys, self.commands, settings, False)
         self.stiffness = StiffnessInput(
             simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings
         )

@@ -24,7 +24,6 @@ from softrobot_twin.control.inputs import ActuatorInput, PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.ros.messages import (
-    angles_message,
     cables_message,
     markers_message,
     point_message,
@@ -32,7 +31,6 @@ from softrobot_twin.ros.messages import (
     pressure_message,
     read_pose,
     stamp_of,
-    touch_message,
     wrench_message,
 )
 from softrobot_twin.ros.parameters import DEVICE, Entry, declare
@@ -162,7 +160,8 @@ class DeviceNode(TickingNode):
         a NaN as place, without a touch."""
         touches = self.device.touches()
         for index, (both, one) in enumerate(self._touches):
-            both.publish(touch_message(touches, index, header))
+            both.publish(cables_message(
+                "xyz", touches.displacements[index], touches.forces[index], header))
             if self._sends_force:
                 one.publish(wrench_message(touches.forces[index], header))
             else:
@@ -197,9 +196,10 @@ class DeviceNode(TickingNode):
         names = self.device.actuator_names
         self.cables.publish(cables_message(names, reading.setpoints, reading.efforts, header))
         if self._pulleys is not None:
-            self._angles.publish(
-                angles_message(self._pulleys, reading.setpoints, reading.efforts, header)
-            )
+            wound = self._pulleys
+            self._angles.publish(cables_message(
+                wound.names, wound.angles(reading.setpoints), wound.torques(reading.efforts), header
+            ))  # fmt: skip
         for index, publisher in self._pressures.items():
             pressure = self._ambient_pressure + reading.efforts[index]
             publisher.publish(pressure_message(pressure, header, self.device.pressure_variance))

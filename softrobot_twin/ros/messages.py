@@ -6,7 +6,7 @@ rclpy does not check the types of message fields, so numbers are converted to fl
 from __future__ import annotations
 
 import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -16,6 +16,7 @@ from geometry_msgs.msg import (
     Pose,
     PoseStamped,
     Quaternion,
+    Twist,
     Vector3,
     Vector3Stamped,
     Wrench,
@@ -26,8 +27,6 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.simulation.building.pulleys import Pulleys
-from softrobot_twin.simulation.effects.touches import TouchState
 
 _CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])
@@ -88,36 +87,6 @@ def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...
     return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
 
 
-def read_point(message: PointStamped) -> tuple[tuple[float, float, float]]:
-    """Position of a message [m], as it is."""
-    return (_xyz_of(message.point),)
-
-
-def read_vector(message: Vector3Stamped) -> tuple[tuple[float, float, float]]:
-    """Vector of a message, as it is."""
-    return (_xyz_of(message.vector),)
-
-
-def read_force(message: WrenchStamped) -> tuple[tuple[float, float, float]]:
-    """Force of a message [N], as it is."""
-    return (_xyz_of(message.wrench.force),)
-
-
-def read_pressure(message: FluidPressure) -> tuple[float]:
-    """Absolute pressure of a message [Pa], as it is."""
-    return (message.fluid_pressure,)
-
-
-def read_joints(message: JointState) -> tuple:
-    """Names, positions and efforts of a message, as they are."""
-    return message.name, message.position, message.effort
-
-
-def read_measured(message: JointState) -> tuple | Refusal:
-    """The same of a measurement, which must have positions."""
-    return read_joints(message) if message.position else Refusal.WRONG_SIZE
-
-
 def _xyz_of(point: Point | Vector3) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
@@ -127,11 +96,14 @@ def cables_message(
 ) -> JointState:
     """Setpoints and efforts of actuators, such as lengths [m] and tensions [N], as a message.
 
+    Angles [rad] and torques [N m] of pulleys too; and of a touch the displacement [m] and force [N]
+    along x, y and z.
+
     Args:
         names: Names of the actuators.
         lengths: Setpoints in the unit of each actuator's kind, pressures gauge [Pa], shape
             (actuator_count,).
-        tensions: Efforts in the unit of each actuator's kind, same shape.
+        tensions: Efforts in the unit of each actuator's kind, same shape; empty for none.
         header: Frame and time.
     """
     return JointState(
@@ -140,40 +112,6 @@ def cables_message(
         position=np.asarray(lengths, dtype=float).tolist(),
         effort=np.asarray(tensions, dtype=float).tolist(),
     )
-
-
-def angles_message(
-    pulleys: Pulleys, setpoints: np.ndarray, efforts: np.ndarray, header: Header
-) -> JointState:
-    """Angles [rad] and torques [N m] of pulleys as a message.
-
-    Args:
-        pulleys: The pulleys.
-        setpoints: Setpoints of all actuators, of cables lengths [m], shape (actuator_count,).
-        efforts: Efforts of all actuators, of cables tensions [N], same shape.
-        header: Frame and time.
-    """
-    return JointState(
-        header=header,
-        name=list(pulleys.names),
-        position=pulleys.angles(setpoints).tolist(),
-        effort=pulleys.torques(efforts).tolist(),
-    )
-
-
-def touch_message(touches: TouchState, index: int, header: Header) -> JointState:
-    """A touch as a message: the names x, y, z, as positions the displacement of the point since the
-    touch began [m], and as efforts the force on the robot [N].
-
-    Args:
-        touches: The touches of a step.
-        index: Index of the touch.
-        header: Frame and time.
-    """
-    return JointState(
-        header=header, name=["x", "y", "z"], position=touches.displacements[index].tolist(),
-        effort=touches.forces[index].tolist(),
-    )  # fmt: skip
 
 
 def wrench_message(force: np.ndarray, header: Header) -> WrenchStamped:
@@ -330,3 +268,17 @@ def _marker_fields(message: PointCloud2) -> dict[str, tuple[str, int]] | None:
                 return None
             found[field.name] = (order + kind, field.offset)
     return found if found.keys() == _MARKER_FIELDS.keys() else None
+
+
+READERS: dict[type, Callable[..., tuple | Refusal]] = {
+    PointStamped: lambda message: (_xyz_of(message.point),),
+    PoseStamped: read_pose,
+    Vector3Stamped: lambda message: (_xyz_of(message.vector),),
+    WrenchStamped: lambda message: (_xyz_of(message.wrench.force),),
+    Twist: lambda message: (_xyz_of(message.linear),),
+    FluidPressure: lambda message: (message.fluid_pressure,),
+    JointState: lambda message: (message.name, message.position, message.effort),
+    PointCloud2: read_markers,
+}
+"""What gives the values of a received message of each type as they are, or the reason to refuse it:
+positions [m], quaternions (x, y, z, w), absolute pressures [Pa], names, positions and efforts."""

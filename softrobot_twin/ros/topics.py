@@ -61,6 +61,8 @@ class Topic(NamedTuple):
         quality: Quality of service with which the node opens it.
         unit: Units of its values, or an empty string.
         meaning: What it means, in markdown; no upper case at its beginning.
+        call: Of an input of the twin the call of its loop that takes the messages, such as
+            ``markers.accept``; see `softrobot_twin.control.twin_loop.CALLS`.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Topic(NamedTuple):
     quality: QoSProfile
     unit: str
     meaning: str
+    call: str = ""
 
     @property
     def type_name(self) -> str:
@@ -176,40 +179,43 @@ def _by_name(*topics: Topic) -> dict[str, Topic]:
 TWIN_TOPICS = _by_name(
     Topic("~/target/<effector>", IN, PointStamped, NEWEST, "m",
           "the newest is used, limited to the workspace; messages that are not finite, stale, out "
-          "of order or in another frame are refused and counted"),
+          "of order or in another frame are refused and counted", "targets.accept_point"),
     Topic("~/target_pose/<effector>", IN, PoseStamped, NEWEST, "m",
           "of effectors with `orientation`: position, and turn from the rest shape; as "
           "`~/target/<effector>`, and quaternions that are not of unit length within 1 % are "
           "refused. A point or a velocity that follows moves the position, and the orientation "
-          "stays wanted; with `directions: []` the position is checked, and not used"),
+          "stays wanted; with `directions: []` the position is checked, and not used",
+          "targets.accept_pose"),
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y and z of the world, NaN where it is free; of effectors with `stiffness`, in "
           "place of its `target` until `~/reset` or `~/enable`; stale, out of order, infinite, in "
           "another frame, or not above 0 is refused and counted. One alone, without a target "
-          "position, is followed too"),
+          "position, is followed too", "stiffness.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s",
           "integrated, limited in speed, stopped after `velocity_timeout`, limited to the "
-          "workspace"),
+          "workspace", "targets.accept_velocity"),
     Topic("~/touch_force/<touch>", IN, WrenchStamped, STREAM, "N",
           "force on the robot; torques are not used. Zero or NaN ends the touch. Refused: "
-          "infinite, above `force_limit`, stale, out of order, in another frame"),
+          "infinite, above `force_limit`, stale, out of order, in another frame",
+          "touches.accept_force"),
     Topic("~/touch_position/<touch>", IN, PointStamped, STREAM, "m",
           "place of the touched point: it is held there. NaN ends the touch. Refused: infinite, "
-          "far from the robot, stale, out of order, in another frame"),
+          "far from the robot, stale, out of order, in another frame", "touches.accept_place"),
     Topic("~/markers", IN, PointCloud2, STREAM, "m",
-          "x y z float32, id uint32; NaN = hidden; implausible markers are left out and reported"),
+          "x y z float32, id uint32; NaN = hidden; implausible markers are left out and reported",
+          "markers.accept"),
     Topic("~/measured_cables", IN, JointState, STREAM, "m, N",
           "what the hardware measures, cavities as in `~/cables`; setpoints that no actuator of "
           "the scene can have are refused; cavities with `control: pressure` and cables with "
-          "pulleys may be omitted"),
+          "pulleys may be omitted", "device.accept"),
     Topic("~/measured_angles", IN, JointState, STREAM, "rad, N m",
           "angle in `position`, torque in `effort` (optional); of pulleys, by the names of their "
           "cables or motors, any of them; in place of lengths in `~/measured_cables` or in "
-          "addition, the newest counts. Checked like these"),
+          "addition, the newest counts. Checked like these", "measured_angles.accept"),
     Topic("~/measured_pressures/<cavity>", IN, FluidPressure, STREAM, "Pa, absolute",
           "measured pressure, of a cavity with `control: pressure` in place of a value in "
           "`~/measured_cables` or in addition; `frame_id` names the sensor and is not checked, "
-          "`variance` is not used"),
+          "`variance` is not used", "measured_pressures.accept"),
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
           "m in `position`, or N in `effort`, of motors of hinges rad or N m; `mode: direct`. "
           "Names are cables, slides or motors, and each cable is named once; a motor's position is "
@@ -218,22 +224,22 @@ TWIN_TOPICS = _by_name(
           "pressure [Pa] or, with `control: volume`, the volume [m³], and `effort` the gauge "
           "pressure [Pa]; a cavity with `control: pressure` may be omitted and stays as it is. In "
           "`mode: inverse` the message commands some actuators by length, pressure or volume, and "
-          "the others are optimised; an empty message commands none"),
+          "the others are optimised; an empty message commands none", "commands.accept"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
           "in `position`; of any pulleys, by the names of their cables or motors. The other "
           "actuators stay as they are: in `mode: direct` at their setpoints, in `mode: inverse` "
           "optimised or commanded as before; there the cables stay commanded until a message on "
           "`~/command/cables` names them or is empty. Torques are refused. Only in scenes with "
-          "pulleys"),
+          "pulleys", "angles.accept"),
     Topic("~/command/pressures/<cavity>", IN, FluidPressure, NEWEST, "Pa, absolute",
           "above 0; commands this cavity, and the other actuators stay as they are: in `mode: "
           "direct` at their setpoints, in `mode: inverse` optimised or commanded as before. There "
           "the cavity stays commanded until a message on `~/command/cables` names it or is empty. "
           "Checked like targets, but the frame may be empty. Refused for `control: volume`, whose "
-          "volume is commanded on `~/command/cables`"),
+          "volume is commanded on `~/command/cables`", "pressures.accept"),
     Topic("~/command/pose/<guided body>", IN, PoseStamped, NEWEST, "m",
           "frame, finiteness, rotation and age are checked, the scene limits speed and turn rate, "
-          "the newest is used, limited to the workspace"),
+          "the newest is used, limited to the workspace", "poses.accept"),
     Topic("~/cables", OUT, JointState, NEWEST, "m, N",
           "`position` = length [m], `effort` = tension [N]; of a slide its position and the force "
           "that holds it; of a motor of a hinge its angle [rad] and torque [N m]; of a cavity its "

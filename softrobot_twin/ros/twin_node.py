@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import compress, repeat
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,42 +19,33 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.arrival import Refusal, RefusalCounts
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
-from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.last_command import LastCommand
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
-from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop, owner_of
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.claim import TopicClaim
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.message_bytes import JointStateBytes, to_bytes
 from softrobot_twin.ros.messages import (
+    READERS,
+    cables_message,
     contacts_message,
     markers_message,
     matrix_message,
     point_message,
     pose_message,
     pressure_message,
-    read_force,
-    read_joints,
-    read_markers,
-    read_measured,
-    read_point,
-    read_pose,
-    read_pressure,
-    read_vector,
     stamp_of,
-    touch_message,
     vector_message,
 )
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
@@ -62,7 +54,7 @@ from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode, publishing_nodes
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
-from softrobot_twin.ros.topics import Topic, open_publisher, open_publishers
+from softrobot_twin.ros.topics import Direction, Topic, open_publisher, open_publishers
 from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
@@ -103,7 +95,11 @@ class RepeatedMessages:
         if self._is_heard(publisher):
             self.send(publisher, make(*values))
         else:
-            self._left_out.append(publisher)
+            self.leave_out(publisher)
+
+    def leave_out(self, *publishers: Publisher) -> None:
+        """Makes no messages of some publishers, which nobody receives."""
+        self._left_out.extend(publishers)
 
     def _is_heard(self, publisher: Publisher) -> bool:
         """Whether messages are received or, as those of a recorded run, kept."""
@@ -134,79 +130,64 @@ class RepeatedMessages:
         return True
 
 
-class SolidOutputs:
-    """Publishes poses of rigid bodies, commanded poses of guided bodies, and contacts.
-
-    Args:
-        node: The twin.
-        simulation: Its model.
-        audience: Who receives what.
+class Output(NamedTuple):
+    """A topic of each object of a kind, which is published after each tick.
 
     Attributes:
-        commands: Publishers of the commanded poses.
+        topic: Its name in the table of topics.
+        names: Names of the objects; nothing is opened without any.
+        make: Makes a message of the values of an object and a header.
+        read: Gives what a tick tells: the values of each object; nothing where it tells none.
+        has_it: Whether each object has it; None where all have.
+        is_costly: Nothing is read where nobody receives it, also where the run is recorded.
     """
 
-    def __init__(self, node: Node, simulation: Simulation, audience: Audience):
-        self._simulation, self._audience = simulation, audience
-        bodies, guided = simulation.rigid_names, simulation.guided_names
-        self._bodies = open_publishers(node, TOPICS["~/bodies/<rigid body>"], bodies)
-        sent = open_publishers(node, TOPICS["~/poses/<guided body>"], guided)
-        self._sent = dict(zip(guided, sent, strict=True))
-        self.commands = tuple(self._sent.values())
-        self._contacts = None
-        if simulation.scene.contact is not None:
-            self._contacts = open_publisher(node, TOPICS["~/contacts"])
-
-    def publish(self, outcome: TickOutcome, header: Header) -> bool:
-        """Publishes a tick; commanded poses are published only together with a cable command, and
-        those of bodies only where they are received.
-
-        Returns:
-            Whether anything was published.
-        """
-        # An arm of hubs has many rigid bodies, and each message takes time of the tick.
-        hears = self._audience.hears
-        is_heard = self._audience.hears_any(self._bodies)
-        if is_heard:
-            poses = zip(*self._simulation.rigid_poses(), strict=True)
-            for publisher, pose in zip(self._bodies, poses, strict=True):
-                if hears(publisher):
-                    publisher.publish(pose_message(*pose, header))
-        if outcome.command is not None:
-            for name, pose in outcome.guided_poses.items():
-                self._sent[name].publish(pose_message(*pose, header))
-        contacts = outcome.result.contacts
-        if self._contacts is not None and contacts is not None:
-            message = contacts_message(contacts.positions, contacts.forces, header)
-            self._contacts.publish(message)
-        return is_heard or bool(self._sent) or self._contacts is not None
+    topic: str
+    names: Sequence[str]
+    make: Callable[..., object]
+    read: Callable[[TickOutcome], Sequence[tuple]]
+    has_it: Sequence[bool] | None = None
+    is_costly: bool = False
 
 
-class CablePathOutput:
-    """Publishes the lengths of the paths of cables, which are computed only while somebody receives
-    them.
+def _rows(*arrays: Iterable | None) -> list[tuple]:
+    """The values of each object; nothing where an array is None."""
+    return [] if any(array is None for array in arrays) else list(zip(*arrays, strict=True))
+
+
+def _paths(simulation: Simulation, positions: np.ndarray) -> list[tuple]:
+    """Names and path lengths of cables [m], and no tensions, at node positions [m]."""
+    paths = simulation.actuators.path_lengths(positions)
+    return [(list(paths), list(paths.values()), ())]
+
+
+def outputs_of(simulation: Simulation) -> Iterator[Output]:
+    """What is published after each tick beside commands and pressures.
 
     Args:
-        node: The twin.
-        simulation: Its model.
-        audience: Who receives what.
+        simulation: The model of the loop.
     """
-
-    def __init__(self, node: Node, simulation: Simulation, audience: Audience):
-        self._actuators, self._audience = simulation.actuators, audience
-        self._publisher = None
-        if any(kind.one_sided for kind in self._actuators.kinds):
-            self._publisher = open_publisher(node, TOPICS["~/cable_paths"])
-
-    def publish(self, outcome: TickOutcome, header: Header) -> bool:
-        """Publishes a tick if somebody listens; false where nobody does."""
-        if self._publisher is None or not self._audience.hears(self._publisher):
-            return False
-        paths = self._actuators.path_lengths(outcome.result.state.positions)
-        self._publisher.publish(
-            JointState(header=header, name=list(paths), position=list(paths.values()))
-        )
-        return True
+    effectors, scene = simulation.effector_names, simulation.scene
+    has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
+    yield Output("~/effectors/<effector>", effectors, point_message,
+                 lambda tick: _rows(tick.result.effector_positions))
+    yield Output("~/effector_poses/<effector>", effectors, pose_message, lambda tick: _rows(
+        tick.result.effector_positions, tick.result.effector_orientations),
+        simulation.oriented_effectors)  # fmt: skip
+    yield Output("~/stiffness/<effector>", effectors, vector_message,
+                 lambda tick: _rows(tick.result.effector_stiffness), simulation.stiff_effectors)
+    yield Output("~/touch/<touch>", simulation.touch_names, partial(cables_message, "xyz"),
+                 lambda tick: _rows(tick.result.touches.displacements, tick.result.touches.forces))
+    yield Output("~/predicted_markers", [""] * bool(len(simulation.marker_ids)), markers_message,
+                 lambda tick: [(simulation.marker_ids, tick.predicted_markers)], is_costly=True)
+    yield Output("~/bodies/<rigid body>", simulation.rigid_names, pose_message,
+                 lambda tick: _rows(*simulation.rigid_poses()), is_costly=True)
+    yield Output("~/contacts", [""] * (scene.contact is not None),
+                 lambda contacts, header: contacts_message(
+                     contacts.positions, contacts.forces, header),
+                 lambda tick: [(found,)] if (found := tick.result.contacts) is not None else [])
+    yield Output("~/cable_paths", [""] * has_cables, cables_message,
+                 lambda tick: _paths(simulation, tick.result.state.positions), is_costly=True)
 
 
 class ComplianceOutputs:
@@ -256,6 +237,8 @@ class ComplianceOutputs:
 DIAGNOSTICS_PERIOD = 1.0
 _WARN_EVERY = 2.0
 _TABLE = {entry.name: entry for entry in TWIN}
+_OF_USERS = ("~/target", "~/command/")
+"""Beginnings of the names of inputs that are wishes; the others are measurements."""
 
 
 class TwinNode(TickingNode):
@@ -276,6 +259,7 @@ class TwinNode(TickingNode):
         visualization: Publishes markers of rviz.
         cables: Publisher of the commands.
         pressures: Publishers of pressures, by the names of the cavities.
+        poses: Publishers of commanded poses, by the names of the guided bodies.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene, its mesh or the view cannot be used.
@@ -339,7 +323,7 @@ class TwinNode(TickingNode):
         self._open_outputs()
         self._open_inputs()
         angles = () if self._angles is None else (self._angles,)
-        self.watch_topics((self.cables, *angles, *self.pressures.values(), *self._solids.commands,
+        self.watch_topics((self.cables, *angles, *self.pressures.values(), *self.poses.values(),
                            *self._measurements), self._commands)
         self.claim.listen()
         self._yield_to_rivals()
@@ -381,23 +365,17 @@ class TwinNode(TickingNode):
         if self.loop.pulleys.count:
             self._angles = open_publisher(self, TOPICS["~/angles"])
             self._angle_bytes = JointStateBytes(self.loop.pulleys.names, self.loop_frame)
-        effectors = simulation.effector_names
-        self._effectors = open_publishers(self, TOPICS["~/effectors/<effector>"], effectors)
-        self._effector_poses, self._stiffness = (
-            {index: open_publisher(self, TOPICS[topic], effectors[index])
-             for index in np.flatnonzero(asked).tolist()}
-            for topic, asked in (
-                ("~/effector_poses/<effector>", simulation.oriented_effectors),
-                ("~/stiffness/<effector>", simulation.stiff_effectors),
-            )
-        )  # fmt: skip
-        self._markers = None
-        if len(simulation.marker_ids):
-            self._markers = open_publisher(self, TOPICS["~/predicted_markers"])
-        self._touches = open_publishers(self, TOPICS["~/touch/<touch>"], simulation.touch_names)
-        self._solids = SolidOutputs(self, simulation, self._audience)
+        guided = simulation.guided_names
+        poses = open_publishers(self, TOPICS["~/poses/<guided body>"], guided)
+        self.poses = dict(zip(guided, poses, strict=True))
+        self._outputs = [
+            (output, publishers) for output in outputs_of(simulation)
+            if (publishers := {
+                index: open_publisher(self, TOPICS[output.topic], name)
+                for index, name in enumerate(output.names)
+                if output.has_it is None or output.has_it[index]})
+        ]  # fmt: skip
         self._compliances = ComplianceOutputs(self, self.loop, self._audience)
-        self._cable_paths = CablePathOutput(self, simulation, self._audience)
         values = self._values
         self.visualization = VisualizationOutput(
             self, simulation, self.loop_frame, float(values["visualization_rate"])
@@ -411,86 +389,53 @@ class TwinNode(TickingNode):
 
     def _open_inputs(self) -> None:
         loop, simulation = self.loop, self.loop.simulation
-        targets, cavities, touches = loop.targets, loop.cavities.names, loop.touches
         effectors = simulation.effector_names if loop.mode is Mode.INVERSE else ()
-        by_index = list(enumerate(effectors))
-        self._commands = [
-            *self._inputs("~/target/<effector>", targets, "accept_point", read_point, by_index),
-            *self._inputs(
-                "~/target_pose/<effector>", targets, "accept_pose", read_pose,
-                [one for one in by_index if simulation.oriented_effectors[one[0]]],
-            ),
-            *self._inputs(
-                "~/target_stiffness/<effector>", loop.stiffness, "accept", read_vector,
-                [one for one in by_index if simulation.stiff_effectors[one[0]]],
-            ),
-        ]  # fmt: skip
-        if effectors:
-            refusals = targets.velocity_refusals
-            self._commands.append(self._listen("~/target_velocity", self._take_velocity, refusals))
-        by_name, pulleys = [(name, name) for name in cavities], [()] * bool(loop.pulleys.count)
-        of_touches = list(enumerate(touches.names))
-        self._commands += [
-            *self._inputs("~/command/cables", self._actuator_commands, "accept", read_joints),
-            *self._inputs("~/command/pose/<guided body>", loop.poses, "accept", read_pose,
-                          [(name, name) for name in simulation.guided_names]),
-            *self._inputs("~/command/pressures/<cavity>", loop.pressures, "accept", read_pressure,
-                          by_name),
-            *self._inputs("~/command/angles", loop.angles, "accept", read_joints, pulleys),
-        ]  # fmt: skip
-        self._measurements = [
-            *self._inputs("~/measured_pressures/<cavity>", loop.measured_pressures, "accept",
-                          read_pressure, by_name),
-            *self._inputs("~/measured_angles", loop.measured_angles, "accept", read_joints, pulleys),
-            *self._inputs("~/touch_force/<touch>", touches, "accept_force", read_force, of_touches),
-            *self._inputs("~/touch_position/<touch>", touches, "accept_place", read_point,
-                          of_touches),
-            *self._inputs("~/markers", loop.markers, "accept", read_markers),
-            *self._inputs("~/measured_cables", loop.device, "accept", read_measured),
-        ]  # fmt: skip
+        # What the loop calls each object of a kind, and its name.
+        objects = {
+            "<effector>": [((index,), name) for index, name in enumerate(effectors)],
+            "<touch>": [((index,), name) for index, name in enumerate(simulation.touch_names)],
+            "<cavity>": [((name,), name) for name in loop.cavities.names],
+            "<guided body>": [((name,), name) for name in simulation.guided_names],
+        }
+        has_pulleys = [bool(loop.pulleys.count)]
+        has_it = {
+            "~/target_pose/<effector>": simulation.oriented_effectors,
+            "~/target_stiffness/<effector>": simulation.stiff_effectors,
+            "~/target_velocity": [bool(effectors)],
+            "~/command/angles": has_pulleys, "~/measured_angles": has_pulleys,
+        }  # fmt: skip
+        self._commands, self._measurements = [], []
+        for name, topic in TOPICS.items():
+            if topic.direction is Direction.IN:
+                kept = self._commands if name.startswith(_OF_USERS) else self._measurements
+                kind = name.rpartition("/")[2]
+                kept += [self._listen(topic, *one) for one in compress(
+                    objects.get(kind, [((), "")]), has_it.get(name, repeat(True)))]
         self.create_service(SetBool, "~/enable", self.enable)
         self.create_service(Trigger, "~/reset", self.reset)
 
-    def _inputs(
-        self, topic: str, owner: Any, method: str, read: Callable,
-        objects: Iterable[tuple] = ((),),
-    ) -> list[Subscription]:  # fmt: skip
-        """Receives a topic of the table, or one for each object of a kind.
+    def _listen(self, topic: Topic, key: tuple, name: str) -> Subscription:
+        """Receives a topic of the table; see `TickingNode.listen`.
 
         Args:
-            topic: Its name.
-            owner: The input of the loop that takes the messages, and counts the refused ones.
-            method: Name of the method of `owner` that takes them.
-            read: Gives the values of a message, or the reason to refuse it.
-            objects: What the input calls each object, and its name; empty for a topic without.
+            topic: The topic.
+            key: What the loop calls its object; empty for a topic without.
+            name: Name of the object.
         """
-        return [
-            self._listen(topic, partial(self._take, owner, method, read, one[:1]), owner.refusals,
-                         *one[1:])
-            for one in objects
-        ]  # fmt: skip
+        simulation, (owner, _) = self.loop.simulation, owner_of(self.loop, topic.call)
+        refusals = owner.velocity_refusals if topic.kind is Twist else owner.refusals
+        names = (*simulation.actuator_names, *simulation.motors, *simulation.pulleys.names)
+        return self.listen(topic, partial(self._take, topic, key), refusals, name, names=names)
 
-    def _take(
-        self, owner: Any, method: str, read: Callable, key: tuple, message: Any
-    ) -> Refusal | None:
-        """Passes a message on to an input of the loop; see `_inputs`."""
-        values = read(message)
+    def _take(self, topic: Topic, key: tuple, message: Any) -> Refusal | None:
+        """Passes a message on to an input of the loop; see `_listen`."""
+        owner, method = owner_of(self.loop, topic.call)
+        values = READERS[topic.kind](message)
         if isinstance(values, Refusal):
             return owner.refusals.add(values)
-        return getattr(owner, method)(*key, *values, self.arrival(message.header))
-
-    @property
-    def _actuator_commands(self) -> ActuatorInput:
-        """Commands of actuators; in inverse mode they exclude these from the optimisation."""
-        return self.loop.direct if self.loop.mode is Mode.DIRECT else self.loop.selected
-
-    def _listen(
-        self, topic: str, take: Callable, refusals: RefusalCounts, name: str = ""
-    ) -> Subscription:
-        """Receives a topic of the table; see `TickingNode.listen`."""
-        simulation = self.loop.simulation
-        names = (*simulation.actuator_names, *simulation.motors, *simulation.pulleys.names)
-        return self.listen(TOPICS[topic], take, refusals, name, names=names)
+        has_header = topic.kind is not Twist
+        arrival = self.arrival(message.header) if has_header else self.monotonic()
+        return getattr(owner, method)(*key, *values, arrival)
 
     def contest(self, topic: Topic, name: str, sentence: str) -> None:
         """Takes notice that two publishers send; what the loop does not use stops nothing."""
@@ -501,12 +446,6 @@ class TwinNode(TickingNode):
         if topic.name == "~/markers" and not loop.settings.closed_loop:
             return
         loop.contest(name, sentence, is_of_device, self.monotonic())
-
-    def _take_velocity(self, message: Twist) -> Refusal | None:
-        velocity = message.linear
-        return self.loop.targets.accept_velocity(
-            (velocity.x, velocity.y, velocity.z), self.monotonic()
-        )
 
     def _yield_to_rivals(self) -> None:
         """Disables the loop while another twin has precedence on these topics."""
@@ -584,32 +523,22 @@ class TwinNode(TickingNode):
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
             self._publish_command(outcome.command, stamp, header)
+            for name, pose in outcome.guided_poses.items():
+                self._repeated.send(self.poses[name], pose_message(*pose, header))
             if self.last_command is not None:
                 self.last_command.keep(*outcome.command, outcome.guided_poses)
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
         for name, pressure in sealed.items():
             offer(self.pressures[name], pressure_message, pressure, header)
-        positions = outcome.result.effector_positions
-        for publisher, position in zip(self._effectors, positions, strict=True):
-            offer(publisher, point_message, position, header)
-        turns = outcome.result.effector_orientations
-        for index, publisher in self._effector_poses.items():
-            offer(publisher, pose_message, positions[index], turns[index], header)
-        reached = outcome.result.effector_stiffness
-        for index, publisher in self._stiffness.items():
-            if reached is not None:
-                offer(publisher, vector_message, reached[index], header)
-        for index, publisher in enumerate(self._touches):
-            offer(publisher, touch_message, outcome.result.touches, index, header)
-        # A cloud takes a tenth of a millisecond to make.
-        wants_markers = self._markers is not None and self._audience.hears(self._markers)
-        if wants_markers:
-            ids = self.loop.simulation.marker_ids
-            self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
-        outputs = (self._solids, self._compliances, self._cable_paths, self._transforms)
-        self._has_listeners = any([
-            wants_markers, *(output.publish(outcome, header) for output in outputs)
-        ])  # fmt: skip
+        for output, publishers in self._outputs:
+            if output.is_costly and not self._audience.hears_any(publishers.values()):
+                self._repeated.leave_out(*publishers.values())
+                continue
+            rows = output.read(outcome)
+            for index, publisher in publishers.items() if rows else ():
+                offer(publisher, output.make, *rows[index], header)
+        outputs = (self._compliances, self._transforms)
+        self._has_listeners = any([output.publish(outcome, header) for output in outputs])
 
     def _publish_command(self, command: ActuatorCommand, stamp: int, header: Header) -> None:
         send, pulleys = self._repeated.send, self.loop.pulleys
