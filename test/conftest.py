@@ -97,7 +97,7 @@ LIBRARIES = {
         "volume_patches", "warm_up",
     ),
     "solvers": (
-        "contact_active_set", "contact_continuation", "dense_cholesky", "dense_stiffness",
+        "contact_active_set", "contact_continuation", "dense_stiffness",
         "direct_problem", "force_bounds", "inverse_problem", "inverse_solver",
         "polyhedron_projection", "quadratic_program", "superlu", "multifrontal/condensation",
         "multifrontal/definiteness",

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from softrobot_twin.compilation import KERNEL, njit
 
 
@@ -53,6 +55,12 @@ def copy_vectors(vectors, copies):
     for k in range(len(vectors)):
         for i in range(3):
             copies[k, i] = vectors[k, i]
+
+
+@njit(**KERNEL)
+def multiply_transposed(left, right, product):
+    """Write leftᵀ right, shape (n, n), of matrices of shape (row_count, n)."""
+    np.dot(left.T, right, product)
 
 
 @njit(**KERNEL)

@@ -34,7 +34,12 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import product, rows, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
-from softrobot_twin.geometry.vector_arrays import add_vectors, are_same, copy_vectors
+from softrobot_twin.geometry.vector_arrays import (
+    add_vectors,
+    are_same,
+    copy_vectors,
+    multiply_transposed,
+)
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
@@ -772,6 +777,7 @@ class CommonUnknowns:
         D = points.derivatives[own].transpose(0, 2, 1, 3)
         self.D = np.ascontiguousarray(D.reshape(3 * len(own), -1))
         self.half, self._loaded = np.empty_like(self.D), np.empty((0, 0))
+        self._folded = np.empty((self.D.shape[1],) * 2)
         self._offsets, self._strides = clique_slots(unknowns, rank, slots)
 
     def take_segments(self, ends: np.ndarray) -> None:
@@ -781,14 +787,15 @@ class CommonUnknowns:
 
     def add(self, storage: np.ndarray) -> None:
         """Add Dᵀ (K D) to the system matrix; `half` holds the product K D."""
-        add_clique(self._offsets, self._strides, self.D.T @ self.half, storage)
+        multiply_transposed(self.D, self.half, self._folded)
+        add_clique(self._offsets, self._strides, self._folded, storage)
 
     def add_segments(self, matrices: np.ndarray, storage: np.ndarray) -> None:
         """Add Eᵀ K E with a matrix K of each segment, shape (segment_count, 3, 3)."""
         count = 3 * multiply_segments(matrices, self.D, self._loaded, self.half)
         if count:
-            matrix = self._loaded[:count].T @ self.half[:count]
-            add_clique(self._offsets, self._strides, matrix, storage)
+            multiply_transposed(self._loaded[:count], self.half[:count], self._folded)
+            add_clique(self._offsets, self._strides, self._folded, storage)
 
 
 class FoldedStiffness:

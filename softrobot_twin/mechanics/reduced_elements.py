@@ -37,7 +37,7 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product
-from softrobot_twin.geometry.vector_arrays import are_same
+from softrobot_twin.geometry.vector_arrays import multiply_transposed
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
     fill_derivatives,
@@ -376,6 +376,67 @@ def sum_forces(gradients, stresses, forces):
             )  # fmt: skip
 
 
+@njit(**KERNEL)
+def are_known(positions, nodes, coordinates):
+    """Whether coordinates are those of a state.
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3).
+        nodes: Nodes whose positions are the coordinates, shape (count,).
+        coordinates: The coordinates [m], shape (3 count or more,).
+    """
+    for n in range(len(nodes)):
+        for i in range(3):
+            if positions[nodes[n], i] != coordinates[3 * n + i]:
+                return False
+    return True
+
+
+@njit(**KERNEL)
+def take_coordinates(positions, nodes, coordinates):
+    """Write the coordinates of a state; see `are_known`."""
+    for n in range(len(nodes)):
+        for i in range(3):
+            coordinates[3 * n + i] = positions[nodes[n], i]
+
+
+@njit(**KERNEL)
+def subtract_forces(own, unknowns, forces):
+    """Subtract forces on coordinates from those on unknowns.
+
+    Args:
+        own: Of the coordinates [N], shape (3 count or more,).
+        unknowns: Unknowns that three coordinates each are, shape (count,).
+        forces: Of the unknowns [N], shape (free_node_count, 3); changed.
+    """
+    for n in range(len(unknowns)):
+        for i in range(3):
+            forces[unknowns[n], i] -= own[3 * n + i]
+
+
+@njit(**KERNEL)
+def sum_spin_rows(
+    root, weights, rotations, spin_rows, signs, gradients, constant, positive, negative, squares,
+    stiffness,
+):  # fmt: skip
+    """The stiffness of the corotational law.
+
+    Args:
+        root, weights, rotations, spin_rows, signs, gradients, positive, negative: See `apply_rows`.
+        constant: Its constant part [N/m], shape (mode_count, mode_count).
+        squares: Memory for the products of added and of subtracted rows, shape (2, *same).
+        stiffness: Takes the sum [N/m], same shape as `constant`.
+    """
+    added, subtracted = apply_rows(
+        root, weights, rotations, spin_rows, signs, gradients, positive, negative
+    )
+    np.dot(positive[:added].T, positive[:added], squares[0])
+    np.dot(negative[:subtracted].T, negative[:subtracted], squares[1])
+    for i in range(len(constant)):
+        for j in range(len(constant)):
+            stiffness[i, j] = constant[i, j] + (squares[0, i, j] - squares[1, i, j])
+
+
 class ReducedAssembly(NamedTuple):
     """The loops over points, compiled for a law when they are first called.
 
@@ -417,6 +478,8 @@ class ReducedElements(ForceTerm):
         mode_count: Number of coordinates.
     """
 
+    is_traceable = True
+
     def __init__(
         self, sampled: PointGradients, law: tuple, coordinate_nodes: np.ndarray,
         free_index: np.ndarray,
@@ -455,12 +518,14 @@ class ReducedElements(ForceTerm):
         self._uprights = np.ones((batch_count, BATCH))
         self._assembly = reduced_assembly_of(type(law))
         self._coordinates, self._forces = np.zeros(self._width), np.empty(self._width)
-        self._known_at = np.full((len(self._nodes), 3), np.nan)
+        self._coordinates[:modes] = np.nan
+        self._stiffness = np.zeros((self._width, self._width), precision)
         self._inverted_count, self._bound = 0, None
         if isinstance(law, Corotational):
             self._lay_out_spin_rows(padded, weights)
         elif kind.is_linear:
-            self._constant = self._by_matrices(np.zeros(modes), False)
+            self._evaluate_at(np.zeros(modes))
+            self._constant = self._by_matrices(np.empty_like(self._gradients), False)
         else:
             self._changes = np.empty_like(self._gradients)
 
@@ -470,6 +535,7 @@ class ReducedElements(ForceTerm):
         by_point = padded.reshape(-1, self._width)
         scaled = by_point * np.repeat(np.sqrt(2.0 * self.law.shear_modulus * weights), 9)[:, None]
         self._constant = scaled.T @ scaled
+        self._squares = np.empty((2, *self._constant.shape), precision)
         self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9), precision)
         self._signs = np.empty((count // BATCH, BATCH))
         self._positive = np.empty((4 * count, self._width), precision)
@@ -486,11 +552,10 @@ class ReducedElements(ForceTerm):
 
     def _evaluate(self, positions: np.ndarray) -> None:
         """Forces, stresses and states of all points at a state."""
-        coordinates = positions[self._nodes]
-        if are_same(coordinates, self._known_at):
+        positions = writable(positions)
+        if are_known(positions, self._nodes, self._coordinates):
             return
-        self._known_at = coordinates
-        self._coordinates[: self.mode_count] = coordinates.ravel()
+        take_coordinates(positions, self._nodes, self._coordinates)
         deform_points(self._rows, self._coordinates, self._deformations.reshape(-1))
         self._inverted_count = self._assembly.find_stresses(
             self.law, self._deformations, self._weights, self._rotations, self._uprights,
@@ -505,7 +570,7 @@ class ReducedElements(ForceTerm):
             Number of sampled points that are flat or inside out.
         """
         self._evaluate(positions)
-        forces[self._unknowns] -= self._forces[: self.mode_count].reshape(-1, 3)
+        subtract_forces(self._forces, self._unknowns, forces)
         return self._inverted_count
 
     def add(self, positions, forces, storage, projected: bool) -> None:
@@ -515,7 +580,7 @@ class ReducedElements(ForceTerm):
 
     def stiffness(self, projected: bool) -> np.ndarray:
         """K at the state evaluated last [N/m], shape (mode_count, mode_count)."""
-        return self._padded_stiffness(projected)[: self.mode_count, : self.mode_count]
+        return self._padded_stiffness(projected)[: self.mode_count, : self.mode_count].copy()
 
     def _padded_stiffness(self, projected: bool) -> np.ndarray:
         """The same with empty modes behind."""
@@ -523,29 +588,28 @@ class ReducedElements(ForceTerm):
             return self._by_spin_rows(projected)
         if law_of(self.law).is_linear:
             return self._constant
-        return self._by_matrices(None, projected)
+        return self._by_matrices(self._changes, projected)
 
     def _by_spin_rows(self, projected: bool) -> np.ndarray:
         write_spin_rows(
             self.law, self._deformations, self._weights, self._rotations, self._uprights, projected,
             self._spin_rows, self._signs,
         )  # fmt: skip
-        added, subtracted = apply_rows(
+        sum_spin_rows(
             math.sqrt(max(self.law.lame_lambda, 0.0)), self._weights, self._rotations,
-            self._spin_rows, self._signs, self._gradients, self._positive, self._negative,
+            self._spin_rows, self._signs, self._gradients, self._constant, self._positive,
+            self._negative, self._squares, self._stiffness,
         )  # fmt: skip
-        positive, negative = self._positive[:added], self._negative[:subtracted]
-        return self._constant + (np.dot(positive.T, positive) - np.dot(negative.T, negative))
+        return self._stiffness
 
-    def _by_matrices(self, coordinates: np.ndarray | None, projected: bool) -> np.ndarray:
-        if coordinates is not None:
-            self._changes = np.empty_like(self._gradients)
-            self._evaluate_at(coordinates)
+    def _by_matrices(self, changes: np.ndarray, projected: bool) -> np.ndarray:
+        """The same of other laws; `changes` takes the derivatives of stresses along the basis."""
         self._assembly.write_stress_changes(
             self.law, self._deformations, self._weights, self._rotations, self._uprights, projected,
-            self._gradients, self._changes,
+            self._gradients, changes,
         )  # fmt: skip
-        return np.dot(self._rows.T, self._changes.reshape(-1, self._width))
+        multiply_transposed(self._rows, changes.reshape(-1, self._width), self._stiffness)
+        return self._stiffness
 
     def _evaluate_at(self, coordinates: np.ndarray) -> None:
         positions = np.zeros((int(self._nodes.max()) + 1, 3))

@@ -73,7 +73,7 @@ class ReducedPoints:
         turning_columns: Empty.
     """
 
-    is_traceable = False
+    is_traceable = True
     has_constant_derivatives = True
 
     def __init__(

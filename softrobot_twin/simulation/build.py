@@ -19,10 +19,9 @@ from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
 from softrobot_twin.simulation.building.scene_warnings import scene_warnings
 from softrobot_twin.simulation.unit_checks import unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
-from softrobot_twin.solvers.dense_cholesky import DenseCholesky
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 
-# Most unknowns of a dense matrix: beyond, zeros between several reduced bodies are worth more.
+# Most unknowns of a matrix without zeros: beyond, those between several reduced bodies are worth more.
 MOST_DENSE = 400
 
 
@@ -68,9 +67,10 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     nodes, (forces, actuators, effectors, markers, contacts) = layout.nodes, terms
     others = [term for term in (effectors, contacts) if term is not None]
     constraints = [*actuators.terms, *others]
+    is_dense = _is_dense(layout)
     factorization = _factorization(
-        factorization_type or _factorization_type(layout), [*forces, *constraints],
-        nodes.free_node_count,
+        factorization_type or FACTORIZATIONS[scene.solver.factorization], [*forces, *constraints],
+        nodes.free_node_count, is_dense,
     )  # fmt: skip
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = RowStack(constraints, nodes.carried)
@@ -87,7 +87,7 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
         # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
         actuators, effectors, contacts, rows, *markers, factorization, guides, notes,
-        layout.superelements, layout.beams,
+        layout.superelements, layout.beams, is_dense,
     )  # fmt: skip
 
 
@@ -104,19 +104,19 @@ def _terms(layout: Layout, notes: list[str]) -> tuple:
     )  # fmt: skip
 
 
-def _factorization_type(layout: Layout) -> type:
-    """The class that the scene names; a dense one where it names none and all is reduced."""
-    solver = layout.scene.solver
+def _is_dense(layout: Layout) -> bool:
+    """Whether A has no zeros: where all bodies are reduced, and the scene names no factorization."""
     is_reduced = layout.bodies and all(body.reduction is not None for body in layout.bodies)
-    if is_reduced and "factorization" not in solver.model_fields_set:
-        if 3 * layout.nodes.free_node_count <= MOST_DENSE:
-            return DenseCholesky
-    return FACTORIZATIONS[solver.factorization]
+    if not is_reduced or "factorization" in layout.scene.solver.model_fields_set:
+        return False
+    return 3 * layout.nodes.free_node_count <= MOST_DENSE
 
 
-def _factorization(made_by: type, stiff: list, free_node_count: int):
-    """Lay out A for the pattern of the terms that add to it."""
+def _factorization(made_by: type, stiff: list, free_node_count: int, is_dense: bool):
+    """Lay out A for the pattern of the terms that add to it, or for all pairs."""
     pairs = [stencil_pairs(term.stencils()) for term in stiff]
+    if is_dense:
+        pairs = [stencil_pairs(np.arange(free_node_count)[None])]
     rows = np.concatenate([rows for rows, _ in pairs])
     columns = np.concatenate([columns for _, columns in pairs])
     real = (rows < free_node_count) & (columns < free_node_count)

@@ -43,6 +43,7 @@ class Model:
         notes: Repairs and warnings, a sentence each.
         superelements: Those of each body that is reduced to vertebrae, by its name.
         beams: Its beams.
+        is_dense: Whether A has no zeros, as the coordinates of reduced bodies are all coupled.
     """
 
     scene: Scene
@@ -63,6 +64,7 @@ class Model:
     notes: list[str] = field(default_factory=list)
     superelements: dict[str, Superelements] = field(default_factory=dict)
     beams: tuple = ()
+    is_dense: bool = False
 
     @property
     def terms(self) -> tuple:

@@ -56,8 +56,8 @@ from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.mechanics.kinematics import add_clique, clique_slots
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.solvers.dense_cholesky import DenseCholesky, write_rows
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import (
     Condensed,
@@ -600,30 +600,36 @@ class AugmentedLU(AugmentedRows):
 
 
 @njit(**KERNEL)
-def add_squared_rows(H, stiffness, matrix):
-    """Add Σ k h hᵀ of dense rows h to the lower triangle of a matrix.
+def write_squared_rows(row_index, node_index, blocks, stiffness, H, matrix):
+    """Write Σ k h hᵀ of the rows h.
 
     Args:
-        H: The rows h, shape (row_count, dof_count).
+        row_index: Row of each entry, shape (entry_count,).
+        node_index: Unknown of each entry, same shape.
+        blocks: Derivative by that unknown, shape (entry_count, 3).
         stiffness: k of each row [N/m], shape (row_count,); only positive k count.
-        matrix: The matrix, stored column by column [N/m], shape (dof_count, dof_count); added to.
+        H: Takes the rows, shape (row_count, dof_count).
+        matrix: Takes the sum [N/m], shape (dof_count, dof_count).
     """
+    H[:] = 0.0
+    matrix[:] = 0.0
+    for e in range(len(row_index)):
+        for i in range(3):
+            H[row_index[e], 3 * node_index[e] + i] += blocks[e, i]
     for r in range(len(H)):
-        if stiffness[r] <= 0.0:
-            continue
         for j in range(H.shape[1]):
-            factor = stiffness[r] * H[r, j]
+            factor = max(stiffness[r], 0.0) * H[r, j]
             if factor != 0.0:
-                for i in range(j, H.shape[1]):
+                for i in range(H.shape[1]):
                     matrix[j, i] += factor * H[r, i]
 
 
 class AugmentedDense(AugmentedRows):
-    """A + Hᵀ ρ H of actuators of any kind, where A is dense; see `AugmentedTangent` for the methods.
+    """A + Hᵀ ρ H of actuators of any kind, where A has no zeros; see `AugmentedTangent` for the methods.
     """
 
     def __init__(
-        self, rows: RowStack, contacts: Contacts | None, factorization: DenseCholesky,
+        self, rows: RowStack, contacts: Contacts | None, factorization: Factorization,
         may_be_held: np.ndarray,
     ):  # fmt: skip
         """Take the rows.
@@ -635,17 +641,19 @@ class AugmentedDense(AugmentedRows):
             may_be_held: See `AugmentedRows`.
         """
         super().__init__(factorization, may_be_held, contacts=contacts)
-        self._rows = rows
+        rank = factorization.elimination_rank
+        self._rows, self._places = rows, clique_slots(np.arange(len(rank)), rank, factorization.slots)
+        self._matrix = np.empty((3 * len(rank), 3 * len(rank)))
 
     def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
         """Add Hᵀ ρ H."""
-        rows, count = self._rows, 3 * len(self._factorization.elimination_rank)
-        H, stiffness = np.empty((rows.row_count, count)), np.zeros(rows.row_count)
+        rows, matrix = self._rows, self._matrix
+        H, stiffness = np.empty((rows.row_count, len(matrix))), np.zeros(rows.row_count)
         stiffness[rows.groups.actuators] = self.stiffness
         if len(self.contact_stiffness):
             stiffness[rows.groups.contacts] = self.contact_stiffness
-        write_rows(rows.row_index, rows.node_index, rows.blocks, H)
-        add_squared_rows(H, stiffness, storage.reshape(count, count))
+        write_squared_rows(rows.row_index, rows.node_index, rows.blocks, stiffness, H, matrix)
+        add_clique(*self._places, matrix, storage)
 
 
 class AugmentedHinges(AugmentedRows):
@@ -697,8 +705,7 @@ def augmented_tangent_of(model: Model) -> AugmentedRows | None:
     None with friction along cables: at held lengths equilibria are not minima of an energy.
     """
     rows, actuators, factorization = model.rows, model.actuators, model.factorization
-    is_dense, count = isinstance(factorization, DenseCholesky), actuators.row_count
-    first = 0
+    count, first = actuators.row_count, 0
     for term in actuators.terms:
         own = slice(first, first + term.row_count)
         first = own.stop
@@ -708,7 +715,7 @@ def augmented_tangent_of(model: Model) -> AugmentedRows | None:
     is_held = ~actuators.is_effort_driven[:count]
     stretch = rows.stretch_compliance()
     may_be_held = is_held if stretch is None else is_held & ~(stretch > 0.0)
-    if is_dense:
+    if model.is_dense:
         if not count or not actuators.conserves:
             return None
         return AugmentedDense(rows, contacts, factorization, may_be_held)
