@@ -31,9 +31,10 @@ NO_CONTACTS, NO_FORCES = np.zeros(0, dtype=bool), np.zeros(0)
 @njit(**KERNEL)
 def proved_efforts(
     W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation,
-    displacement_min, displacement_max, effort_min, effort_max, stiffness, reference, active,
+    displacement_min, displacement_max, effort_min, effort_max, is_move, stiffness, reference, held,
+    active,
 ):  # fmt: skip
-    """What `build_inverse_problem` and `optimum_from_active_set` find without contacts and moves.
+    """What `build_inverse_problem` and `optimum_from_active_set` find without contacts.
 
     Posing such a small problem by array operations would take longer than solving it.
 
@@ -50,9 +51,12 @@ def proved_efforts(
         displacement_max: Greatest ones [m], shape (a,).
         effort_min: Least efforts [N], shape (a,).
         effort_max: Greatest ones [N], shape (a,).
+        is_move: Whether the unknown of each actuator is its move, shape (a,).
         stiffness: ρ of each actuator, see `with_effort_rows`; zero without an augmented tangent,
             shape (a,).
         reference: δ_ref of each [m], shape (a,).
+        held: Unknowns when the actuators stay, shape (a,): with moves, as `solve_by_pivoting` does,
+            only what is better is proved.
         active: Active bounds in the guess, of efforts, of displacements, and of the efforts of
             augmented actuators, shape (2 a + k,).
 
@@ -68,7 +72,10 @@ def proved_efforts(
         rows[i] = A[i]
         lower[i] = displacement_min[i] - violation[i]
         upper[i] = displacement_max[i] - violation[i]
-        if stiffness[i] != 0.0:
+        if is_move[i]:
+            least[i], lower[i] = lower[i], least[i]
+            most[i], upper[i] = upper[i], most[i]
+        elif stiffness[i] != 0.0:
             if k == len(rows):
                 return False, least, active
             shift = stiffness[i] * (violation[i] - reference[i])
@@ -80,13 +87,14 @@ def proved_efforts(
         return False, least, active
     none, no_rows = np.empty(0), np.empty((0, count))
     P, g = tracking_and_energy(
-        motion, A, no_rows, np.zeros(count, np.bool_), errors, weights, energy_weight,
-        proximal_weight, centre,
-    )  # fmt: skip
-    proved, efforts, _, _, active, _ = optimum_from_active_set(
+        motion, A, no_rows, is_move, errors, weights, energy_weight, proximal_weight, centre
+    )
+    proved, efforts, objective, _, active, _ = optimum_from_active_set(
         P, g, least, most, rows, lower, upper, no_rows, none, none,
         np.empty(0, dtype=np.bool_), active,
     )  # fmt: skip
+    if proved and is_move.any():
+        proved = objective < objective_at(P, g, held)
     return proved, efforts, active
 
 
@@ -125,7 +133,7 @@ class InverseSolver:
     @property
     def guess(self) -> np.ndarray | None:
         """The last active set, where a problem without contacts may be solved from it; else None."""
-        return self.active if self._uses_warm_start and not self._is_exact else None
+        return self.active if self._uses_warm_start else None
 
     def solve(
         self,

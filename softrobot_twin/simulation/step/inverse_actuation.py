@@ -236,7 +236,7 @@ def narrow(drives, reach, is_left, least, most):
 @njit(**KERNEL)
 def guessed_actuation(
     W, first_effector, violation, errors, weights, energy_weight, proximal_weight, centre, held,
-    displacement_min, displacement_max, effort_min, effort_max, stiffness, reference, active,
+    displacement_min, displacement_max, effort_min, effort_max, is_move, stiffness, reference, active,
     may_hang, at_limit, round_off, effort_scales,
 ):  # fmt: skip
     """What `_over_branches` finds in one branch of slack cables, from the last active set.
@@ -255,6 +255,7 @@ def guessed_actuation(
         displacement_max: Greatest ones [m], same shape.
         effort_min: Least efforts [N], same shape.
         effort_max: Greatest ones [N], same shape.
+        is_move: Whether the multiplier of each is its move, shape (a,).
         stiffness: ρ of an augmented tangent, zero without [N/m], shape (a,).
         reference: δ_ref of it [m], shape (a,).
         active: Active bounds in the guess, see `proved_efforts`.
@@ -283,7 +284,7 @@ def guessed_actuation(
     effectors = (first_effector, first_effector + len(errors))
     proved, efforts, active = proved_efforts(
         W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation[:a], least,
-        most, effort_min[:a], greatest, stiffness, reference, active,
+        most, effort_min[:a], greatest, is_move, stiffness, reference, held[:a], active,
     )  # fmt: skip
     if not proved:
         return False, efforts, within, active
@@ -426,9 +427,10 @@ class InverseActuation:
         self._scales = actuators.limits.drive_scale
         # Moves are no efforts, beside which another one would be none.
         self._effort_scales = np.where(self._is_moved, np.inf, actuators.effort_scale)
-        alone = not (model.rows.varies or self._is_moved.any()) and model.actuators.conserves
+        alone = model.actuators.conserves and not (model.rows.varies or self._is_moved.any())
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
-        self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool), False)
+        self._proves = model.actuators.conserves and not model.rows.varies
+        self._all_free = Unknowns(np.zeros(count, dtype=bool), False)
         self._none = np.zeros(count)
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if not model.actuators.conserves:
@@ -531,7 +533,7 @@ class InverseActuation:
             noted = self.trust.path.last_effectors
             place[: len(noted)] = noted
             asked, weights = self._steps.asked(place, linear.effectors_now)
-        if not self._alone:
+        if not self._proves:
             self._energy_now = self._weight_of_energy(linear, asked)
         branch = self.trust.branch
         stiffness = self._in_branch(stiffness, branch)
@@ -692,13 +694,14 @@ class InverseActuation:
         stiffness = reference = self._none
         if linear.augmentation is not None:
             stiffness, reference, _ = linear.augmentation
-        if not self._alone or active is None or commanded.any() or len(active) < 2 * count:
+        if not self._proves or active is None or commanded.any() or len(active) < 2 * count:
             return None
         proved, efforts, within, active = guessed_actuation(
             linear.W, linear.groups.effectors.start, linear.violation, errors, weights,
             self._energy_now, self._proximal_weight(),
-            np.array(self._centre(linear, held, self._all_free)), held.efforts, *bounds, stiffness,
-            reference, active, self._may_hang, self._at_limit, self._round_off, self._effort_scales,
+            np.array(self._centre(linear, held, self._all_free)), held.efforts, *bounds,
+            self._is_moved, stiffness, reference, active, self._may_hang, self._at_limit,
+            self._round_off, self._effort_scales,
         )  # fmt: skip
         if not proved:
             return None
@@ -823,7 +826,7 @@ class InverseActuation:
         What the trust in the linearization restrains are moves from the held displacements: with
         the last efforts the body may not be stable.
         """
-        if unknowns is self._all_free and self._alone:
+        if unknowns is self._all_free and self._proves:
             last, _ = self._direct.last_solution(linear)
         else:
             last = unknowns.stack(*self._direct.last_solution(linear))
