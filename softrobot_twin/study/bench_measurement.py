@@ -48,7 +48,8 @@ from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
-from softrobot_twin.solvers.multifrontal.symbolic import NONE, reach_from
+from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
+from softrobot_twin.solvers.multifrontal.symbolic import NONE
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.machine_facts import DenseSpeed, page_faults, resident_bytes
@@ -108,12 +109,12 @@ def flop_count(
     # A column of height h costs h²: a root, h - 1 quotients, and h (h - 1) for the rest.
     factor = float(np.sum(_squares(rows) - _squares(rows - columns)))
     entries = _heights(rows) - _heights(rows - columns)
-    ranks = factorization.elimination_rank[row_nodes]
-    reach = reach_from(factorization.elimination, ranks)
+    reach = ConstraintColumns(factorization.elimination)
+    reach.most_sizes(factorization.elimination_rank[row_nodes], row_count)
     reached = reach.places[fronts["first_rank"]] != NONE
     # An entry of L is a multiplication and an addition for every right-hand side.
     forward = 2.0 * (row_count * entries[reached].sum() + entries.sum())
-    gram = (row_count + 1) * (row_count + 2) * reach.dof_count
+    gram = (row_count + 1) * (row_count + 2) * reach.trees["dof_count"].sum()
     return FlopCount(factor, float(forward + gram + 2.0 * entries.sum()))
 
 

@@ -44,6 +44,23 @@ def shift_riders(positions, slide_of_node, axes, moves):
 
 
 @njit(**KERNEL)
+def positions_along(positions, frames, origins, axes):
+    """Displacements of some nodes from their origins, along axes [m], shape (count,).
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3).
+        frames: The nodes, shape (count,).
+        origins: Where they are at rest [m], shape (count, 3).
+        axes: Unit directions, shape (count, 3).
+    """
+    along = np.zeros(len(frames))
+    for k in range(len(frames)):
+        for i in range(3):
+            along[k] += (positions[frames[k], i] - origins[k, i]) * axes[k, i]
+    return along
+
+
+@njit(**KERNEL)
 def write_contact_columns(slide_of_node, axes, nodes, directions, row_starts, columns):
     """Add the motion of each side along the contacts' directions.
 
@@ -108,7 +125,7 @@ class Slides:
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
         """Positions of the slides [m], shape (count,): displacements of their frames along them."""
-        return ((positions[self._frames] - self._rest_origins) * self.axes).sum(axis=1)
+        return positions_along(positions, self._frames, self._rest_origins, self.axes)
 
     def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
         """Translate all attached nodes.

@@ -72,8 +72,9 @@ class DirectActuation:
         Args:
             model: The built scene.
         """
-        self._contacts, self._is_moved = model.contacts, model.actuators.is_moved
-        self._has_moved = bool(self._is_moved.any())
+        self._contacts, self._row_count = model.contacts, model.actuators.row_count
+        # Those whose unknown is their displacement are the last.
+        self._moved = slice(self._row_count, None)
         self._one_sided = model.actuators.one_sided
         self._limits = model.actuators.limits
         self._by_effort = model.actuators.is_effort_driven
@@ -95,7 +96,10 @@ class DirectActuation:
         Where contacts stick and slip, complementarity has several solutions: a state that is
         restored goes on as before only from its own efforts.
         """
-        self._efforts = np.where(self._is_moved, 0.0, efforts) if self._has_moved else efforts
+        if len(efforts) > self._row_count:
+            efforts = efforts.copy()
+            efforts[self._moved] = 0.0
+        self._efforts = efforts
 
     def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
         """Multipliers of the last linearization's solution.
@@ -148,8 +152,9 @@ class DirectActuation:
 
     def _with_moves(self, bounds: Bounds, moves: np.ndarray) -> Bounds:
         """Bounds in which slides make these moves [m], shape (actuator_count,)."""
-        held = np.where(self._is_moved, moves, (bounds.effort_min, bounds.effort_max))
-        return bounds._replace(effort_min=held[0], effort_max=held[1])
+        least, most = bounds.effort_min.copy(), bounds.effort_max.copy()
+        least[self._moved], most[self._moved] = moves[self._moved], moves[self._moved]
+        return bounds._replace(effort_min=least, effort_max=most)
 
     def _stall(self, linear: Linearized, found: Actuation) -> Actuation:
         """Displacements of motors at a limit of their torque: where the bodies are."""
@@ -209,7 +214,7 @@ class DirectActuation:
         """
         wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)
         if linear.move_count:
-            wanted = np.where(self._is_moved, held.efforts, wanted)
+            wanted[self._moved] = held.efforts[self._moved]
             bounds = self._with_moves(bounds, held.efforts)
         if self.solvers is not None:
             return self._at_efforts_in_contact(linear, wanted, held, bounds)
@@ -337,7 +342,7 @@ class DirectActuation:
 
     def _guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """All multipliers of the last solution, and the extrapolated ones of this step [N]."""
-        memory, efforts = self._contacts.memory, self._efforts[~self._is_moved]
+        memory, efforts = self._contacts.memory, self._efforts[: self._row_count]
         return (np.concatenate([efforts, memory.guess]),
                 np.concatenate([efforts, memory.expected]))
 
@@ -346,8 +351,8 @@ class DirectActuation:
 
         It is within the tolerance, and so small that the force of the contact would be negligible.
         """
-        actuators = np.count_nonzero(~self._is_moved)
-        own, frictionless = problem.W.diagonal()[actuators:], len(problem.lower) - actuators
+        own = problem.W.diagonal()[self._row_count :]
+        frictionless = len(problem.lower) - self._row_count
         normals = np.concatenate(
             [own[:frictionless], own[frictionless :: problem.rows_per_contact]]
         )

@@ -826,10 +826,7 @@ class InverseActuation:
         What the trust in the linearization restrains are moves from the held displacements: with
         the last efforts the body may not be stable.
         """
-        if unknowns is self._all_free and self._proves:
-            last, _ = self._direct.last_solution(linear)
-        else:
-            last = unknowns.stack(*self._direct.last_solution(linear))
+        last = unknowns.stack(*self._direct.last_solution(linear))
         if self.trust.weight == 0.0:
             return last
         still = unknowns.stack(held.efforts, held.contact.multipliers)

@@ -56,6 +56,35 @@ def row_motion(W, first, stop, efforts, violation):
     return moved
 
 
+@njit(**KERNEL)
+def with_moves(W, free, first, displacements, columns):
+    """W and δ_free with a row and a column for each slide.
+
+    A slide is where it is prescribed to be: no force moves it, and it moves all that rides.
+
+    Args:
+        W: Compliance without slides [m/N], shape (n, n).
+        free: δ_free of its rows [m], shape (n,).
+        first: Row before which those of the slides stand.
+        displacements: δ of each slide [m], shape (move_count,).
+        columns: Change of all rows by their displacements, shape (n, move_count).
+    """
+    n, count = len(W), len(displacements)
+    grown, violation = np.zeros((n + count, n + count)), np.empty(n + count)
+    for i in range(n):
+        row = i if i < first else i + count
+        violation[row] = free[i]
+        for j in range(n):
+            grown[row, j if j < first else j + count] = W[i, j]
+        if i >= first:
+            for k in range(count):
+                grown[row, first + k] = columns[i, k]
+    for k in range(count):
+        grown[first + k, first + k] = 1.0
+        violation[first + k] = displacements[k]
+    return grown, violation
+
+
 class PrescribedMoves(NamedTuple):
     """Actuators whose unknown is their displacement, such as slides.
 
@@ -141,22 +170,12 @@ class Linearized:
         self._take_in(Compliance(condensed.W), free)
 
     def _add_moves(self) -> None:
-        """Add rows and columns of the slides behind those of the other actuators.
-
-        A slide is where it is prescribed to be: no force moves it, and it moves all that rides.
-        """
-        moves, count, first = self._moves, self.move_count, self._all.actuators.stop
-        W, free, stop = self.W, self.violation, first + count
-        grown = np.zeros((len(W) + count, len(W) + count))
-        grown[:first, :first], grown[:first, stop:] = W[:first, :first], W[:first, first:]
-        grown[stop:, :first], grown[stop:, stop:] = W[first:, :first], W[first:, first:]
-        grown[stop:, first:stop] = moves.columns[first:]
-        np.fill_diagonal(grown[first:stop, first:stop], 1.0)
-        self.compliance = Compliance(grown)
-        self.violation = np.concatenate([free[:first], moves.displacements, free[first:]])
-        _, e, c = self._all
+        """Add rows and columns of the slides behind those of the other actuators."""
+        (a, e, c), count = self._all, self.move_count
+        W, self.violation = with_moves(self.W, self.violation, a.stop, *self._moves)
+        self.compliance = Compliance(W)
         self.groups = RowGroups(
-            slice(0, stop), slice(e.start + count, e.stop + count),
+            slice(0, a.stop + count), slice(e.start + count, e.stop + count),
             slice(c.start + count, c.stop + count),
         )  # fmt: skip
         if self.augmentation is not None:

@@ -420,30 +420,3 @@ def _numbered(
     row_start, rows = supernode_rows(*renumbered(graph, order), first, front, parent)
     cost = total_cost(np.diff(first), np.diff(row_start))
     return Elimination(order, inverse(order), first, front, parent, row_start, rows, cost)
-
-
-class Reach(NamedTuple):
-    """The part of the tree where L⁻¹Hᵀ is not zero; benchmarks count operations by it.
-
-    Attributes:
-        places: Row of Y at which each node of a reached front begins, -1 in other fronts, by
-            rank, shape (node_count,).
-        dof_count: Rows of Y.
-    """
-
-    places: np.ndarray
-    dof_count: int
-
-
-def reach_from(elimination: Elimination, ranks: np.ndarray) -> Reach:
-    """Fronts of some nodes, given by rank, and all their ancestors."""
-    reached = np.zeros(len(elimination.parent), dtype=bool)
-    for front in np.unique(elimination.front[ranks]):
-        while front != NONE and not reached[front]:
-            reached[front] = True
-            front = elimination.parent[front]
-    in_reach = reached[elimination.front]
-    count = int(np.count_nonzero(in_reach))
-    places = np.full(len(in_reach), NONE)
-    places[in_reach] = 3 * np.arange(count)
-    return Reach(places, 3 * count)

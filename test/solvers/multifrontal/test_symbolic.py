@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.memory_layout import FirstFit, lay_out
 from softrobot_twin.solvers.multifrontal.ordering import (
     best_elimination,
@@ -23,7 +24,6 @@ from softrobot_twin.solvers.multifrontal.symbolic import (
     merge_supernodes,
     node_graph,
     postorder,
-    reach_from,
     renumbered,
     subgraph,
 )
@@ -263,15 +263,17 @@ def test_reach_is_all_fronts_from_the_nodes_to_the_root():
     elimination = best_elimination(graph)
     structure = filled(graph, elimination.order)
     ranks = elimination.rank[np.array([0, 7, 155])]
-    reach = reach_from(elimination, ranks)
+    columns = ConstraintColumns(elimination)
+    columns.place(np.arange(3), ranks, 3)
+    reached = columns.places[elimination.first[elimination.front]] >= 0
+    places, dof_count = columns.places[reached], columns.trees["dof_count"].sum()
     unit = np.zeros((300, 3))
     unit[ranks, np.arange(3)] = 1.0
     weights = structure * np.random.default_rng(0).uniform(0.5, 1.0, structure.shape)
     touched = np.flatnonzero(np.linalg.solve(weights + 2 * np.eye(300), unit).any(axis=1))
-    assert np.all(reach.places[touched] >= 0)
-    assert reach.dof_count < 3 * 300
-    places = reach.places[reach.places >= 0]
-    np.testing.assert_array_equal(np.sort(places), 3 * np.arange(reach.dof_count // 3))
+    assert np.all(reached[touched])
+    assert dof_count < 3 * 300
+    np.testing.assert_array_equal(np.sort(places), 3 * np.arange(dof_count // 3))
 
 
 def test_memory_is_reused():
