@@ -816,6 +816,9 @@ class Newton:
 
     def _gather(self, positions: np.ndarray) -> tuple[int, int, int]:
         """Sum b of all terms, and evaluate the rows that may be traced."""
+        if self._rows.reaches_carried_points:
+            # Else rows apart would be the first to ask for these points here, but not in `assemble`.
+            self._model.nodes.carried.update(positions)
         counts = self._add_forces(positions)
         if not self._has_rows_apart:
             self._rows.evaluate(positions)
