@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.constraints.contact_pairs import NO_NODE
+from softrobot_twin.constraints.contact_pairs import NO_NODE, ContactPair
 from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
 from softrobot_twin.geometry.round_axes import (
     RoundAxis,
@@ -51,8 +51,8 @@ def write_axis(x, frames, local_places, local_tangents, places, tangents):
 
 @njit(**KERNEL)
 def carry_by_axis(
-    x, axis, frames, local_places, local_tangents, elements, shares, places, sign, column, nodes,
-    coefficients,
+    x, axis, frames, local_places, local_tangents, elements, shares, places, sign, column, span,
+    nodes, coefficients,
 ):  # fmt: skip
     """Places on a round beam: the axis by Hermite's cubic, what is off it by the turn of the ends.
 
@@ -62,15 +62,16 @@ def carry_by_axis(
         frames: Origin node of the frame of both ends of each, shape (element_count, 2).
         local_places: The ends in their frames [m], shape (element_count, 2, 3).
         local_tangents: Tangents there times the element's length, in these frames [m], same shape.
-        elements: Element of each place in the first column, shape (count, 3).
-        shares: Share along this element in the first column, shape (count, 3).
-        places: The places [m], shape (count, 3).
-        sign: Factor of all coefficients, 1 or -1.
-        column: First column of `nodes` and `coefficients` that is written.
-        nodes: Takes the nodes, shape (count, 2 widths).
-        coefficients: Takes their coefficients, same shape.
+        elements: Element of each place in the first column, shape (capacity, 3).
+        shares: Share along this element in the first column, shape (capacity, 3).
+        places: See `contact_pairs.py`, as all that follow.
+        sign: See there.
+        column: See there.
+        span: See there.
+        nodes: See there.
+        coefficients: See there.
     """
-    for c in range(len(elements)):
+    for c in range(span[0], min(span[1], len(nodes))):
         e, s = elements[c, 0], shares[c, 0]
         h0, h1, g0, g1 = hermite(s)
         off = subtract(row(places, c), axis_point(axis, e, s))
@@ -135,12 +136,12 @@ class RoundBeam:
         )  # fmt: skip
         return self._axis
 
-    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+    def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`; points are elements, weights shares along them."""
         positions = writable(positions)
         carry_by_axis(
             positions, self.axis(positions), self._frames, self._local_places,
-            self._local_tangents, points, weights, places, sign, column, nodes, coefficients,
+            self._local_tangents, points, weights, places, *where,
         )  # fmt: skip
 
 
@@ -160,7 +161,7 @@ class _GrowingRows:
             self._rows = empty_rows(2 * count, 0)
 
 
-class BeamAndShape:
+class BeamAndShape(ContactPair):
     """A round beam and an analytic shape on a rigid body or an obstacle."""
 
     def __init__(
@@ -179,8 +180,7 @@ class BeamAndShape:
             held_nodes: Nodes of the beam that do not move against the shape. Where they lie inside
                 it at rest, they never touch it, nor do nodes that follow them inside it.
         """
-        self.first, self.second = beam, second
-        self.friction, self.names = friction, names
+        super().__init__(beam, second, friction, names)
         self._shape, self._extents = shape, np.array(shape.extents(), float)
         origin, axes = shape.frame()
         self._origin, self._axes = np.array(origin, float), np.array(axes, float)
@@ -213,7 +213,7 @@ class BeamAndShape:
         ))  # fmt: skip
 
 
-class TwoRoundBeams:
+class TwoRoundBeams(ContactPair):
     """Two round beams, or one and itself."""
 
     def __init__(self, first: RoundBeam, second: RoundBeam, excluded, friction: float, names):
@@ -226,8 +226,7 @@ class TwoRoundBeams:
             friction: Coefficient µ.
             names: Names of both.
         """
-        self.first, self.second = first, second
-        self.friction, self.names = friction, names
+        super().__init__(first, second, friction, names)
         self._excluded = np.ascontiguousarray(excluded, np.bool_)
         self._rows = _GrowingRows()
 

@@ -16,7 +16,10 @@ from collections.abc import Callable
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.constraints.contact_pairs import NO_NODE, RigidSurface
+from softrobot_twin.geometry.proximities import empty_proximities
 from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.traced_stage import TracedStages
 
 FIRST_ROOM = 64
 # Within a step, free motion may bring things together that are as far apart as this many times the
@@ -193,11 +196,105 @@ def write_blocks(free_index, nodes, coefficients, directions, row_starts, blocks
                     entry += 1
 
 
+@njit(**KERNEL)
+def begin_pair(index, span, nodes, coefficients, pair):
+    """Clear what carries the contacts of a pair, and note the pair.
+
+    Args:
+        index: Index of the pair.
+        span: Its first contact, and the one behind its last, shape (2,).
+        nodes: Takes -1, shape (capacity, width).
+        coefficients: Takes zeros, same shape.
+        pair: Takes the index, shape (capacity,).
+    """
+    for c in range(span[0], min(span[1], len(pair))):
+        pair[c] = index
+        for k in range(nodes.shape[1]):
+            nodes[c, k], coefficients[c, k] = NO_NODE, 0.0
+
+
+@njit(**KERNEL)
+def lay_out_contacts(
+    x, start, free_index, ends, nodes, coefficients, normals, gaps, pair, rows_of_pair, directions,
+    anchors, begins, row_starts, entry_rows, entry_nodes, entry_count,
+):  # fmt: skip
+    """Directions, references and rows of all contacts; nothing where they do not have room.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        start: Node positions where the step began [m], same shape.
+        free_index: Unknown of each node, -1 where there is none, shape (node_count,).
+        ends: End of the contacts of each pair, shape (pair_count + 1,).
+        nodes: Nodes of each contact, -1 where there is none, shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        normals: Unit normals, shape (capacity, 3).
+        gaps: Gap of each contact at `x` [m], shape (capacity,).
+        pair: Pair of each contact, shape (capacity,).
+        rows_of_pair: Rows of each contact of a pair, shape (pair_count,).
+        directions: See `put_tangents`; written, as all that follow.
+        anchors: See `anchor`.
+        begins: See `anchor`.
+        row_starts: First row of each contact and the number of rows, shape (capacity + 1,).
+        entry_rows: See `write_layout`.
+        entry_nodes: See `write_layout`.
+        entry_count: Number of entries, shape (1,).
+    """
+    count = ends[-1]
+    if count > len(nodes):
+        return
+    put_tangents(normals, count, directions)
+    anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begins)
+    for c in range(count):
+        row_starts[c + 1] = row_starts[c] + rows_of_pair[pair[c]]
+    entry_count[0] = write_layout(
+        free_index, nodes, row_starts[: count + 1], entry_rows, entry_nodes
+    )
+
+
+@njit(**KERNEL)
+def recall(pairs, keys, row_counts, known, tables, values):
+    """Find contacts again by their keys.
+
+    Args:
+        pairs: Pair that each belongs to, shape (count,).
+        keys: Its key in the pair, shape (count,).
+        row_counts: Its rows, shape (count,).
+        known: Pair and key of the contacts that are remembered, shape (2, known_count).
+        tables: Numbers that are remembered of their rows, shape (table_count, known_count, width).
+        values: Takes these numbers, zeros before, shape (table_count, row_count).
+    """
+    are_same = len(pairs) == known.shape[1]
+    for c in range(len(pairs)):
+        are_same = are_same and pairs[c] == known[0, c] and keys[c] == known[1, c]
+    row = 0
+    for c in range(len(pairs)):
+        place = c
+        if not are_same:
+            place = known.shape[1] - 1
+            while place >= 0 and (pairs[c] != known[0, place] or keys[c] != known[1, place]):
+                place -= 1
+        if place >= 0:
+            for i in range(row_counts[c]):
+                for table in range(len(tables)):
+                    values[table, row + i] = tables[table, place, i]
+        row += row_counts[c]
+
+
+@njit(**KERNEL)
+def fill_tables(row_counts, values, tables):
+    """The reverse of `recall` for the first of its tables, zeros before: one for each of `values`."""
+    row = 0
+    for c in range(len(row_counts)):
+        for i in range(row_counts[c]):
+            for table in range(len(values)):
+                tables[table, c, i] = values[table, row + i]
+        row += row_counts[c]
+
+
 class ContactMemory:
     """Forces of the last solution, found again by the contacts' keys, whatever rows they have.
 
     Attributes:
-        known: Pair and key of the contacts recognised last.
         guess: λ that the contacts recognised last had before, 0 for new ones [N],
             shape (row_count,).
         expected: λ that they have if the step changes it as the step before did; within a step,
@@ -215,19 +312,23 @@ class ContactMemory:
 
     def forget(self) -> None:
         """Know nothing again."""
-        self._before: list[tuple[int, int]] = []
-        self.known: list[tuple[int, int]] = []
-        # λ, λ where the step began, and its change in the step before: a row for each contact of
-        # `_before`, and a last one, of zeros, for what is new. Of a contact with fewer rows than
-        # others the last columns are zero.
-        self._multipliers, self._at_start, self._change = np.zeros((3, 1, self._most_rows))
+        self._before = self._known = np.zeros((2, 0), np.int64)
+        # λ, λ where the step began, and its change in the step before, of each contact of `_before`.
+        # Of a contact with fewer rows than others the last columns are zero.
+        self._tables = np.zeros((3, 0, self._most_rows))
         self.guess = self.expected = self._start = np.zeros(0)
-        self._has_row = np.zeros((0, self._most_rows), bool)
+        self._row_counts = np.zeros(0, np.int64)
+
+    @property
+    def known(self) -> list[tuple[int, int]]:
+        """Pair and key of the contacts recognised last."""
+        return list(zip(*self._known.tolist(), strict=True))
 
     def begin_step(self) -> None:
         """Note how λ changed in the step that is over."""
-        self._change = self._multipliers - self._at_start
-        self._at_start = self._multipliers
+        multipliers, at_start, change = self._tables
+        np.subtract(multipliers, at_start, out=change)
+        at_start[:] = multipliers
 
     def recognise(self, pairs: np.ndarray, keys: np.ndarray, row_counts: np.ndarray) -> None:
         """Look up contacts.
@@ -237,24 +338,17 @@ class ContactMemory:
             keys: Its key in the pair, shape (count,).
             row_counts: Its rows, shape (count,).
         """
-        self._has_row = np.arange(self._most_rows) < row_counts[:, None]
-        self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
-        places = slice(-1)
-        if self.known != self._before:
-            before = dict(zip(self._before, range(len(self._before)), strict=True))
-            # What is new is given the last row, which is zero.
-            places = np.array([before.get(key, -1) for key in self.known], np.int64)
-        self.guess = self._multipliers[places][self._has_row]
-        self.expected = self.guess + self._change[places][self._has_row]
-        self._start = self._at_start[places][self._has_row]
+        self._row_counts, self._known = row_counts, np.array([pairs, keys])
+        values = np.zeros((3, row_counts.sum()))
+        recall(pairs, keys, row_counts, self._before, self._tables, values)
+        self.guess, self._start, change = values
+        self.expected = self.guess + change
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        tables = np.zeros((3, len(self.known) + 1, self._most_rows))
-        self._multipliers, self._at_start, self._change = tables
-        self._multipliers[:-1][self._has_row] = multipliers
-        self._at_start[:-1][self._has_row] = self._start
-        self._before = self.known
+        self._before = self._known
+        self._tables = np.zeros((3, len(self._row_counts), self._most_rows))
+        fill_tables(self._row_counts, np.array([multipliers, self._start]), self._tables)
 
 
 class Contacts:
@@ -308,15 +402,16 @@ class Contacts:
         self._most_rows = int(self.rows_of_pair.max(initial=1))
         self.rubs = self._most_rows > 1
         self.conserves = not self.rubs
-        self.row_starts = np.zeros(1, np.int64)
         self.count, self.margin = 0, alarm_distance
-        self._taken: set[int] = set()
+        self._reach, self._start = np.empty(1), np.empty((0, 3))
+        is_traceable = all(pair.is_traceable for pair in pairs)
+        self._stages = TracedStages(is_traceable, self._detect)
         self._free_index, self._longest = free_index, longest
         self._alarm, self._distance = alarm_distance, contact_distance
         self._push_out_speed, self._allowed = push_out_speed, np.inf
-        self._start = None
         self.memory = ContactMemory(self._most_rows)
         sides = [side for pair in pairs for side in (pair.first, pair.second)]
+        self._rigid = {side for side in sides if isinstance(side, RigidSurface)}
         # Nodes of one side of a contact, at most.
         self._width = max([4, *(side.width for side in sides)])
         nodes = np.unique(np.concatenate([np.empty(0, np.int64), *(s.nodes for s in sides)]))
@@ -329,15 +424,17 @@ class Contacts:
         self.nodes = np.full((capacity, 2 * self._width), -1, np.int64)
         self.coefficients = np.zeros((capacity, 2 * self._width))
         self.directions = np.zeros((capacity, 3, 3))
-        self.positions = np.zeros((capacity, 3))
-        self._normals = np.zeros((capacity, 3))
-        self._gaps = np.zeros(capacity)
+        self._found = empty_proximities(capacity)
+        self._ends = np.zeros(len(self.pairs) + 1, np.int64)
+        self.positions, self._gaps = self._found.first_positions, self._found.gaps
         self.pair = np.zeros(capacity, np.int64)
-        self._keys = np.zeros(capacity, np.int64)
+        self._row_starts = np.zeros(capacity + 1, np.int64)
+        self.row_starts = self._row_starts[:1]
         self._entry_rows = np.zeros(self.entry_capacity, np.int64)
         self._entry_nodes = np.zeros(self.entry_capacity, np.int64)
-        self._entry_count = 0
+        self._entry_count = np.zeros(1, np.int64)
         self._anchors, self._begins = np.zeros(capacity), np.zeros((capacity, 3))
+        self._stages.forget()
 
     @property
     def is_traceable(self) -> bool:
@@ -362,12 +459,12 @@ class Contacts:
     @property
     def entry_rows(self) -> np.ndarray:
         """Row of each entry of H, shape (entry_count,)."""
-        return self._entry_rows[: self._entry_count]
+        return self._entry_rows[: self._entry_count[0]]
 
     @property
     def entry_nodes(self) -> np.ndarray:
         """Unknown of each entry of H, shape (entry_count,)."""
-        return self._entry_nodes[: self._entry_count]
+        return self._entry_nodes[: self._entry_count[0]]
 
     @property
     def scales(self) -> np.ndarray:
@@ -387,7 +484,9 @@ class Contacts:
             velocities: Of the unknowns [m/s], shape (free_node_count, 3), or without rows.
             time_step: The step's duration [s]; without one, overlaps are parted at once.
         """
-        self._start = positions.copy()
+        if len(self._start) != len(positions):
+            self._start = np.empty_like(positions)
+        self._start[:] = positions
         self.memory.begin_step()
         self._allowed = self._push_out_speed * time_step if time_step > 0.0 else np.inf
         fastest = self._longest(velocities) if len(velocities) else 0.0
@@ -399,33 +498,47 @@ class Contacts:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        found = [pair.near(positions, self.margin) for pair in self.pairs]
-        self.count = sum(len(near.gaps) for near in found)
-        if self.count > self._capacity:
-            self._allocate(2 * self.count)
-        first = 0
-        for index in self._order:
-            near = found[index]
-            last = first + len(near.gaps)
-            # What is empty is taken once: so nothing is left to be compiled at the first touch.
-            if last > first or index not in self._taken:
-                self._take(index, near, slice(first, last), positions)
-                self._taken.add(index)
-            first = last
-        put_tangents(self._normals, self.count, self.directions)
-        anchor(
-            positions, self._start, self.nodes, self.coefficients, self.directions, self._gaps,
-            self.count, self._anchors, self._begins,
+        self._reach[0] = self.margin
+        while True:
+            # Their points follow by products of matrices, which the driver does not know.
+            for surface in self._rigid:
+                surface.points(positions)
+            self._stages.run(0, positions)
+            count = int(self._ends[-1])
+            if count <= self._capacity:
+                break
+            self._allocate(2 * count)
+        self.count, pair = count, self.pair[:count]
+        if len(self.row_starts) != count + 1:
+            self.row_starts = self._row_starts[: count + 1]
+        self.memory.recognise(pair, self._found.keys[:count], self.rows_of_pair[pair])
+
+    def _detect(self, positions: np.ndarray) -> None:
+        """Find what is near, what carries it, and its rows; the driver does so in most steps."""
+        found, nodes, coefficients = self._found, self.nodes, self.coefficients
+        self._write_near(positions, found, self._ends)
+        for place, index in enumerate(self._order):
+            pair, span = self.pairs[index], self._ends[place : place + 2]
+            begin_pair(index, span, nodes, coefficients, self.pair)
+            pair.first.carry(
+                positions, found.first_points, found.first_weights, found.first_positions, 1.0, 0,
+                span, nodes, coefficients,
+            )  # fmt: skip
+            pair.second.carry(
+                positions, found.second_points, found.second_weights, found.second_positions, -1.0,
+                self._width, span, nodes, coefficients,
+            )  # fmt: skip
+        lay_out_contacts(
+            positions, self._start, self._free_index, self._ends, nodes, coefficients,
+            found.normals, found.gaps, self.pair, self.rows_of_pair, self.directions,
+            self._anchors, self._begins, self._row_starts, self._entry_rows, self._entry_nodes,
+            self._entry_count,
         )  # fmt: skip
-        pair = self.pair[: self.count]
-        row_counts = self.rows_of_pair[pair]
-        if len(self.row_starts) != self.count + 1:
-            self.row_starts = np.zeros(self.count + 1, np.int64)
-        np.cumsum(row_counts, out=self.row_starts[1:])
-        self._entry_count = write_layout(
-            self._free_index, self.nodes, self.row_starts, self._entry_rows, self._entry_nodes
-        )
-        self.memory.recognise(pair, self._keys[: self.count], row_counts)
+
+    def _write_near(self, positions: np.ndarray, found, ends: np.ndarray) -> None:
+        """Write what is near, pair after pair in the order of the contacts."""
+        for place, index in enumerate(self._order):
+            self.pairs[index].write(positions, self._reach, found, ends[place : place + 2])
 
     @property
     def overlaps(self) -> np.ndarray:
@@ -440,25 +553,17 @@ class Contacts:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        gaps = [pair.near(positions, self.margin).gaps for pair in self.pairs]
-        return np.array([max(0.0, self._distance - gap.min(initial=np.inf)) for gap in gaps])
-
-    def _take(self, index: int, near, place: slice, positions: np.ndarray) -> None:
-        pair = self.pairs[index]
-        nodes, coefficients = self.nodes[place], self.coefficients[place]
-        if self._width > 4:
-            nodes[:], coefficients[:] = -1, 0.0
-        pair.first.carry(
-            positions, near.first_points, near.first_weights, near.first_positions, 1.0, 0,
-            nodes, coefficients,
-        )  # fmt: skip
-        pair.second.carry(
-            positions, near.second_points, near.second_weights, near.second_positions, -1.0,
-            self._width, nodes, coefficients,
-        )  # fmt: skip
-        self.positions[place] = near.first_positions
-        self._normals[place], self._gaps[place] = near.normals, near.gaps
-        self.pair[place], self._keys[place] = index, near.keys
+        self._reach[0] = self.margin
+        ends, overlaps = np.zeros_like(self._ends), np.zeros(len(self.pairs))
+        found = empty_proximities(self._capacity)
+        self._write_near(positions, found, ends)
+        if ends[-1] > self._capacity:
+            found = empty_proximities(ends[-1])
+            self._write_near(positions, found, ends)
+        for place, index in enumerate(self._order):
+            gaps = found.gaps[ends[place] : ends[place + 1]]
+            overlaps[index] = max(0.0, self._distance - gaps.min(initial=np.inf))
+        return overlaps
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and δ [m] of the contacts detected last; see `ConstraintTerm.evaluate`."""

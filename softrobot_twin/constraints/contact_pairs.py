@@ -5,7 +5,19 @@ nodes on each side, with constant weights: three of a deformable body's triangle
 nodes of a rigid body, none where the surface stands still. Where a body carries a contact surface
 of its own, it has the nodes that carry three points of that surface.
 
-A pair finds what is nearer than a margin, by the detector that fits both of its sides.
+A pair finds what is nearer than a margin, by the detector that fits both of its sides. It writes
+its contacts among those of all pairs; see `geometry/proximities.py` for `rows`, `span` and `reach`.
+
+Arguments of the kernels here:
+    column: First column of `nodes` and `coefficients` that is written.
+    nodes, coefficients: Take the nodes that carry each contact, and their coefficients, shape
+        (capacity, 2 widths). Columns that are not written stay as they are.
+    points, weights: Surface points around each place and their barycentric weights, shape
+        (capacity, 3).
+    places: The places [m], shape (capacity, 3).
+    sign: Factor of all coefficients, 1 or -1.
+    span: First contact, and the one behind the last, shape (2,).
+    x: Node positions [m], shape (node_count, 3).
 """
 
 from __future__ import annotations
@@ -13,10 +25,10 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.proximities import Proximities, found_by, put_pairs
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
 from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
-from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable, write_points
 
 NO_NODE = -1
 
@@ -36,46 +48,60 @@ def gather_points(x, nodes, out):
 
 
 @njit(**KERNEL)
-def carry_by_vertices(point_nodes, points, weights, sign, column, nodes, coefficients):
+def read_pose(x, frame, origin, rotation):
+    """Copy the pose of a rigid body.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        frame: First frame node of the body.
+        origin: Takes its origin [m], shape (3,).
+        rotation: Takes its axes as columns, shape (3, 3).
+    """
+    for i in range(3):
+        origin[i] = x[frame, i]
+        for k in range(3):
+            rotation[i, k] = x[frame + 1 + k, i] - x[frame, i]
+
+
+@njit(**KERNEL)
+def carry_by_vertices(point_nodes, points, weights, sign, column, span, nodes, coefficients):
     """Places inside triangles of a deformable body: three vertices carry each.
 
     Args:
         point_nodes: Node of each surface point, shape (point_count,).
-        points: Surface points around each place, shape (count, 3).
-        weights: Their barycentric weights, shape (count, 3).
-        sign: Factor of all coefficients, 1 or -1.
-        column: First column of `nodes` and `coefficients` that is written.
-        nodes: Takes the nodes, shape (count, 2 widths).
-        coefficients: Takes their coefficients, same shape.
+        points: See above, as all that follow.
+        weights: See above.
+        sign: See above.
+        column: See above.
+        span: See above.
+        nodes: See above.
+        coefficients: See above.
     """
-    for c in range(len(points)):
+    for c in range(span[0], min(span[1], len(nodes))):
         for k in range(3):
             weight = weights[c, k]
             nodes[c, column + k] = point_nodes[points[c, k]] if weight != 0.0 else NO_NODE
             coefficients[c, column + k] = sign * weight
-        nodes[c, column + 3] = NO_NODE
-        coefficients[c, column + 3] = 0.0
 
 
 @njit(**KERNEL)
 def carry_by_mapping(
-    point_nodes, point_weights, points, weights, sign, column, nodes, coefficients
+    point_nodes, point_weights, points, weights, sign, column, span, nodes, coefficients
 ):
     """Places inside triangles of a carried surface: what carries the corners, each node once.
-
-    Columns beyond the last are left as they are.
 
     Args:
         point_nodes: Nodes that carry each surface point, shape (point_count, width).
         point_weights: Their weights, same shape.
-        points: Surface points around each place, shape (count, 3).
-        weights: Their barycentric weights, shape (count, 3).
-        sign: Factor of all coefficients, 1 or -1.
-        column: First column of `nodes` and `coefficients` that is written.
-        nodes: Takes the nodes, shape (count, 2 widths).
-        coefficients: Takes their coefficients, same shape.
+        points: See above, as all that follow.
+        weights: See above.
+        sign: See above.
+        column: See above.
+        span: See above.
+        nodes: See above.
+        coefficients: See above.
     """
-    for c in range(len(points)):
+    for c in range(span[0], min(span[1], len(nodes))):
         count = 0
         for k in range(3):
             if weights[c, k] == 0.0:
@@ -96,19 +122,20 @@ def carry_by_mapping(
 
 
 @njit(**KERNEL)
-def carry_by_frame(x, frame, places, sign, column, nodes, coefficients):
+def carry_by_frame(x, frame, places, sign, column, span, nodes, coefficients):
     """Places on a rigid body: its four frame nodes carry them.
 
     Args:
-        x: Node positions [m], shape (node_count, 3).
+        x: See above.
         frame: First frame node of the body.
-        places: The places [m], shape (count, 3).
-        sign: Factor of all coefficients, 1 or -1.
-        column: First column of `nodes` and `coefficients` that is written.
-        nodes: Takes the nodes, shape (count, 2 widths).
-        coefficients: Takes their coefficients, same shape.
+        places: See above, as all that follow.
+        sign: See above.
+        column: See above.
+        span: See above.
+        nodes: See above.
+        coefficients: See above.
     """
-    for c in range(len(places)):
+    for c in range(span[0], min(span[1], len(nodes))):
         rest = 1.0
         for k in range(3):
             local = 0.0
@@ -143,28 +170,24 @@ class DeformableSurface:
         self.point_nodes, points = np.unique(triangles, return_inverse=True)
         self.triangles = points.reshape(-1, 3).astype(np.int64)
         self.point_count = len(self.point_nodes)
-        self.nodes = self.point_nodes
+        self.nodes, self._points = self.point_nodes, np.empty((self.point_count, 3))
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """Where its points are [m], shape (point_count, 3)."""
-        points = np.empty((self.point_count, 3))
-        gather_points(writable(positions), self.point_nodes, points)
-        return points
+        """Where its points are [m], shape (point_count, 3); the next call overwrites them."""
+        gather_points(writable(positions), self.point_nodes, self._points)
+        return self._points
 
-    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
-        """Write the nodes that carry places on it, and their coefficients.
+    def carry(self, positions, points, weights, places, *where) -> None:
+        """Write the nodes that carry places on it, and their coefficients; may be traced.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            points: Its points around each place, shape (count, 3).
-            weights: Their barycentric weights, shape (count, 3).
-            places: The places [m], shape (count, 3).
-            sign: 1 for the first side of a contact, -1 for the second.
-            column: First column to write, that of the first or of the second side.
-            nodes: Takes the nodes, -1 before, shape (count, 2 widths).
-            coefficients: Takes the coefficients, 0 before, of the same shape.
+            points: Its points around each place, shape (capacity, 3).
+            weights: Their barycentric weights, shape (capacity, 3).
+            places: The places [m], shape (capacity, 3).
+            where: The last arguments of the kernels above, from `sign` on.
         """
-        carry_by_vertices(self.point_nodes, points, weights, sign, column, nodes, coefficients)
+        carry_by_vertices(self.point_nodes, points, weights, *where)
 
 
 class CarriedSurface:
@@ -179,25 +202,23 @@ class CarriedSurface:
             mapping: Its points, as the body's nodes carry them.
             triangles: Indices of its points, shape (triangle_count, 3).
         """
-        self._mapping = mapping
         self._nodes = np.array(mapping.nodes, dtype=np.int64)
         self._weights = np.array(mapping.barycentric_weights, dtype=float)
         self.triangles = np.ascontiguousarray(triangles, dtype=np.int64)
-        self.point_count = mapping.point_count
+        self.point_count, self._points = mapping.point_count, np.empty((mapping.point_count, 3))
         self.nodes = np.unique(self._nodes)
         # A place lies in one triangle.
         own = np.sort(self._nodes[self.triangles].reshape(len(self.triangles), -1), axis=1)
         self.width = 1 + int(np.sum(np.diff(own, axis=1) != 0, axis=1).max(initial=0))
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """Where its points are [m], shape (point_count, 3)."""
-        return self._mapping.positions(positions)
+        """See `DeformableSurface.points`."""
+        write_points(writable(positions), self._nodes, self._weights, self._points)
+        return self._points
 
-    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+    def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`."""
-        carry_by_mapping(
-            self._nodes, self._weights, points, weights, sign, column, nodes, coefficients
-        )
+        carry_by_mapping(self._nodes, self._weights, points, weights, *where)
 
 
 class RigidSurface:
@@ -218,20 +239,26 @@ class RigidSurface:
         self.triangles = np.asarray(triangles, np.int64)
         self.point_count = len(points)
         self.nodes = frame + np.arange(4)
+        self._points, self._pose = np.empty((len(points), 3)), (np.empty(3), np.empty((3, 3)))
 
     def pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origin [m] and rotation of its frame, (3,) and (3, 3)."""
         frame = positions[self._frame : self._frame + 4]
         return frame[0], (frame[1:] - frame[0]).T
 
-    def points(self, positions: np.ndarray) -> np.ndarray:
-        """Where its points are [m], shape (point_count, 3)."""
-        origin, rotation = self.pose(positions)
-        return self._local @ rotation.T + origin
+    def kept_pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same in arrays that the next call overwrites; may be traced."""
+        read_pose(writable(positions), self._frame, *self._pose)
+        return self._pose
 
-    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+    def points(self, positions: np.ndarray) -> np.ndarray:
+        """See `DeformableSurface.points`; may not be traced."""
+        origin, rotation = self.pose(positions)
+        return np.add(self._local @ rotation.T, origin, out=self._points)
+
+    def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`."""
-        carry_by_frame(positions, self._frame, places, sign, column, nodes, coefficients)
+        carry_by_frame(writable(positions), self._frame, places, *where)
 
 
 class StandingSurface:
@@ -248,7 +275,7 @@ class StandingSurface:
             points: Points in its frame [m], shape (point_count, 3).
             triangles: Indices of them, shape (triangle_count, 3).
         """
-        self._pose = np.asarray(origin, float), np.asarray(rotation, float)
+        self._pose = np.array(origin, float), np.array(rotation, float, order="C")
         self.rigid_points = np.asarray(points, float)
         self._points = self.rigid_points @ self._pose[1].T + self._pose[0]
         self.triangles = np.asarray(triangles, np.int64)
@@ -259,18 +286,59 @@ class StandingSurface:
         """Origin [m] and rotation of its frame, (3,) and (3, 3)."""
         return self._pose
 
+    kept_pose = pose
+
     def points(self, positions: np.ndarray) -> np.ndarray:
         """Where its points are [m], shape (point_count, 3)."""
         return self._points
 
-    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+    def carry(self, *_) -> None:
         """Nothing carries it."""
-        nodes[:, column : column + 4] = NO_NODE
-        coefficients[:, column : column + 4] = 0.0
 
 
-class SurfaceAndShape:
-    """A triangle surface and an analytic shape on a rigid body or an obstacle."""
+class ContactPair:
+    """Two things that may touch.
+
+    Attributes:
+        first: The first side, such as a `DeformableSurface`.
+        second: The second.
+        friction: Coefficient µ.
+        names: Names of both.
+        is_traceable: Whether `write` may be traced; see `traced_stage.py`.
+    """
+
+    is_traceable = False
+
+    def __init__(self, first, second, friction: float, names: tuple[str, str]):
+        """Take both sides; see the attributes."""
+        self.first, self.second = first, second
+        self.friction, self.names = friction, names
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        reach = np.array([float(margin)])
+        return found_by(lambda rows, span: self.write(positions, reach, rows, span))
+
+    def write(self, positions: np.ndarray, reach, rows: Proximities, span: np.ndarray) -> None:
+        """Write what is near; a pair has this or `near`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            reach: See above, as all that follow.
+            rows: See above.
+            span: See above.
+        """
+        put_pairs(self.near(positions, reach[0]), rows, span)
+
+
+class SurfaceAndShape(ContactPair):
+    """A triangle surface and an analytic shape on a rigid body or an obstacle.
+
+    Attributes:
+        shape: The shape.
+    """
+
+    is_traceable = True
 
     def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
         """Store the two sides of the pair.
@@ -282,18 +350,18 @@ class SurfaceAndShape:
             friction: Coefficient µ.
             names: Names of both.
         """
-        self.first, self.second = first, second
-        self.friction, self.names = friction, names
+        super().__init__(first, second, friction, names)
         self.shape = detector.shape
         self._detector = detector
 
-    def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
-        origin, rotation = self.second.pose(positions)
-        return self._detector.detect(self.first.points(positions), origin, rotation, margin)
+    def write(self, positions, reach, rows, span) -> None:
+        """See `ContactPair.write`."""
+        self._detector.write(
+            self.first.points(positions), *self.second.kept_pose(positions), reach, rows, span
+        )
 
 
-class TwoBoxes:
+class TwoBoxes(ContactPair):
     """Two boxes: face by face; where edges or corners meet, as any surface and shape."""
 
     def __init__(self, faces, general: SurfaceAndShape):
@@ -303,8 +371,7 @@ class TwoBoxes:
             faces: A `BoxPairDetector`.
             general: The same boxes, the first as a surface.
         """
-        self.first, self.second = general.first, general.second
-        self.friction, self.names = general.friction, general.names
+        super().__init__(general.first, general.second, general.friction, general.names)
         self._faces, self._general, self._has_searched = faces, general, False
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
@@ -320,7 +387,7 @@ class TwoBoxes:
         return found
 
 
-class TwoSurfaces:
+class TwoSurfaces(ContactPair):
     """Two triangle surfaces; or a surface and itself, by search or by triangles known ahead."""
 
     def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
@@ -329,17 +396,23 @@ class TwoSurfaces:
         The detector is a `SurfacePairDetector`; one that needs the points of a surface only, such as
         a `SelfDetector`, where both sides are the same.
         """
-        self.first, self.second = first, second
-        self.friction, self.names = friction, names
-        self._detector = detector
+        super().__init__(first, second, friction, names)
+        self._detector, self.is_traceable = detector, hasattr(detector, "write")
         self._sides = (first,) if first is second else (first, second)
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m]."""
         return self._detector.detect(*(side.points(positions) for side in self._sides), margin)
 
+    def write(self, positions, reach, rows, span) -> None:
+        """See `ContactPair.write`."""
+        if self.is_traceable:
+            self._detector.write(self.first.points(positions), reach, rows, span)
+        else:
+            super().write(positions, reach, rows, span)
 
-class BallAndShape:
+
+class BallAndShape(ContactPair):
     """A rigid ball and a shape: its one nearest point, exact wherever it rolls."""
 
     def __init__(self, ball, radius: float, centre, second, shape, friction: float, names):
@@ -354,8 +427,7 @@ class BallAndShape:
             friction: Coefficient µ.
             names: Names of both.
         """
-        self.first, self.second = ball, second
-        self.friction, self.names = friction, names
+        super().__init__(ball, second, friction, names)
         self._radius, self._centre, self._shape = radius, np.asarray(centre, float), shape
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
@@ -374,7 +446,7 @@ class BallAndShape:
         )  # fmt: skip
 
 
-class RoundAndPlane:
+class RoundAndPlane(ContactPair):
     """A rigid capsule or cylinder and a plane: the points of its round that come lowest.
 
     A capsule touches with the balls at its ends, a cylinder with the lowest points of its rims;
@@ -392,8 +464,7 @@ class RoundAndPlane:
             friction: Coefficient µ.
             names: Names of both.
         """
-        self.first, self.second = solid, second
-        self.friction, self.names = friction, names
+        super().__init__(solid, second, friction, names)
         self._plane, self._radius = plane, shape.radius
         self._is_capsule = shape.kind == CAPSULE
         self._centre, self._axes = shape.frame()

@@ -162,7 +162,8 @@ class RowStack:
             row, entry = self._place(term, row, entry, self._parts)
         if self._varying:
             self.groups = RowGroups(self.groups.actuators, self.groups.effectors, slice(first, row))
-        if row != self.row_count:
+        if row != self.row_count or entry != len(self._written[0]):
+            # Other arrays tell the driver that its traces do not hold any more.
             self.values, self._multipliers = np.zeros((2, row))
         self.row_count = row
         if len(self._written[0]) != entry or self._written[0].base is not self._rows:

@@ -1,7 +1,17 @@
-"""Pairs of nearest points, the common result of all contact detectors, and their buffer."""
+"""Pairs of nearest points, the common result of all contact detectors, and their buffer.
+
+Detectors that may be traced (see `traced_stage.py`) write their pairs into arrays with room for all
+pairs of a scene, and do not return how many there are. There
+
+    rows: `Proximities` with more rows than there are pairs,
+    span: first row that a detector may write, and the row behind its last one, shape (2,). The
+        detector writes the second number; where it is beyond the room, it writes no row.
+    reach: gap below which pairs are found [m], shape (1,).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +47,38 @@ class Proximities(NamedTuple):
     normals: np.ndarray
     gaps: np.ndarray
     keys: np.ndarray
+
+
+def empty_proximities(capacity: int) -> Proximities:
+    """Room for a number of pairs."""
+    return Proximities(
+        np.zeros((capacity, 3), np.int64), np.zeros((capacity, 3)),
+        np.zeros((capacity, 3), np.int64), *np.zeros((4, capacity, 3)), np.zeros(capacity),
+        np.zeros(capacity, np.int64),
+    )  # fmt: skip
+
+
+def found_by(write: Callable[[Proximities, np.ndarray], None]) -> Proximities:
+    """The pairs that a detector writes, in arrays of their own.
+
+    Args:
+        write: Takes rows and span.
+    """
+    rows, span = empty_proximities(0), np.zeros(2, np.int64)
+    write(rows, span)
+    if span[1]:
+        rows = empty_proximities(span[1])
+        write(rows, span)
+    return rows
+
+
+def put_pairs(near: Proximities, rows: Proximities, span: np.ndarray) -> None:
+    """Write pairs that a detector returned."""
+    first, end = span[0], span[0] + len(near.gaps)
+    span[1] = end
+    if end <= len(rows.gaps):
+        for part, own in zip(rows, near, strict=True):
+            part[first:end] = own
 
 
 class PairRows(NamedTuple):
@@ -106,3 +148,23 @@ def write_row(integers, reals, i, swap, first, second, normal, gap, key):
         reals[i, 12 + c] = sign * normal[c]
     reals[i, 15] = gap
     integers[i, 6] = key
+
+
+@njit(**INNER)
+def put_rows(integers, reals, count, rows, span):
+    """Write the first pairs of a `PairRows` as rows of `Proximities`."""
+    first = span[0]
+    span[1] = first + count
+    if span[1] > len(rows.gaps):
+        return
+    for i in range(count):
+        r = first + i
+        for k in range(3):
+            rows.first_points[r, k] = integers[i, k]
+            rows.second_points[r, k] = integers[i, 3 + k]
+            rows.first_weights[r, k] = reals[i, k]
+            rows.first_positions[r, k] = reals[i, 3 + k]
+            rows.second_weights[r, k] = reals[i, 6 + k]
+            rows.second_positions[r, k] = reals[i, 9 + k]
+            rows.normals[r, k] = reals[i, 12 + k]
+        rows.gaps[r], rows.keys[r] = reals[i, 15], integers[i, 6]

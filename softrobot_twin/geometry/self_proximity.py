@@ -34,7 +34,14 @@ from softrobot_twin.geometry.closed_surface import (
     mean_normal,
 )
 from softrobot_twin.geometry.closest_features import closest_weights
-from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities, write_row
+from softrobot_twin.geometry.proximities import (
+    Proximities,
+    empty_rows,
+    found_by,
+    proximities,
+    put_rows,
+    write_row,
+)
 from softrobot_twin.geometry.surface_pairs import checked_points
 from softrobot_twin.geometry.triangle_pairs import (
     FACING_SINE,
@@ -295,15 +302,17 @@ class SelfDetector:
 
 
 @njit(**KERNEL)
-def measure_pairs(x, points, triangles, margin, integers, reals):
-    """Measure all pairs; writes those nearer than the margin and returns their number.
+def measure_pairs(x, points, triangles, reach, integers, reals, rows, span):
+    """Measure all pairs, and write those that are near.
 
     Args:
         x: Points [m], shape (point_count, 3).
         points: Point of each pair, shape (pair_count,).
         triangles: Corners of the triangle of each pair, shape (pair_count, 3).
-        margin: Largest gap [m].
+        reach: See `proximities.py`.
         integers: See `PairRows`; written, with room for all pairs, as are the reals.
+        rows: See `proximities.py`.
+        span: See there.
     """
     count = 0
     for pair in range(len(points)):
@@ -316,13 +325,13 @@ def measure_pairs(x, points, triangles, margin, integers, reals):
         normal, w = divided(outward, doubled_area), closest_weights(p, a, b, c)
         nearest = add_scaled(add_scaled(scaled(a, w[0]), b, w[1]), c, w[2])
         gap = dot(subtract(p, nearest), normal)
-        if gap < margin:
+        if gap < reach[0]:
             first = ((points[pair], points[pair], points[pair]), (1.0, 0.0, 0.0), p)
             write_row(
                 integers, reals, count, False, first, ((i, j, k), w, nearest), normal, gap, pair
             )
             count += 1
-    return count
+    put_rows(integers, reals, count, rows, span)
 
 
 class FixedPairs:
@@ -357,6 +366,7 @@ class FixedPairs:
         if len(twice):
             raise MeshError(None, f"predefined pair {twice[0]} refers to a point twice")
         self._points, self._triangles = points, triangles
+        self._rows = empty_rows(len(points), 0)
 
     def detect(self, points: np.ndarray, margin: float) -> Proximities:
         """Finds the pairs that are nearer than a margin.
@@ -369,9 +379,19 @@ class FixedPairs:
             The pairs; the key is the index of the pair. A triangle without area has no normal, and
             its pair is omitted.
         """
-        rows = empty_rows(len(self._points), 0)
-        count = measure_pairs(
-            np.ascontiguousarray(points, dtype=np.float64), self._points, self._triangles,
-            float(margin), rows.integers, rows.reals,
+        x, reach = np.ascontiguousarray(points, dtype=np.float64), np.array([float(margin)])
+        return found_by(lambda rows, span: self.write(x, reach, rows, span))
+
+    def write(self, x: np.ndarray, reach: np.ndarray, rows: Proximities, span: np.ndarray) -> None:
+        """Write the pairs that are near; may be traced.
+
+        Args:
+            x: Points [m], shape (point_count, 3).
+            reach: See `proximities.py`.
+            rows: See there.
+            span: See there.
+        """
+        measure_pairs(
+            x, self._points, self._triangles, reach, self._rows.integers, self._rows.reals, rows,
+            span,
         )  # fmt: skip
-        return proximities(rows, count)

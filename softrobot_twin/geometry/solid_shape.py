@@ -47,6 +47,7 @@ from softrobot_twin.geometry.surface_shape import (
     add_candidate,
     is_far,
     is_past_shape,
+    missing_room,
     move_candidate,
     search_edges,
     search_vertices,
@@ -255,18 +256,18 @@ def search_rims(
 def search_solid(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters,
     triangles, links, edges, fans, leaders, crests, ridges, ridge_points, ridge_sides, normals,
-    margin, placed, x, distances, gradients, found,
+    reach, placed, x, distances, gradients, found,
 ):  # fmt: skip
-    """Count all candidates of a rigid surface, and write as many as the buffer holds."""
+    """Find all candidates of a rigid surface; returns what `missing_room` does."""
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
+    margin, capacity = reach[0], len(found.gaps)
     if is_far(kind, extents, points, vertices, placed, margin):
-        return 0
-    capacity = len(found.gaps)
+        return missing_room(found, 0)
     count = search_vertices(
         kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
     if count > capacity:
-        return count
+        return missing_room(found, count)
     count = keep_crests(crests, found, count)
     first_key = KEY_STRIDE * len(vertices)
     count, _ = search_edges(
@@ -274,22 +275,23 @@ def search_solid(
         first_key, found, count,
     )  # fmt: skip
     if count > capacity:
-        return count
+        return missing_room(found, count)
     cone = ROUND_CONE if kind == CAPSULE else CAP_CONE
     count = keep_within_rigid_cones(x, fans, edges, ridges, cone, len(vertices), 0, count, found)
     compute_normals(x, links, normals)
     apply_region_planes(leaders, normals)
     first_key += KEY_STRIDE * len(ridges)
     if kind != CAPSULE:
-        return search_rims(
+        count = search_rims(
             kind, extents, x, links, edges, fans, normals, margin, first_key, found, count
         )
+        return missing_room(found, count)
     for end in range(2 if extents[1] > 0.0 else 1):
         p = (0.0, 0.0, extents[1] if end == 0 else -extents[1])
         count = search_ball(
             p, extents[0], end, x, links, edges, fans, normals, margin, first_key, found, count
         )
-    return count
+    return missing_room(found, count)
 
 
 class SolidShapeDetector(SurfaceShapeDetector):
@@ -317,11 +319,11 @@ class SolidShapeDetector(SurfaceShapeDetector):
         self._ridge_sides = np.ascontiguousarray(surface.edges[self._ridges, 2:4])
         self._normals = np.empty((len(surface.links), 4))
 
-    def _search(self, points, margin) -> int:
+    def _search(self, points, origin, rotation, reach) -> int:
         surface = self._surface
         return search_solid(
-            self.shape.kind, self._extents, *self._frame, self._origin, self._rotation, points,
+            self.shape.kind, self._extents, *self._frame, origin, rotation, points,
             self._vertices, self._clusters, self._triangles, surface.links, surface.edges,
             surface.fans, self._regions.leaders, self._crests, self._ridges, self._ridge_points,
-            self._ridge_sides, self._normals, margin, self._placed, *self._work, self._found,
+            self._ridge_sides, self._normals, reach, self._placed, *self._work, self._found,
         )  # fmt: skip

@@ -35,8 +35,8 @@ Arguments of the kernels here:
     edges, sides: Points, and triangles on both sides, shape (edge_count, 2). Where cones are tested
         there are no sides, and edges have shape (edge_count, 6).
     extents: Extents of the shape [m], shape (3,).
-    first_points, weights, first, second, normals, gaps, keys: The pairs, see `Proximities`, shape
-        (count, 3) or (count,). In other kernels `weights` are three numbers.
+    rows, span, reach: See `proximities.py`.
+    weights: Three numbers.
     gradients: Gradient of each of the distances, shape (vertex_count, 3).
     normal, p: A unit vector and a point [m], three numbers.
     one, other, triangle: Points of a triangle, shape (3,).
@@ -50,7 +50,6 @@ Those of a surface are as in `closed_surface`.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -66,7 +65,7 @@ from softrobot_twin.geometry.closest_features import (
     squared_distance_to_triangle,
     triangle_normal,
 )
-from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.proximities import Proximities, found_by
 from softrobot_twin.geometry.shapes.distance_kernels import (
     BOX,
     CAPSULE,
@@ -155,6 +154,7 @@ class Candidates(NamedTuple):
         gaps: Signed distances [m], shape (capacity,).
         keys: Number of the feature times KEY_STRIDE plus number of the candidate, int64,
             shape (capacity,).
+        count: Candidates that were found, in the buffer or not, shape (1,).
     """
 
     points: np.ndarray
@@ -162,14 +162,22 @@ class Candidates(NamedTuple):
     normals: np.ndarray
     gaps: np.ndarray
     keys: np.ndarray
+    count: np.ndarray
 
 
 def empty_candidates(capacity: int) -> Candidates:
     """Allocates a buffer for a number of candidates."""
     return Candidates(
         np.empty((capacity, 3), np.int64), np.empty((capacity, 3)), np.empty((capacity, 3)),
-        np.empty(capacity), np.empty(capacity, np.int64),
+        np.empty(capacity), np.empty(capacity, np.int64), np.zeros(1, np.int64),
     )  # fmt: skip
+
+
+@njit(**INNER)
+def missing_room(found, count):
+    """Note how many candidates there are; returns their number if the buffer is too small, else 0."""
+    found.count[0] = count
+    return count if count > len(found.gaps) else 0
 
 
 @njit(**INNER)
@@ -964,22 +972,22 @@ def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
 @njit(**KERNEL)
 def search_surface(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
-    sides, triangles, fans, apexes, margin, placed, x, distances, gradients, found,
+    sides, triangles, fans, apexes, reach, placed, x, distances, gradients, found,
 ):  # fmt: skip
-    """Count all candidates of a surface, and write as many as the buffer holds.
+    """Find all candidates of a surface; returns what `missing_room` does.
 
     `clusters` and `found` come as plain tuples: numba finds the type of a named one more slowly.
     """
-    clusters, found = Clusters(*clusters), Candidates(*found)
+    clusters, found, margin = Clusters(*clusters), Candidates(*found), reach[0]
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
     if is_far(kind, extents, points, vertices, placed, margin):
-        return 0
+        return missing_room(found, 0)
     count = search_vertices(
         kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
     if kind == HALF_SPACE:
         # The distance is linear: its minimum is at vertices, also for parallel features.
-        return count
+        return missing_room(found, count)
     first_key = KEY_STRIDE * len(vertices)
     count, longest = search_edges(
         kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key,
@@ -988,47 +996,34 @@ def search_surface(
     if len(fans) > 0 and kind == BOX and count <= len(found.gaps):
         count = keep_within_cones(extents, x, fans, apexes, triangles, margin, count, found)
     first_key += KEY_STRIDE * len(edges)
-    return search_triangles(
+    count = search_triangles(
         kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
     )
+    return missing_room(found, count)
 
 
 @njit(**KERNEL)
-def place_candidates(
-    found, points, vertices, placed, first_points, weights, first, second, normals, gaps, keys
-):
+def place_candidates(found, points, vertices, placed, rows, span):
     """Write the candidates as `Proximities`: in the world, with the point numbers of the body."""
     found = Candidates(*found)
-    for i in range(len(gaps)):
-        gaps[i], keys[i] = found.gaps[i], found.keys[i]
+    first, normals, gaps = rows.first_positions, rows.normals, rows.gaps
+    span[1] = span[0] + found.count[0]
+    if span[1] > len(gaps):
+        return
+    for c in range(found.count[0]):
+        i = span[0] + c
+        gaps[i], rows.keys[i] = found.gaps[c], found.keys[c]
         for j in range(3):
-            first_points[i, j] = vertices[found.points[i, j]]
-            weights[i, j] = found.weights[i, j]
+            rows.first_points[i, j] = vertices[found.points[c, j]]
+            rows.first_weights[i, j] = found.weights[c, j]
+            rows.second_points[i, j], rows.second_weights[i, j] = -1, 0.0
         for k in range(3):
             normals[i, k] = 0.0
             first[i, k] = 0.0
             for j in range(3):
-                normals[i, k] += placed[1 + j, k] * found.normals[i, j]
-                first[i, k] += weights[i, j] * points[first_points[i, j], k]
-            second[i, k] = first[i, k] - gaps[i] * normals[i, k]
-
-
-def empty_shape_proximities(count: int) -> Proximities:
-    """Allocates a number of pairs whose second partner is a shape, which has no points."""
-    return Proximities(
-        np.empty((count, 3), np.int64), np.empty((count, 3)), *_no_points(count),
-        np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
-        np.empty(count), np.empty(count, np.int64),
-    )  # fmt: skip
-
-
-@lru_cache(maxsize=256)
-def _no_points(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights of a shape, which has none; shared, and therefore not to be written."""
-    return np.full((count, 3), -1, np.int64), np.zeros((count, 3))
-
-
-NO_PROXIMITIES = empty_shape_proximities(0)
+                normals[i, k] += placed[1 + j, k] * found.normals[c, j]
+                first[i, k] += found.weights[c, j] * points[rows.first_points[i, j], k]
+            rows.second_positions[i, k] = first[i, k] - gaps[i] * normals[i, k]
 
 
 class SurfaceShapeDetector:
@@ -1071,13 +1066,11 @@ class SurfaceShapeDetector:
             self._apexes = edges_with_apexes(self._edges, self._sides, self._triangles)
         # Writable copies: for read-only arrays numba would compile the kernels a second time.
         self._frame = tuple(np.array(array, float, order="C") for array in shape.frame())
-        self._origin, self._rotation = np.empty(3), np.empty((3, 3))
         self._extents = np.array(shape.extents(), float)
         count = len(self._vertices)
         self._placed = np.empty((4, 3))
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
         self._found = empty_candidates(2 * count + 64)
-        self._has_placed = False
         # Computed from the positions in the first call; neighbours stay neighbours.
         self._clusters: Clusters | None = None
 
@@ -1109,30 +1102,32 @@ class SurfaceShapeDetector:
             raise MeshError(
                 None, f"points have shape {points.shape}, not ({self.point_count}, 3)"
             )
+        pose = np.array(origin, float), np.array(rotation, float, order="C")
+        reach = np.array([float(margin)])
+        return found_by(lambda rows, span: self.write(points, *pose, reach, rows, span))
+
+    def write(self, points, origin, rotation, reach, rows: Proximities, span: np.ndarray) -> None:
+        """Write the pairs that are near; may be traced.
+
+        Args:
+            points: Points of the surface [m], shape (point_count, 3).
+            origin: Origin of the shape's carrier in the world [m], shape (3,).
+            rotation: Its axes as columns, shape (3, 3).
+            reach: See `proximities.py`.
+            rows: See there.
+            span: See there.
+        """
         if self._clusters is None:
             self._clusters = cluster_triangles(points[self._vertices], self._triangles)
-        self._origin[:], self._rotation[:] = origin, rotation
-        count = self._search(points, float(margin))
-        if count == 0 and self._has_placed:
-            return NO_PROXIMITIES
-        # The first call continues without pairs too, so that `place_candidates` is compiled now.
-        self._has_placed = True
-        if count > len(self._found.gaps):
-            self._found = empty_candidates(2 * count)
-            self._search(points, float(margin))
-        found = empty_shape_proximities(count)
-        place_candidates(
-            tuple(self._found), points, self._vertices, self._placed, found.first_points,
-            found.first_weights, found.first_positions, found.second_positions,
-            found.normals, found.gaps, found.keys,
-        )  # fmt: skip
-        return found
+        while missing := self._search(points, origin, rotation, reach):
+            self._found = empty_candidates(2 * missing)
+        place_candidates(tuple(self._found), points, self._vertices, self._placed, rows, span)
 
-    def _search(self, points, margin) -> int:
+    def _search(self, points, origin, rotation, reach) -> int:
         return search_surface(
-            self.shape.kind, self._extents, *self._frame, self._origin, self._rotation, points,
+            self.shape.kind, self._extents, *self._frame, origin, rotation, points,
             self._vertices, tuple(self._clusters), self._edges, self._sides, self._triangles,
-            self._fans, self._apexes, margin, self._placed, *self._work, tuple(self._found),
+            self._fans, self._apexes, reach, self._placed, *self._work, tuple(self._found),
         )  # fmt: skip
 
 
