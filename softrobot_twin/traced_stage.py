@@ -224,11 +224,12 @@ class TracedStages:
             What it returns.
         """
         known = self._stages[place]
-        if self._are_known:
-            is_same = all(map(is_, arguments, known.arguments))
-            if is_same and run_calls(*known.table) == len(known.table[0]):
-                return known.trace.result
+        is_same = all(map(is_, arguments, known.arguments))
+        if self._are_known and is_same and run_calls(*known.table) == len(known.table[0]):
+            return known.trace.result
+        if self._are_known or not is_same:
             self.forget()
+        known.arguments = arguments
         self._wait -= self._wait > 0
         if self._wait or not _is_tracing.acquire(blocking=False):
             return known.stage(*arguments)
@@ -260,7 +261,7 @@ class TracedStages:
             except KeyError:  # numba converts an argument of a kernel that has no code for its type.
                 self._is_traceable, self._wait = False, NEVER
                 return new.result
-            known.is_known, known.arguments = True, arguments
+            known.is_known = True
             self._are_known = all(one.is_known for one in self._stages)
         else:
             known.trace, known.table, known.is_known = new, None, False

@@ -127,6 +127,26 @@ def test_where_one_stage_does_something_else_none_is_run_by_the_driver(monkeypat
     assert stages.run(1)
 
 
+def test_other_arguments_tell_all_stages_that_something_changed_before_they_are_known():
+    rows = np.zeros((2, 5, 3))
+
+    def first(given):
+        """Calls no kernel: its trace is the same whatever is given."""
+
+    def second():
+        add_vectors(ones, rows[place[0]])
+
+    ones, place = np.ones((5, 3)), [0]
+    stages = TracedStages(True, first, second)
+    stages.run(0, rows[0])
+    stages.run(1)
+    stages.run(1)
+    place[0] = 1
+    stages.run(0, rows[1])
+    stages.run(1)
+    np.testing.assert_array_equal(rows[:, 0, 0], [2.0, 1.0])
+
+
 def test_a_stage_with_arrays_of_its_own_or_numbers_of_a_state_stays_in_python(monkeypatch):
     driven, vectors = count_driven(monkeypatch), np.ones((5, 3))
 

@@ -133,6 +133,8 @@ class Newton:
         sharers = (*model.forces, factorization)
         are_traceable = all(getattr(one, "is_traceable", False) for one in sharers)
         are_rows = self._rows.is_traceable
+        reaches_points = are_rows and self._rows.reaches_carried_points
+        self._row_points = model.nodes.carried if reaches_points else None
         # Rows that vary have other arrays where there are more or fewer.
         self._has_rows_apart = self._rows.varies or not are_rows
         self._stages = TracedStages(are_traceable, self._gather, self._assemble)
@@ -816,9 +818,9 @@ class Newton:
 
     def _gather(self, positions: np.ndarray) -> tuple[int, int, int]:
         """Sum b of all terms, and evaluate the rows that may be traced."""
-        if self._rows.reaches_carried_points:
+        if self._row_points is not None:
             # Else rows apart would be the first to ask for these points here, but not in `assemble`.
-            self._model.nodes.carried.update(positions)
+            self._row_points.update(positions)
         counts = self._add_forces(positions)
         if not self._has_rows_apart:
             self._rows.evaluate(positions)
