@@ -30,9 +30,10 @@ from numba.extending import intrinsic
 
 from softrobot_twin.compilation import KERNEL, Kernel, njit
 
-# Traces that may differ from the one before; after each further one a stage runs in Python as often
-# as told here, and twice as often each time, up to the last number.
-FEW, FIRST_WAIT, LONGEST_WAIT = 4, 64, 256
+# Traces that may differ from the one before; after as many a stage runs in Python as often
+# as told here, and twice as often each time, up to the last number. So many runs by the driver make
+# up for a trace that differs.
+FEW, FIRST_WAIT, LONGEST_WAIT, PAYING_RUNS = 4, 64, 256, 8
 NEVER = 2**62
 # Words that are kept for what a kernel returns.
 RETURNED = 4
@@ -226,6 +227,7 @@ class TracedStages:
         known = self._stages[place]
         is_same = all(map(is_, arguments, known.arguments))
         if self._are_known and is_same and run_calls(*known.table) == len(known.table[0]):
+            self._driven += 1
             return known.trace.result
         if self._are_known or not is_same:
             self.forget()
@@ -240,7 +242,7 @@ class TracedStages:
 
     def begin_anew(self) -> None:
         """Forget, and learn without waiting."""
-        self._changes, self._next_wait = 0, FIRST_WAIT
+        self._changes, self._driven, self._next_wait = 0, 0, FIRST_WAIT
         self._wait = 0 if self._is_traceable else NEVER
         self.forget()
 
@@ -265,9 +267,10 @@ class TracedStages:
             self._are_known = all(one.is_known for one in self._stages)
         else:
             known.trace, known.table, known.is_known = new, None, False
-            self._changes += 1
+            self._changes = max(0, self._changes - self._driven // PAYING_RUNS) + 1
+            self._driven = 0
             if self._changes > FEW * len(self._stages):
-                self._wait = self._next_wait
+                self._changes, self._wait = 0, self._next_wait
                 self._next_wait = min(2 * self._wait, LONGEST_WAIT)
         return new.result
 

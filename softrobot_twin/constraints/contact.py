@@ -252,43 +252,44 @@ def lay_out_contacts(
 
 
 @njit(**KERNEL)
-def recall(pairs, keys, row_counts, known, tables, values):
+def recall(pairs, keys, row_starts, before, tables, known, values):
     """Find contacts again by their keys.
 
     Args:
         pairs: Pair that each belongs to, shape (count,).
         keys: Its key in the pair, shape (count,).
-        row_counts: Its rows, shape (count,).
-        known: Pair and key of the contacts that are remembered, shape (2, known_count).
-        tables: Numbers that are remembered of their rows, shape (table_count, known_count, width).
-        values: Takes these numbers, zeros before, shape (table_count, row_count).
+        row_starts: First row of each, and the number of rows, shape (count + 1,).
+        before: Pair and key of the contacts that are remembered, shape (2, before_count).
+        tables: λ of each of their rows, λ where the step began, and its change in the step before
+            [N], shape (3, before_count, width).
+        known: Takes pairs and keys, shape (2, count).
+        values: Takes λ, λ where the step began, and λ with its change, zeros before [N], shape
+            (3, row_count).
     """
-    are_same = len(pairs) == known.shape[1]
+    are_same = len(pairs) == before.shape[1]
     for c in range(len(pairs)):
-        are_same = are_same and pairs[c] == known[0, c] and keys[c] == known[1, c]
-    row = 0
+        known[0, c], known[1, c] = pairs[c], keys[c]
+        are_same = are_same and pairs[c] == before[0, c] and keys[c] == before[1, c]
     for c in range(len(pairs)):
         place = c
         if not are_same:
-            place = known.shape[1] - 1
-            while place >= 0 and (pairs[c] != known[0, place] or keys[c] != known[1, place]):
+            place = before.shape[1] - 1
+            while place >= 0 and (pairs[c] != before[0, place] or keys[c] != before[1, place]):
                 place -= 1
         if place >= 0:
-            for i in range(row_counts[c]):
-                for table in range(len(tables)):
-                    values[table, row + i] = tables[table, place, i]
-        row += row_counts[c]
+            for row in range(row_starts[c], row_starts[c + 1]):
+                i = row - row_starts[c]
+                values[0, row], values[1, row] = tables[0, place, i], tables[1, place, i]
+                values[2, row] = tables[0, place, i] + tables[2, place, i]
 
 
 @njit(**KERNEL)
-def fill_tables(row_counts, values, tables):
-    """The reverse of `recall` for the first of its tables, zeros before: one for each of `values`."""
-    row = 0
-    for c in range(len(row_counts)):
-        for i in range(row_counts[c]):
-            for table in range(len(values)):
-                tables[table, c, i] = values[table, row + i]
-        row += row_counts[c]
+def fill_tables(row_starts, multipliers, at_start, tables):
+    """Write the first two tables of `recall`, zeros before, from values of its rows."""
+    for c in range(len(row_starts) - 1):
+        for row in range(row_starts[c], row_starts[c + 1]):
+            tables[0, c, row - row_starts[c]] = multipliers[row]
+            tables[1, c, row - row_starts[c]] = at_start[row]
 
 
 class ContactMemory:
@@ -317,7 +318,7 @@ class ContactMemory:
         # Of a contact with fewer rows than others the last columns are zero.
         self._tables = np.zeros((3, 0, self._most_rows))
         self.guess = self.expected = self._start = np.zeros(0)
-        self._row_counts = np.zeros(0, np.int64)
+        self._row_starts = np.zeros(1, np.int64)
 
     @property
     def known(self) -> list[tuple[int, int]]:
@@ -330,25 +331,24 @@ class ContactMemory:
         np.subtract(multipliers, at_start, out=change)
         at_start[:] = multipliers
 
-    def recognise(self, pairs: np.ndarray, keys: np.ndarray, row_counts: np.ndarray) -> None:
+    def recognise(self, pairs: np.ndarray, keys: np.ndarray, row_starts: np.ndarray) -> None:
         """Look up contacts.
 
         Args:
             pairs: Pair that each belongs to, shape (count,).
             keys: Its key in the pair, shape (count,).
-            row_counts: Its rows, shape (count,).
+            row_starts: First row of each, and the number of rows, shape (count + 1,).
         """
-        self._row_counts, self._known = row_counts, np.array([pairs, keys])
-        values = np.zeros((3, row_counts.sum()))
-        recall(pairs, keys, row_counts, self._before, self._tables, values)
-        self.guess, self._start, change = values
-        self.expected = self.guess + change
+        self._row_starts, self._known = row_starts, np.empty((2, len(pairs)), np.int64)
+        values = np.zeros((3, row_starts[-1]))
+        recall(pairs, keys, row_starts, self._before, self._tables, self._known, values)
+        self.guess, self._start, self.expected = values
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
         self._before = self._known
-        self._tables = np.zeros((3, len(self._row_counts), self._most_rows))
-        fill_tables(self._row_counts, np.array([multipliers, self._start]), self._tables)
+        self._tables = np.zeros((3, len(self._row_starts) - 1, self._most_rows))
+        fill_tables(self._row_starts, multipliers, self._start, self._tables)
 
 
 class Contacts:
@@ -508,10 +508,10 @@ class Contacts:
             if count <= self._capacity:
                 break
             self._allocate(2 * count)
-        self.count, pair = count, self.pair[:count]
+        self.count = count
         if len(self.row_starts) != count + 1:
             self.row_starts = self._row_starts[: count + 1]
-        self.memory.recognise(pair, self._found.keys[:count], self.rows_of_pair[pair])
+        self.memory.recognise(self.pair[:count], self._found.keys[:count], self.row_starts)
 
     def _detect(self, positions: np.ndarray) -> None:
         """Find what is near, what carries it, and its rows; the driver does so in most steps."""
@@ -623,7 +623,8 @@ class Contacts:
         self.memory.remember(multipliers)
 
     def forget(self) -> None:
-        """Forget all forces."""
+        """Forget all forces, and what detection did before."""
+        self._stages.begin_anew()
         self.memory.forget()
 
     def gaps(self, positions: np.ndarray) -> np.ndarray:

@@ -93,8 +93,6 @@ class RowStack:
             own = reached[reached < points.free_count]
             reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
-        self.row_count, self.values, self._multipliers = 0, np.zeros(0), np.zeros(0)
-        self._written = self._rows, self._nodes, self._blocks = (np.empty(0),) * 3
         self._make_room()
         constant = [(term, rows) for term, _, rows in self._constant_parts]
         self._told_parts = [(term, rows) for term, rows in constant if term.takes_efforts]
@@ -142,19 +140,32 @@ class RowStack:
                     row, entry = self._place(term, row, entry, self._constant_parts)
             groups.append(slice(first, row))
         self._constant_groups, self._constant_entries = RowGroups(*groups), entry
+        self._sizes: list[tuple[int, int]] | None = None
         self._lay_out()
 
     def _place(self, term: ConstraintTerm, row: int, entry: int, parts: list) -> tuple[int, int]:
         """Give a term its rows and entries; gives the first ones behind them."""
-        entries = slice(entry, entry + len(term.entry_rows))
-        rows = slice(row, row + term.row_count)
-        np.add(term.entry_rows, row, out=self._rows[entries])
-        self._nodes[entries] = term.entry_nodes
-        parts.append((term, self._blocks[entries], rows))
-        return rows.stop, entries.stop
+        end, rows = self._write_entries(term, row, entry), slice(row, row + term.row_count)
+        parts.append((term, self._blocks[entry:end], rows))
+        return rows.stop, end
+
+    def _write_entries(self, term: ConstraintTerm, row: int, entry: int) -> int:
+        """Write where the entries of a term are; gives the first one behind them."""
+        rows = term.entry_rows
+        end = entry + len(rows)
+        np.add(rows, row, out=self._rows[entry:end])
+        self._nodes[entry:end] = term.entry_nodes
+        return end
 
     def _lay_out(self) -> None:
         """Give each term whose rows vary its rows and entries, as many as it has now."""
+        sizes = [(term.row_count, len(term.entry_rows)) for term in self._varying]
+        if sizes == self._sizes:
+            entry = self._constant_entries
+            for term, _, rows in self._parts[len(self._constant_parts) :]:
+                entry = self._write_entries(term, rows.start, entry)
+            return
+        self._sizes = sizes
         self.groups, self._parts = self._constant_groups, self._constant_parts.copy()
         first = row = self.groups.contacts.start
         entry = self._constant_entries
@@ -162,13 +173,11 @@ class RowStack:
             row, entry = self._place(term, row, entry, self._parts)
         if self._varying:
             self.groups = RowGroups(self.groups.actuators, self.groups.effectors, slice(first, row))
-        if row != self.row_count or entry != len(self._written[0]):
-            # Other arrays tell the driver that its traces do not hold any more.
-            self.values, self._multipliers = np.zeros((2, row))
+        # Other arrays tell the driver that its traces do not hold any more.
+        self.values, self._multipliers = np.zeros((2, row))
         self.row_count = row
-        if len(self._written[0]) != entry or self._written[0].base is not self._rows:
-            self._written = self._rows[:entry], self._nodes[:entry], self._blocks[:entry]
-            self.row_index, self.node_index, self.blocks = self._written
+        self._written = self._rows[:entry], self._nodes[:entry], self._blocks[:entry]
+        self.row_index, self.node_index, self.blocks = self._written
 
     def detect(self, positions: np.ndarray) -> None:
         """Detect the rows of all terms at a state.

@@ -9,7 +9,8 @@ from softrobot_twin.constraints.contact import ContactMemory
 def recognise(memory, pairs, keys, row_counts=None):
     """Look up contacts, of three rows each where nothing else is said."""
     row_counts = np.full(len(pairs), 3) if row_counts is None else np.array(row_counts)
-    memory.recognise(np.array(pairs, np.int64), np.array(keys, np.int64), row_counts)
+    starts = np.concatenate([[0], np.cumsum(row_counts, dtype=np.int64)])
+    memory.recognise(np.array(pairs, np.int64), np.array(keys, np.int64), starts)
 
 
 @pytest.fixture

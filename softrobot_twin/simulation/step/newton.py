@@ -139,6 +139,9 @@ class Newton:
         self._has_rows_apart = self._rows.varies or not are_rows
         self._stages = TracedStages(are_traceable, self._gather, self._assemble)
         self._row_stages = TracedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
+        self._traced = [self._stages, self._row_stages]
+        if hasattr(factorization, "stages"):
+            self._traced.append(factorization.stages)
         self.forget()
         self.gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self.forces, axis=1).sum())
@@ -187,8 +190,8 @@ class Newton:
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
-        self._stages.begin_anew()
-        self._row_stages.begin_anew()
+        for stages in self._traced:
+            stages.begin_anew()
         self.factor_age: int | None = None
         self.is_worn = False
         self.inverted_count, self.is_folded = 0, None
