@@ -75,14 +75,20 @@ _SHORTEST_STEP = 1.0e-4
 _SHOWN_UNITS = {"m3": "m³", "Pa": "Pa (gauge)"}
 
 
-CALLS = (
-    "targets.accept_point", "targets.accept_pose", "targets.accept_velocity", "stiffness.accept",
-    "direct.accept", "selected.accept", "device.accept", "angles.accept", "measured_angles.accept",
-    "pressures.accept", "measured_pressures.accept", "poses.accept", "touches.accept_force",
-    "touches.accept_place", "markers.accept", "enable", "disable", "reset", "apply",
-    "contest", "give_up", "after_failure", "continue_from",
-)  # fmt: skip
-"""All calls by which anything reaches a loop from outside, but `tick`."""
+_VECTOR, _PAIR = "key numbers arrival", "key numbers numbers arrival"
+CALLS: dict[str, str] = {
+    "targets.accept_point": _VECTOR, "targets.accept_pose": _PAIR,
+    "targets.accept_velocity": "numbers number", "stiffness.accept": _VECTOR,
+    "direct.accept": _PAIR, "selected.accept": _PAIR, "device.accept": _PAIR,
+    "angles.accept": _PAIR, "measured_angles.accept": _PAIR,
+    "pressures.accept": "key number arrival", "measured_pressures.accept": "key number arrival",
+    "poses.accept": _PAIR, "touches.accept_force": _VECTOR, "touches.accept_place": _VECTOR,
+    "markers.accept": "ids points arrival", "enable": "number", "disable": "", "reset": "",
+    "apply": "settings", "contest": "key key key number", "give_up": "key",
+    "after_failure": "key key", "continue_from": "numbers numbers key",
+}  # fmt: skip
+"""All calls by which anything reaches a loop from outside, but `tick`: part of the loop and method,
+and what each argument is; a ``key`` is a name, an index or a word."""
 MOST_REPEATS = 99
 """Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
 _MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED, Activity.FOLLOWING)
@@ -243,7 +249,6 @@ class TwinLoop:
     Attributes:
         cavities: The cavities, and their absolute pressures.
         pulleys: The pulleys that wind cables, and their angles.
-        commands: Commands of actuators; in inverse mode they exclude these from the optimisation.
         is_repeating: True when the last tick repeated the outcome of the one before.
 
     Raises:
@@ -289,7 +294,6 @@ class TwinLoop:
         )
         self.direct = ActuatorInput(known, settings)
         self.selected = SelectedActuatorInput(known, settings)
-        self.commands = self.direct if mode is Mode.DIRECT else self.selected
         self.pressures = PressureInput(self.cavities, self.commands, frame_id, settings, False)
         self.angles = AngleInput(self.pulleys, self.commands, settings, False)
         self.stiffness = StiffnessInput(
@@ -314,6 +318,11 @@ class TwinLoop:
         for name in CALLS:
             owner, method = owner_of(self, name)
             setattr(owner, method, _Waking(self, getattr(owner, method)))
+
+    @property
+    def commands(self) -> ActuatorInput:
+        """Commands of actuators; in inverse mode they exclude these from the optimisation."""
+        return self.direct if self.mode is Mode.DIRECT else self.selected
 
     def wake(self) -> None:
         """Lets the next tick do all of its work."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
-from softrobot_twin.control.twin_loop import TwinLoop, owner_of
+from softrobot_twin.control.twin_loop import CALLS, TwinLoop, owner_of
 from softrobot_twin.record.run_values import number, numbers, plain
 
 
@@ -41,50 +41,13 @@ def _arrival(value: list) -> Arrival:
     return Arrival(frame_id, stamp, ros_time, number(time))
 
 
-def _same(value: object) -> object:
-    return value
-
-
-def _ids(value: list) -> np.ndarray:
-    return np.array(value, dtype=np.uint32)
-
-
-def _points(value: list) -> np.ndarray:
+READERS: dict[str, Callable] = {
+    "key": lambda value: value, "number": number, "numbers": numbers, "arrival": _arrival,
+    "settings": settings_from_json, "ids": lambda value: np.array(value, dtype=np.uint32),
     # An empty list has no second dimension.
-    return numbers(value) if value else np.empty((0, 3))
-
-
-Decoding = tuple[Callable[[object], object], ...]
-_ROW: Decoding = (_same, numbers, _arrival)
-_NAMED: Decoding = (_same, numbers, numbers, _arrival)
-_ONE: Decoding = (_same, number, _arrival)
-
-CALLS: dict[str, Decoding] = {
-    "targets.accept_point": _ROW,
-    "targets.accept_pose": _NAMED,
-    "targets.accept_velocity": (numbers, number),
-    "stiffness.accept": _ROW,
-    "direct.accept": _NAMED,
-    "selected.accept": _NAMED,
-    "device.accept": _NAMED,
-    "angles.accept": _NAMED,
-    "measured_angles.accept": _NAMED,
-    "pressures.accept": _ONE,
-    "measured_pressures.accept": _ONE,
-    "poses.accept": _NAMED,
-    "touches.accept_force": _ROW,
-    "touches.accept_place": _ROW,
-    "markers.accept": (_ids, _points, _arrival),
-    "contest": (_same, _same, _same, number),
-    "after_failure": (_same, _same),
-    "enable": (number,),
-    "give_up": (_same,),
-    "continue_from": (numbers, numbers, _same),
-    "disable": (),
-    "reset": (),
-    "apply": (settings_from_json,),
-}
-"""The calls, by part of the loop and method, and how each argument is read from JSON."""
+    "points": lambda value: numbers(value) if value else np.empty((0, 3)),
+}  # fmt: skip
+"""How each kind of argument of a call is read from JSON."""
 
 
 class Call(NamedTuple):
@@ -130,7 +93,8 @@ def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
         ValueError: The arguments do not fit.
     """
     owner, method = owner_of(loop, name)
-    read = [decode(one) for decode, one in zip(CALLS[name], arguments, strict=True)]
+    kinds = CALLS[name].split()
+    read = [READERS[kind](one) for kind, one in zip(kinds, arguments, strict=True)]
     return answer_to_json(getattr(owner, method)(*read))
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
+from softrobot_twin.control.twin_loop import CALLS, TickOutcome, TwinLoop
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.record.loop_calls import CALLS, repeat, settings_from_json
+from softrobot_twin.record.loop_calls import repeat, settings_from_json
 from softrobot_twin.record.run_clock import PlayedClock
 from softrobot_twin.record.run_description import (
     RunDescription,
@@ -28,11 +28,11 @@ from softrobot_twin.record.run_values import (
     COMPUTE_TIME,
     EFFECTORS,
     ONE,
-    QUANTITIES,
     STATE_DIGEST,
     TOUCHES,
     Quantity,
     numbers,
+    quantities,
     tick_values,
 )
 from softrobot_twin.scene import Scene
@@ -162,7 +162,8 @@ class TickComparison:
             replayed: Those of the replay.
         """
         found = []
-        for name in (*QUANTITIES, *(recorded.keys() | replayed.keys()) - QUANTITIES.keys()):
+        known = quantities()
+        for name in (*known, *(recorded.keys() | replayed.keys()) - known.keys()):
             if name in self._left_out:
                 continue
             before, after = recorded.get(name), replayed.get(name)
@@ -174,7 +175,7 @@ class TickComparison:
     def _difference(
         self, tick: int, time: float, name: str, before: object, after: object
     ) -> Difference:
-        quantity = QUANTITIES.get(name, Quantity())
+        quantity = quantities().get(name, Quantity())
         if not quantity.is_number:
             return Difference(tick, time, name, "", before, after, np.inf)
         try:

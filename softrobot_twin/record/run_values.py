@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.simulation import State
+from softrobot_twin.simulation.channels import BUILT_IN, Channel, channels
 
 ACTUATORS, EFFECTORS, MARKERS, TOUCHES, NOTHING = "actuators", "effectors", "markers", "touches", ""
 """What the rows of a quantity belong to."""
@@ -34,7 +35,7 @@ class Quantity(NamedTuple):
 
     unit: str = ""
     rows: str = NOTHING
-    columns: str = ""
+    columns: Sequence[str] = ""
     path: str | Callable[[TickOutcome], object] = ""
 
     @property
@@ -45,6 +46,16 @@ class Quantity(NamedTuple):
 
 def _guided_poses(tick: TickOutcome) -> dict[str, list[np.ndarray]]:
     return {name: [*pose] for name, pose in tick.guided_poses.items()}
+
+
+def of_channels(given: Iterable[Channel]) -> dict[str, Quantity]:
+    """Channels as quantities of ticks."""
+    rows = {"effector_names": EFFECTORS, "touch_names": TOUCHES}
+    return {
+        one.name: Quantity(one.unit, rows.get(one.objects, one.objects), one.parts,
+                           lambda tick, one=one: one.read(tick.result))
+        for one in given
+    }  # fmt: skip
 
 
 QUANTITIES: dict[str, Quantity] = {
@@ -62,9 +73,7 @@ QUANTITIES: dict[str, Quantity] = {
     "setpoints": Quantity(SETPOINT, ACTUATORS, path="result.setpoints"),
     "efforts": Quantity(EFFORT, ACTUATORS, path="result.efforts"),
     "displacements": Quantity(SETPOINT, ACTUATORS, path="result.displacements"),
-    "effector_positions": Quantity("m", EFFECTORS, "xyz", path="result.effector_positions"),
-    "effector_orientations": Quantity(ONE, EFFECTORS, "xyzw", path="result.effector_orientations"),
-    "effector_stiffness": Quantity("N/m", EFFECTORS, "xyz", path="result.effector_stiffness"),
+    **of_channels(BUILT_IN),
     "targets": Quantity("m", EFFECTORS, "xyz", path="reading.targets"),
     "target_orientations": Quantity(ONE, EFFECTORS, "xyzw", path="reading.orientations"),
     "aims": Quantity("m", EFFECTORS, "xyz"),
@@ -78,8 +87,6 @@ QUANTITIES: dict[str, Quantity] = {
     "guided_poses": Quantity(path=_guided_poses),
     "contact_positions": Quantity("m", NOTHING, "xyz", path="result.contacts.positions"),
     "contact_forces": Quantity("N", NOTHING, "xyz", path="result.contacts.forces"),
-    "touch_forces": Quantity("N", TOUCHES, "xyz", path="result.touches.forces"),
-    "touch_displacements": Quantity("m", TOUCHES, "xyz", path="result.touches.displacements"),
     "residual": Quantity("N", path="result.report.residual"),
     "linearization_error": Quantity("m", path="result.report.linearization_error"),
     "iterations": Quantity(ONE, path="result.report.iterations"),
@@ -95,17 +102,11 @@ QUANTITIES: dict[str, Quantity] = {
 }
 """All that two ticks are compared by. `state_digest` stands for all nodes of the model; the time of
 the computation follows from the recorded readings of the clock."""
-_RECORDED = (
-    "activity", "cause", "command_setpoints", "command_efforts", "violated", "targets",
-    "target_orientations", "source", "aims", "predicted_markers", "measured_markers", "misfit_rms",
-    "measured_effectors", "tracking_errors", "orientation_errors", "guided_poses", "left_out",
-    "is_approaching", "status", "setpoints", "efforts", "displacements", "effector_positions",
-    "effector_orientations", "effector_stiffness", "stiffness_errors", "contact_positions",
-    "contact_forces", "touch_forces", "touch_displacements", "residual", "linearization_error",
-    "iterations", "active_limits", "factor_age", "is_late", "inverted_count", "contact_count",
-    "qp_solver", "figures", "step_count", "time", COMPUTE_TIME, STATE_DIGEST,
-)  # fmt: skip
-"""Their order in a file."""
+
+
+def quantities() -> dict[str, Quantity]:
+    """The same with channels from outside."""
+    return QUANTITIES | of_channels(channels())
 
 
 # --- JSON ----------------------------------------------------------------------------------------
@@ -158,7 +159,7 @@ def tick_values(outcome: TickOutcome) -> dict[str, object]:
     Args:
         outcome: The tick.
     """
-    found = ((name, _value(outcome, QUANTITIES[name].path or name)) for name in _RECORDED)
+    found = ((name, _value(outcome, one.path or name)) for name, one in quantities().items())
     return {name: plain(value) for name, value in found if value is not None}
 
 

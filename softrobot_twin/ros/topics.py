@@ -21,6 +21,8 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
+from softrobot_twin.simulation.channels import Channel
+
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 
 NEWEST = QoSProfile(depth=1, reliability=RELIABLE)
@@ -308,6 +310,13 @@ TWIN_TOPICS = _by_name(
           "them; `<node>` is the full name without its first slash"),
 )  # fmt: skip
 """Topics of the twin, by name."""
+
+
+def channel_topic(channel: Channel) -> Topic:
+    """The topic by which the twin publishes a channel that was added from outside."""
+    return Topic(f"~/{channel.name}/<object>", OUT, JointState, NEWEST, channel.unit,
+                 f"names {', '.join(channel.parts)}, `position` = their values")
+
 
 TWIN_SERVICES = (
     Service("~/enable", SetBool,

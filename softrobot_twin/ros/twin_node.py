@@ -54,13 +54,20 @@ from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode, publishing_nodes
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
-from softrobot_twin.ros.topics import Direction, Topic, open_publisher, open_publishers
+from softrobot_twin.ros.topics import (
+    Direction,
+    Topic,
+    channel_topic,
+    open_publisher,
+    open_publishers,
+)
 from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from softrobot_twin.simulation.channels import from_outside
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording
@@ -134,7 +141,7 @@ class Output(NamedTuple):
     """A topic of each object of a kind, which is published after each tick.
 
     Attributes:
-        topic: Its name in the table of topics.
+        topic: The topic.
         names: Names of the objects; nothing is opened without any.
         make: Makes a message of the values of an object and a header.
         read: Gives what a tick tells: the values of each object; nothing where it tells none.
@@ -142,7 +149,7 @@ class Output(NamedTuple):
         is_costly: Nothing is read where nobody receives it, also where the run is recorded.
     """
 
-    topic: str
+    topic: Topic
     names: Sequence[str]
     make: Callable[..., object]
     read: Callable[[TickOutcome], Sequence[tuple]]
@@ -169,25 +176,32 @@ def outputs_of(simulation: Simulation) -> Iterator[Output]:
     """
     effectors, scene = simulation.effector_names, simulation.scene
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
-    yield Output("~/effectors/<effector>", effectors, point_message,
+    yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message,
                  lambda tick: _rows(tick.result.effector_positions))
-    yield Output("~/effector_poses/<effector>", effectors, pose_message, lambda tick: _rows(
+    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, lambda tick: _rows(
         tick.result.effector_positions, tick.result.effector_orientations),
         simulation.oriented_effectors)  # fmt: skip
-    yield Output("~/stiffness/<effector>", effectors, vector_message,
+    yield Output(TOPICS["~/stiffness/<effector>"], effectors, vector_message,
                  lambda tick: _rows(tick.result.effector_stiffness), simulation.stiff_effectors)
-    yield Output("~/touch/<touch>", simulation.touch_names, partial(cables_message, "xyz"),
+    yield Output(TOPICS["~/touch/<touch>"], simulation.touch_names, partial(cables_message, "xyz"),
                  lambda tick: _rows(tick.result.touches.displacements, tick.result.touches.forces))
-    yield Output("~/predicted_markers", [""] * bool(len(simulation.marker_ids)), markers_message,
-                 lambda tick: [(simulation.marker_ids, tick.predicted_markers)], is_costly=True)
-    yield Output("~/bodies/<rigid body>", simulation.rigid_names, pose_message,
+    yield Output(TOPICS["~/predicted_markers"], [""] * bool(len(simulation.marker_ids)),
+                 markers_message, lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
+                 is_costly=True)
+    yield Output(TOPICS["~/bodies/<rigid body>"], simulation.rigid_names, pose_message,
                  lambda tick: _rows(*simulation.rigid_poses()), is_costly=True)
-    yield Output("~/contacts", [""] * (scene.contact is not None),
+    yield Output(TOPICS["~/contacts"], [""] * (scene.contact is not None),
                  lambda contacts, header: contacts_message(
                      contacts.positions, contacts.forces, header),
                  lambda tick: [(found,)] if (found := tick.result.contacts) is not None else [])
-    yield Output("~/cable_paths", [""] * has_cables, cables_message,
+    yield Output(TOPICS["~/cable_paths"], [""] * has_cables, cables_message,
                  lambda tick: _paths(simulation, tick.result.state.positions), is_costly=True)
+    for channel in from_outside():
+        yield Output(channel_topic(channel), channel.names(simulation),
+                     partial(cables_message, channel.parts),
+                     lambda tick, read=channel.read: [
+                         (*row, ()) for row in _rows(read(tick.result))],
+                     channel.are_asked(simulation))  # fmt: skip
 
 
 class ComplianceOutputs:
@@ -371,7 +385,7 @@ class TwinNode(TickingNode):
         self._outputs = [
             (output, publishers) for output in outputs_of(simulation)
             if (publishers := {
-                index: open_publisher(self, TOPICS[output.topic], name)
+                index: open_publisher(self, output.topic, name)
                 for index, name in enumerate(output.names)
                 if output.has_it is None or output.has_it[index]})
         ]  # fmt: skip

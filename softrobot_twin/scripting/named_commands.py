@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
@@ -25,12 +26,8 @@ from softrobot_twin.simulation import (
     Touched,
 )
 from softrobot_twin.simulation.building.pulleys import ANGLE
-from softrobot_twin.simulation.building.table_columns import (
-    column,
-    position_columns,
-    quaternion_columns,
-    stiffness_columns,
-)
+from softrobot_twin.simulation.building.table_columns import column
+from softrobot_twin.simulation.channels import WANTED, Channel
 from softrobot_twin.simulation.runs.input_tables import NOT_UNIT
 
 Numbers: TypeAlias = tuple[float, ...]
@@ -42,11 +39,7 @@ NOTHING: Mapping[str, Numbers] = MappingProxyType({})
 _MOST_NAMES = 16
 _AXES = ("x", "y", "z")
 # Ends of the names that targets take for an effector: all numbers at once, and one by one.
-_PARTS: dict[str, tuple[str, ...]] = {
-    "": position_columns(""),
-    "_quaternion": quaternion_columns(""),
-    "_stiffness_N_per_m": stiffness_columns(""),
-}
+_PARTS = {channel.python_name: channel for channel in WANTED}
 
 
 @dataclass(frozen=True, repr=False)
@@ -198,6 +191,18 @@ def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
     return numbers
 
 
+def _checked(channel: Channel, name: str, numbers: Numbers) -> np.ndarray:
+    """What is wanted of an effector as an array; a turn of unit length."""
+    wanted = np.array(numbers)
+    if channel.word == "orientation":
+        if abs(np.linalg.norm(wanted) - 1.0) > NOT_UNIT:
+            raise CommandError(name, f"{_shown(numbers)} is not of unit length")
+        wanted /= np.linalg.norm(wanted)
+    if channel.word == "stiffness" and (wanted <= 0.0).any():
+        raise CommandError(name, f"{_shown(numbers)} N/m must be positive")
+    return wanted
+
+
 def _check_mapping(word: str, given: Any, example: str) -> None:
     if not isinstance(given, Mapping):
         raise CommandError(word, f"takes names, such as {example}, not {_kind(given)}")
@@ -259,15 +264,10 @@ class CommandReader:
     @property
     def target_names(self) -> tuple[str, ...]:
         """Names of effectors that `targets` takes, each with what else it asks for."""
-        simulation, names = self._simulation, []
-        for name, turns, yields in zip(
-            simulation.effector_names, simulation.oriented_effectors, simulation.stiff_effectors,
-            strict=True,
-        ):  # fmt: skip
-            names.append(name)
-            names += [f"{name}_quaternion"] if turns else []
-            names += [f"{name}_stiffness_N_per_m"] if yields else []
-        return tuple(names)
+        simulation = self._simulation
+        asked = {part: channel.are_asked(simulation) for part, channel in _PARTS.items()}
+        return tuple(f"{name}{part}" for name, place in self._effectors.items()
+                     for part in _PARTS if asked[part][place])  # fmt: skip
 
     def read(self, command: NamedCommand | Command, time_step: float) -> Command:
         """The command as arrays of the scene.
@@ -359,24 +359,14 @@ class CommandReader:
     def _targets(self, values: Mapping[str, Numbers], time_step: float) -> FollowTargets:
         simulation, count = self._simulation, len(self._effectors)
         whole, commanded = self._gathered(values)
-        positions = np.full((count, 3), np.nan)
-        turns, stiffness = np.full((count, 4), np.nan), np.full((count, 3), np.nan)
+        positions, turns, stiffness = wanted = [
+            np.full((count, channel.width), np.nan) for channel in WANTED]
         for (effector, part), (name, numbers) in whole.items():
-            place, wanted = self._effectors[effector], np.array(numbers)
-            if len(numbers) != len(_PARTS[part]):
-                raise CommandError(name, f"must be {len(_PARTS[part])} numbers, not {len(numbers)}")
-            if part == "_quaternion":
-                self._needs(simulation.oriented_effectors, place, name, "orientation")
-                if abs(np.linalg.norm(wanted) - 1.0) > NOT_UNIT:
-                    raise CommandError(name, f"{_shown(numbers)} is not of unit length")
-                turns[place] = wanted / np.linalg.norm(wanted)
-            elif part:
-                self._needs(simulation.stiff_effectors, place, name, "stiffness")
-                if not (np.isnan(wanted) | (wanted > 0.0)).all():
-                    raise CommandError(name, f"{_shown(numbers)} N/m must be positive")
-                stiffness[place] = wanted
-            else:
-                positions[place] = wanted
+            channel, place = _PARTS[part], self._effectors[effector]
+            if len(numbers) != channel.width:
+                raise CommandError(name, f"must be {channel.width} numbers, not {len(numbers)}")
+            self._needs(channel, place, name)
+            wanted[WANTED.index(channel)][place] = _checked(channel, name, numbers)
         kept = None
         if commanded:
             kept = np.full(simulation.actuators.count, np.nan)
@@ -399,7 +389,7 @@ class CommandReader:
         commanded = {}
         forms = {f"{name}{part}": (name, part) for name in self._effectors for part in _PARTS}
         ends = {f"{name}{end}": (name, part) for name in self._effectors
-                for part, own in _PARTS.items() for end in own}
+                for part, channel in _PARTS.items() for end in channel.columns("")}
         for name, numbers in values.items():
             if name in forms:
                 whole[forms[name]] = name, numbers
@@ -410,23 +400,23 @@ class CommandReader:
             else:
                 raise self._refused(name, "targets", self.target_names + self.setpoint_names)
         for (effector, part), given in single.items():
-            needed = [f"{effector}{end}" for end in _PARTS[part]]
+            needed = _PARTS[part].columns(effector)
             if (effector, part) in whole:
                 raise CommandError(next(iter(given)), f"is given twice, also by {effector}{part}")
             lacking = next((name for name in needed if name not in given), None)
-            if lacking is not None and part != "_stiffness_N_per_m":
+            if lacking is not None and _PARTS[part].word != "stiffness":
                 raise CommandError(lacking, f"is missing beside {next(iter(given))}")
             numbers = tuple(one_number(name, given[name]) if name in given else np.nan
                             for name in needed)
             whole[effector, part] = f"{effector}{part}", numbers
         return whole, commanded
 
-    def _needs(self, asks: tuple[bool, ...], place: int, name: str, what: str) -> None:
-        if asks[place]:
-            return
-        names = [own for own, one in zip(self._effectors, asks, strict=True) if one]
-        raise CommandError(name, f"the effector asks for no {what} in the scene; those with one: "
-                           f"{', '.join(names) or 'none'}")
+    def _needs(self, channel: Channel, place: int, name: str) -> None:
+        asks = channel.are_asked(self._simulation)
+        if not asks[place]:
+            names = ", ".join(compress(self._effectors, asks)) or "none"
+            raise CommandError(name, f"the effector asks for no {channel.word} in the scene; those "
+                               f"with one: {names}")
 
     # --- guided bodies and touches ---------------------------------------------------------------
 

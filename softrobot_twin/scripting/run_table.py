@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from softrobot_twin.simulation.channels import WANTED
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.runs.run_columns import (
     TEXT_COLUMNS,
@@ -69,7 +70,7 @@ def common_targets(commands: Sequence[Command]) -> FollowTargets | None:
 
 def _named(command: FollowTargets) -> tuple[bytes, ...]:
     """What a command gives of the effectors, in a form that can be compared."""
-    arrays = (command.targets, command.orientations, command.stiffness)
+    arrays = (getattr(command, channel.target) for channel in WANTED)
     return tuple(b"" if array is None else np.isfinite(array).tobytes() for array in arrays)
 
 

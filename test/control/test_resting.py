@@ -10,7 +10,6 @@ from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.twin_loop import CALLS, TickOutcome, TwinLoop, owner_of
-from softrobot_twin.record import loop_calls
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 
@@ -175,7 +174,6 @@ def test_all_work_of_a_tick_is_done_from_time_to_time(clocked):
 
 
 def test_every_call_that_reaches_a_loop_ends_its_rest(clocked):
-    assert set(CALLS) == set(loop_calls.CALLS)
     for name in CALLS:
         twin = clocked()
         twin.until_repeating()

@@ -11,13 +11,8 @@ import pytest
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
-from softrobot_twin.record.loop_calls import (
-    CALLS,
-    Call,
-    owner_of,
-    settings_from_json,
-    settings_to_json,
-)
+from softrobot_twin.control.twin_loop import CALLS, owner_of
+from softrobot_twin.record.loop_calls import READERS, Call, settings_from_json, settings_to_json
 from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.run_values import numbers, plain, state_digest
@@ -64,7 +59,7 @@ def test_every_input_and_service_of_a_loop_is_recorded(recorded):
     assert accepting == {name for name in CALLS if "accept" in name}
     for name in CALLS:
         owner, method = owner_of(loop, name)
-        assert len(inspect.signature(getattr(owner, method)).parameters) == len(CALLS[name])
+        assert len(inspect.signature(getattr(owner, method)).parameters) == len(CALLS[name].split())
 
 
 @pytest.mark.parametrize("position", [(0.1, math.nan, -0.0), (math.inf,)])
@@ -73,7 +68,8 @@ def test_the_arguments_of_a_call_come_back_with_their_types(position):
     call = Call("targets.accept_point", (1, position, arrival), None)
     made = json.loads(json.dumps(call.to_json(), allow_nan=False))
     effector, point, header = (
-        decode(one) for decode, one in zip(CALLS[made["to"]], made["arguments"], strict=True)
+        READERS[kind](one)
+        for kind, one in zip(CALLS[made["to"]].split(), made["arguments"], strict=True)
     )
     assert effector == 1 and header == arrival
     assert struct.pack("d", header.time) == struct.pack("d", -0.0)

@@ -17,6 +17,7 @@ import csv
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,10 +44,10 @@ from softrobot_twin.simulation.building.table_columns import (
     name_today,
     position_columns,
     quaternion_columns,
-    stiffness_columns,
     target_name,
     unit_of,
 )
+from softrobot_twin.simulation.channels import WANTED, Channel
 from softrobot_twin.simulation.command import (
     DEFAULT_TIME_STEP,
     Command,
@@ -370,15 +371,13 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
     if columns.is_output and not keep_targets(columns, simulation.effector_names):
         _keep_what_drove(columns, simulation)
     times = columns.times()
-    given = {name: [own for own in _columns_of_targets(name) if own in columns]
-             for name in simulation.effector_names}
-    kind, values, turns, stiffness = TARGETS, None, None, None
-    if any(given.values()):
-        values = _target_positions(columns, given)
-        turns = _target_turns(columns, simulation)
-        stiffness = _target_stiffness(columns, simulation)
+    kind, values = TARGETS, None
+    if any(own in columns for name in simulation.effector_names for own in _columns_of_targets(name)):
+        _refuse_partial(columns, simulation.effector_names)
+        wanted = [_targets_of(columns, simulation, channel) for channel in WANTED]
     else:
         kind, values = _actuator_values(columns, simulation)
+        wanted = values, None, None
     if columns.left:
         _refuse_column(columns, simulation)
     if kind == HOLD:
@@ -386,7 +385,7 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
             columns.source, f"the header names nothing to drive besides {TIME}", 1)
     if kind != TARGETS:
         _refuse_undriven(columns, simulation, kind, values)
-    return TargetTable(kind, times, _time_steps(times), values, turns, stiffness, columns.notes)
+    return TargetTable(kind, times, _time_steps(times), *wanted, columns.notes)
 
 
 def read_path(
@@ -411,11 +410,10 @@ def read_path(
     if columns.is_output:
         keep_targets(columns, (effector,))
     times = columns.times()
-    given = {effector: [own for own in _columns_of_targets(effector) if own in columns]}
-    if not given[effector]:
+    if not any(own in columns for own in _columns_of_targets(effector)):
         raise columns.error(position_columns(effector)[0], "the header lacks this column")
-    positions = _target_positions(columns, given)[:, 0]
-    return times, positions, _quaternions(columns, effector), columns.notes
+    _refuse_partial(columns, (effector,))
+    return times, *(_wanted(columns, effector, channel) for channel in WANTED[:2]), columns.notes
 
 
 def _take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
@@ -480,25 +478,54 @@ def _keep_what_drove(columns: Columns, simulation: Simulation, surroundings: boo
 
 def _columns_of_targets(name: str) -> tuple[str, ...]:
     """All columns that tell what is wanted of an effector."""
-    return position_columns(name) + quaternion_columns(name) + stiffness_columns(name)
+    return tuple(own for channel in WANTED for own in channel.columns(name))
 
 
-def _target_positions(columns: Columns, given: Mapping[str, list[str]]) -> np.ndarray:
-    """Targets [m], shape (row_count, effector_count, 3), NaN for effectors without.
+def _targets_of(columns: Columns, simulation: Simulation, channel: Channel) -> np.ndarray | None:
+    """Takes what is wanted of the effectors out, of which no column is missing.
 
     Args:
         columns: Those of the file.
-        given: Columns of each effector that the file has.
+        simulation: The scene.
+        channel: The quantity.
+
+    Returns:
+        Shape (row_count, effector_count, width), NaN where nothing is wanted; None without any.
     """
-    values = np.full((len(columns), len(given), 3), np.nan)
-    for place, (name, own) in enumerate(given.items()):
-        if own:
-            others = [left for left in columns.left
-                      if not any(left in _columns_of_targets(effector) for effector in given)]
+    names = simulation.effector_names
+    asking = list(compress(names, channel.are_asked(simulation)))
+    for one in (own for name in names if name not in asking for own in channel.columns(name)):
+        if one in columns:
+            raise columns.error(one, f"the effector has no {channel.word} in the scene; those with "
+                                f"one: {', '.join(asking) or 'none'}")  # fmt: skip
+    values = [_wanted(columns, name, channel) for name in names]
+    missing = np.full((len(columns), channel.width), np.nan)
+    if all(own is None for own in values):
+        return None
+    return np.stack([missing if own is None else own for own in values], axis=1)
+
+
+def _wanted(columns: Columns, name: str, channel: Channel) -> np.ndarray | None:
+    """Takes what is wanted of an effector out, shape (row_count, width); None without."""
+    values = columns.pop_given(channel.columns(name), np.nan)
+    if values is not None and channel.word == "orientation":
+        _refuse_lengths(columns.source, name, values, columns.lines)
+        return values / np.linalg.norm(values, axis=1, keepdims=True)
+    if values is not None and channel.word == "stiffness" and (values <= 0.0).any():
+        row, axis = np.unravel_index(np.nanargmin(values), values.shape)
+        raise columns.error(channel.columns(name)[axis], "must be positive: it is a stiffness",
+                            row, float(values[row, axis]), channel.unit)  # fmt: skip
+    return values
+
+
+def _refuse_partial(columns: Columns, effectors: Sequence[str]) -> None:
+    """Refuses positions and turns of effectors of which columns are missing."""
+    others = [left for left in columns.left
+              if not any(left in _columns_of_targets(name) for name in effectors)]
+    for name in effectors:
+        if any(own in columns for own in _columns_of_targets(name)):
             _refuse_missing(columns, name, "an effector's target needs x, y and z",
                             ", an orientation qx, qy, qz and qw too", others)  # fmt: skip
-            values[:, place] = columns.pop_all(position_columns(name))
-    return values
 
 
 def _refuse_missing(
@@ -519,70 +546,6 @@ def _refuse_missing(
         if one not in columns:
             raise columns.error(one, f"the header lacks this column: {rule}"
                                 f"{rule_of_turns if one in turns else ''}{nearest(one, others)}")  # fmt: skip
-
-
-def _target_turns(columns: Columns, simulation: Simulation) -> np.ndarray | None:
-    """Wanted turns, shape (row_count, effector_count, 4); None without any."""
-    _refuse_unasked(columns, simulation, quaternion_columns, simulation.oriented_effectors,
-                    "orientation")  # fmt: skip
-    return _of_effectors([_quaternions(columns, name) for name in simulation.effector_names])
-
-
-def _refuse_unasked(
-    columns: Columns, simulation: Simulation, made: Callable, asks: Sequence[bool], what: str
-) -> None:
-    """Refuses columns of effectors of which the scene does not control what they give.
-
-    Args:
-        columns: Those of the file.
-        simulation: The scene.
-        made: Gives the columns of an effector.
-        asks: Whether the scene controls it, for each effector.
-        what: What they give, for errors.
-    """
-    asking = [name for name, asked in zip(simulation.effector_names, asks) if asked]
-    for name in simulation.effector_names:
-        for one in made(name):
-            if one in columns and name not in asking:
-                raise columns.error(one, f"the effector has no {what} in the scene; those with one: "
-                                    f"{', '.join(asking) or 'none'}")  # fmt: skip
-
-
-def _of_effectors(values: Sequence[np.ndarray | None]) -> np.ndarray | None:
-    """Values of all effectors, shape (row_count, effector_count, width); None without any.
-
-    Args:
-        values: Those of each, shape (row_count, width); None for one without, which has NaN.
-    """
-    shape = next((own.shape for own in values if own is not None), None)
-    if shape is None:
-        return None
-    missing = np.full(shape, np.nan)
-    return np.stack([missing if own is None else own for own in values], axis=1)
-
-
-def _quaternions(columns: Columns, name: str) -> np.ndarray | None:
-    """Unit quaternions of an effector, shape (row_count, 4); None without."""
-    parts = quaternion_columns(name)
-    if parts[0] not in columns:
-        return None
-    quaternions = columns.pop_all(parts)
-    _refuse_lengths(columns.source, name, quaternions, columns.lines)
-    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-
-
-def _target_stiffness(columns: Columns, simulation: Simulation) -> np.ndarray | None:
-    """Wanted stiffnesses [N/m], shape (row_count, effector_count, 3); None without any."""
-    _refuse_unasked(columns, simulation, stiffness_columns, simulation.stiff_effectors, "stiffness")
-    given = []
-    for name in simulation.effector_names:
-        own = columns.pop_given(stiffness_columns(name), np.nan)
-        if own is not None and (own <= 0.0).any():
-            row, axis = np.unravel_index(np.nanargmin(own), own.shape)
-            raise columns.error(stiffness_columns(name)[axis], "must be positive: it is a stiffness",
-                                row, float(own[row, axis]), "N/m")  # fmt: skip
-        given.append(own)
-    return _of_effectors(given)
 
 
 def _refuse_column(columns: Columns, simulation: Simulation) -> None:

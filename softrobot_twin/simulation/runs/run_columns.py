@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -23,13 +24,11 @@ from softrobot_twin.simulation.building.table_columns import (
     TIME,
     body_name,
     column,
-    displacement_columns,
-    force_columns,
     position_columns,
     quaternion_columns,
-    stiffness_columns,
     target_name,
 )
+from softrobot_twin.simulation.channels import Channel, channels
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import has_spare_modes
@@ -191,57 +190,49 @@ class RunColumns:
             spare = reduced_bodies(model) if has_spare_modes(model) else ()
             self._judged = (*model.superelements, *(body.name for body in spare))
         self._parts = [
-            Cells((STEP, TIME), lambda row: (row.step, row.time)), *self._of_effectors(followed),
+            Cells((STEP, TIME), lambda row: (row.step, row.time)),
+            *self._of_channels("effector_names", followed),
             Cells([column(*one) for one in self.actuators],
                   lambda row: actuator_cells(row.result, simulation.actuators)),
-            *self._of_bodies(), Cells(observed, lambda row: map(float, row.observed)),
+            self._of_bodies(),
+            *(cells for kind in dict.fromkeys(one.objects for one in channels())
+              if kind != "effector_names" for cells in self._of_channels(kind)),
+            Cells(observed, lambda row: map(float, row.observed)),
             *self._of_contacts(), *self._of_steps(),
         ]  # fmt: skip
         self.names = tuple(name for part in self._parts for name in part.names)
 
-    def _of_effectors(self, followed: Command | None) -> Iterator[Cells]:
-        """Place of each effector, what was wanted, and how far off it is."""
-        names = self._simulation.effector_names
-        given = zip(
-            self._simulation.oriented_effectors, self._simulation.stiff_effectors,
-            *_given(followed, len(names)), strict=True,
-        )  # fmt: skip
-        for i, (name, (oriented, stiff, aimed, turned, stiffened)) in enumerate(
-            zip(names, given, strict=True)
-        ):
-            of_name, of_target = (
-                [made(one) for made in (position_columns, quaternion_columns, stiffness_columns)]
-                for one in (name, target_name(name))
-            )
-            yield Cells(of_name[0], lambda row, i=i: row.result.effector_positions[i])
-            if oriented:
-                yield Cells(of_name[1], lambda row, i=i: row.result.effector_orientations[i])
-            if stiff:
-                yield Cells(of_name[2], lambda row, i=i: _stiffness(row.result, i))
-            if aimed:
-                yield Cells(of_target[0], lambda row, i=i: np.asarray(_asked(row).targets, float)[i])
-            if turned:
-                yield Cells(of_target[1], lambda row, i=i: _asked(row).orientations[i])
-            for axis in np.flatnonzero(stiffened):
-                yield Cells(of_target[2][axis : axis + 1],
-                            lambda row, at=(i, axis): [_asked(row).stiffness[at]])  # fmt: skip
-            if aimed:
-                yield Cells([f"{name}_error_m"], lambda row, i=i: [row.result.effector_errors[i]])
-            if turned:
-                yield Cells([f"{name}_orientation_error_rad"],
-                            lambda row, i=i: [row.result.orientation_errors[i]])  # fmt: skip
+    def _of_channels(self, kind: str, followed: Command | None = None) -> Iterator[Cells]:
+        """What is told of each object of a kind, what a command wants of it, and how far off it is.
 
-    def _of_bodies(self) -> Iterator[Cells]:
-        """Poses of rigid bodies, forces and displacements of touches."""
+        Args:
+            kind: Attribute of a simulation with the names of the objects.
+            followed: The command.
+        """
+        simulation = self._simulation
+        names = getattr(simulation, kind)
+        own = [(one, one.are_asked(simulation), one.wanted(followed, len(names)))
+               for one in channels() if one.objects == kind]
+        for i, name in enumerate(names):
+            for one, asked, _ in own:
+                if asked[i]:
+                    yield Cells(one.columns(name), lambda row, one=one, i=i: one.of(row.result, i))
+            own_wanted = [(one, wanted[i]) for one, _, wanted in own if wanted[i].any()]
+            for one, wanted in own_wanted:
+                yield Cells(list(compress(one.columns(target_name(name)), wanted)),
+                            lambda row, one=one, at=(i, wanted): _asked(row, one)[at])
+            for one, _ in own_wanted:
+                field, end = one.error
+                if field:
+                    yield Cells([f"{name}_{end}"],
+                                lambda row, field=field, i=i: [getattr(row.result, field)[i]])
+
+    def _of_bodies(self) -> Cells:
+        """Poses of rigid bodies."""
         simulation = self._simulation
         names = [body_name(name, simulation.effector_names) for name in simulation.rigid_names]
         poses = [(*position_columns(name), *quaternion_columns(name)) for name in names]
-        yield Cells(sum(poses, ()), lambda row: row.rigid_poses.ravel())
-        touches = [(*force_columns(name), *displacement_columns(name))
-                   for name in simulation.touch_names]  # fmt: skip
-        if touches:
-            yield Cells(sum(touches, ()), lambda row: np.hstack(
-                [row.result.touches.forces, row.result.touches.displacements]).ravel())  # fmt: skip
+        return Cells(sum(poses, ()), lambda row: row.rigid_poses.ravel())
 
     def _of_contacts(self) -> Iterator[Cells]:
         if not self._pairs:
@@ -306,32 +297,7 @@ def _reported(name: str, field: str) -> Cells:
     return Cells([name], lambda row: [float(getattr(row.result.report, field))])
 
 
-def _asked(row: RunRow) -> FollowTargets:
-    """The targets of a row."""
+def _asked(row: RunRow, channel: Channel) -> np.ndarray:
+    """What the targets of a row want of the effectors."""
     assert isinstance(row.command, FollowTargets), "a run that follows targets tells each of them"
-    return row.command
-
-
-def _stiffness(result: StepResult, index: int) -> Iterable[float]:
-    """Stiffness of an effector along the axes [N/m]; NaN where a step does not tell it."""
-    stiffness = result.effector_stiffness
-    return [math.nan] * 3 if stiffness is None else stiffness[index]
-
-
-def _given(
-    followed: Command | None, count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which effectors have a target, which an orientation, and which axes a stiffness.
-
-    Returns:
-        Shapes (effector_count,), (effector_count,) and (effector_count, 3).
-    """
-    aimed = turned = np.zeros(count, bool)
-    stiffened = np.zeros((count, 3), bool)
-    if isinstance(followed, FollowTargets):
-        aimed = np.isfinite(followed.targets).all(axis=1)
-        if followed.orientations is not None:
-            turned = np.isfinite(followed.orientations).all(axis=1) & aimed
-        if followed.stiffness is not None:
-            stiffened = np.isfinite(followed.stiffness) & aimed[:, None]
-    return aimed, turned, stiffened
+    return np.asarray(getattr(row.command, channel.target), float)

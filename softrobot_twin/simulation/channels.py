@@ -1,0 +1,146 @@
+"""Channels: the quantities of a robot, each said once for files, Python, records and ROS.
+
+A channel is a quantity of all objects of a kind, such as the forces of touches. Tables of runs, results
+in Python, records and topics are loops over channels. One that `register_channel` adds from outside is
+a column of every run and a value of every result, a topic ``~/<name>/<object>`` of the twin, and a
+quantity of records, which replays compare.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.simulation.building.table_columns import (
+    AXES,
+    displacement_columns,
+    force_columns,
+    position_columns,
+    quaternion_columns,
+    stiffness_columns,
+)
+from softrobot_twin.simulation.command import Command
+from softrobot_twin.simulation.result import StepResult
+from softrobot_twin.simulation.simulation import Simulation
+
+
+class Channel(NamedTuple):
+    """A quantity of all objects of a kind.
+
+    Attributes:
+        name: Its name in records and among topics, such as ``touch_forces``.
+        unit: Its unit; ``1`` without one.
+        objects: Attribute of a simulation with the names of the objects, such as ``touch_names``.
+        parts: Names of its numbers of an object, such as x, y and z.
+        columns: Gives the columns of these numbers in files, by the name of the object.
+        read: Gives the numbers of all objects in a result, shape (object_count, part_count); None
+            in one that does not tell them.
+        asked: Attribute of a simulation that tells which of the objects have it; empty for all.
+        word: Of what may be wanted, for messages; empty for what only follows.
+        target: Field of `FollowTargets` with what is wanted.
+        python_name: End of the name of all numbers at once in Python.
+        error: Field of a result with the errors, and the end of their column; empty without one.
+    """
+
+    name: str
+    unit: str
+    objects: str
+    parts: Sequence[str]
+    columns: Callable[[str], Sequence[str]]
+    read: Callable[[StepResult], np.ndarray | None]
+    asked: str = ""
+    word: str = ""
+    target: str = ""
+    python_name: str = ""
+    error: tuple[str, str] = ("", "")
+
+    @property
+    def width(self) -> int:
+        """How many numbers it has of an object."""
+        return len(self.parts)
+
+    def names(self, simulation: Simulation) -> Sequence[str]:
+        """Names of the objects of its kind."""
+        return getattr(simulation, self.objects)
+
+    def are_asked(self, simulation: Simulation) -> Sequence[bool]:
+        """Whether each of the objects has it."""
+        return getattr(simulation, self.asked) if self.asked else [True] * len(self.names(simulation))
+
+    def of(self, result: StepResult, index: int) -> Sequence[float] | np.ndarray:
+        """Its numbers of an object in a result; NaN in one that does not tell them."""
+        values = self.read(result)
+        return [math.nan] * self.width if values is None else values[index]
+
+    def wanted(self, command: Command | None, count: int) -> np.ndarray:
+        """Which numbers a command wants of the effectors that have a target position.
+
+        Args:
+            command: The command; only one that follows targets wants any.
+            count: Number of effectors.
+
+        Returns:
+            Shape (effector_count, width).
+        """
+        values = getattr(command, self.target, None)
+        if values is None:
+            return np.zeros((count, self.width), bool)
+        return np.isfinite(values) & np.isfinite(command.targets).all(axis=1)[:, None]
+
+
+WANTED = (
+    Channel("effector_positions", "m", "effector_names", AXES, position_columns,
+            attrgetter("effector_positions"), "", "position", "targets", "",
+            ("effector_errors", "error_m")),
+    Channel("effector_orientations", "1", "effector_names", (*AXES, "w"), quaternion_columns,
+            attrgetter("effector_orientations"), "oriented_effectors", "orientation", "orientations",
+            "_quaternion", ("orientation_errors", "orientation_error_rad")),
+    Channel("effector_stiffness", "N/m", "effector_names", AXES, stiffness_columns,
+            attrgetter("effector_stiffness"), "stiff_effectors", "stiffness", "stiffness",
+            "_stiffness_N_per_m"),
+)  # fmt: skip
+"""What may be wanted of effectors; they have target positions where they have any."""
+
+BUILT_IN = (
+    *WANTED,
+    Channel("touch_forces", "N", "touch_names", AXES, force_columns,
+            lambda result: None if result.touches is None else result.touches.forces),
+    Channel("touch_displacements", "m", "touch_names", AXES, displacement_columns,
+            lambda result: None if result.touches is None else result.touches.displacements),
+)  # fmt: skip
+"""The channels of the package."""
+
+_REGISTERED: list[Channel] = []
+
+
+def channels() -> tuple[Channel, ...]:
+    """All channels, in the order of their columns."""
+    return (*BUILT_IN, *_REGISTERED)
+
+
+def from_outside() -> tuple[Channel, ...]:
+    """Those that `register_channel` added."""
+    return tuple(_REGISTERED)
+
+
+def register_channel(channel: Channel) -> None:
+    """Adds a channel, before what shows it is built.
+
+    Args:
+        channel: The channel.
+
+    Raises:
+        ValueError: There is one of this name.
+    """
+    if any(one.name == channel.name for one in channels()):
+        raise ValueError(f"there is a channel {channel.name} already")
+    _REGISTERED.append(channel)
+
+
+def withdraw_channel(channel: Channel) -> None:
+    """Removes a channel that `register_channel` added."""
+    _REGISTERED.remove(channel)
