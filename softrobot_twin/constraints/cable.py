@@ -468,23 +468,36 @@ class Cables(ConstraintTerm):
 
     def add_row_stiffness(
         self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
-    ) -> None:
-        """Add k h hᵀ of the rows h of the segments to the system matrix.
+    ) -> DenseRows:
+        """Add ρ n Σ h_s h_sᵀ of the rows h_s of the n segments of each cable.
 
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            stiffness: k of each segment [N/m], shape (segment_count,).
-            storage: The factorization's storage [N/m]; added to.
+        See `ConstraintTerm.add_row_stiffness`; ρ (Σ h_s)(Σ h_s)ᵀ - ρ n Σ h_s h_sᵀ is given as dense
+        rows, of as many cables in all states.
         """
+        of = self.cable_of_stretch
+        counts = np.bincount(of, minlength=self.row_count)
+        squares = (stiffness * counts)[of]
         segments = (
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, writable(stiffness),
+            self._rounding, squares,
         )  # fmt: skip
         if self._spread is None:
             add_row_stiffness_kernel(*segments, self._bound.offsets, self._bound.strides, storage)
-            return
-        write_squares(*segments, self._matrices)
-        self._spread.add(self._matrices, storage, is_more=True)
+        else:
+            write_squares(*segments, self._matrices)
+            self._spread.add(self._matrices, storage, is_more=True)
+        blocks, values = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
+        self._evaluate(positions, blocks, values)
+        rows = np.concatenate([self.entry_rows, self.row_count + self.stretch_of_entry])
+        # The square of a cable of one segment is whole.
+        kept = np.concatenate([counts, counts[of]]) > 1
+        entries, root = kept[rows], np.sqrt(np.concatenate([stiffness, squares]))
+        sign = np.repeat([1.0, -1.0], [self.row_count, len(of)])
+        blocks = np.concatenate([blocks, blocks]) * root[rows, None]
+        return DenseRows(
+            (np.cumsum(kept) - 1)[rows[entries]], np.tile(self.entry_nodes, 2)[entries], blocks[entries],
+            sign[kept],
+        )  # fmt: skip
 
     def _pulls_on_carried_points(self, positions, tensions) -> np.ndarray:
         """Force of the cables on each carried point [N], shape (carried_count, 3)."""

@@ -117,6 +117,23 @@ class ConstraintTerm(Protocol):
             projected: True for a part of it that is never negative.
         """
 
+    def add_row_stiffness(
+        self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
+    ) -> DenseRows | None:
+        """Add Hᵀ ρ H, with as much more as makes it fit into the blocks of the stiffness.
+
+        Only of terms that hold displacements beside which a tangent is augmented.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            stiffness: ρ of its rows, shape (k,).
+            storage: The factorization's storage [N/m]; added to.
+
+        Returns:
+            What has to be added to what was added; None for nothing.
+        """
+        raise NotImplementedError
+
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """Share of a move for which the linearization of these rows is valid.
 

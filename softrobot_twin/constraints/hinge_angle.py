@@ -81,13 +81,10 @@ class HingeAngles(ConstraintTerm):
         """Find the places of the diagonal blocks."""
         self._offsets, self._strides = slots(self.entry_nodes, self.entry_nodes)
 
-    def add_row_stiffness(self, stiffness: np.ndarray, storage: np.ndarray) -> None:
-        """Add Hᵀ ρ H.
-
-        Args:
-            stiffness: ρ of each row [N m], shape (row_count,).
-            storage: The factorization's storage; added to.
-        """
+    def add_row_stiffness(
+        self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
+    ) -> None:
+        """Add Hᵀ ρ H; see `ConstraintTerm.add_row_stiffness`."""
         storage[self._offsets] += stiffness
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:

@@ -55,6 +55,7 @@ class RowStack:
     Attributes:
         terms: The terms, in the order of their rows.
         groups: The rows of each group.
+        constant_terms: Each term whose rows do not vary, and its rows.
         varies: Whether the rows of a term vary from state to state.
         row_count: Number of rows.
         row_index: Row of each entry of H, shape (entry_count,).
@@ -94,7 +95,7 @@ class RowStack:
             reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
         self._make_room()
-        constant = [(term, rows) for term, _, rows in self._constant_parts]
+        self.constant_terms = constant = [(term, rows) for term, _, rows in self._constant_parts]
         self._told_parts = [(term, rows) for term, rows in constant if term.takes_efforts]
         self._yielding = [(term, rows) for term, rows in constant if term.yields]
         self.told = self.is_told = None

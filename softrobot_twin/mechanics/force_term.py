@@ -29,6 +29,9 @@ class DenseRows(NamedTuple):
     stiffness: np.ndarray
 
 
+NO_DENSE_ROWS = DenseRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), np.empty(0))
+
+
 class ForceTerm(Protocol):
     """Forces on the unknowns, and their stiffness, of all elements of one kind.
 

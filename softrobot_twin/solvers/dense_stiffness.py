@@ -5,10 +5,9 @@ With the rows h in S and C = diag(1/k), A + Sᵀ C⁻¹ S has the inverse that t
     [ A   Sᵀ ] [ x ]   [ b ]
     [ S  -C  ] [ y ] = [ 0 ]
 
-have, so S is condensed above the rows H of each system, and eliminated from it: C + S A⁻¹ Sᵀ, which
-is what the elimination of A leaves of the rows (with its sign changed), is divided into rows of
-positive k, then of negative ones. A is positive definite; the whole is where the pivots of the rows
-have the signs of their k (the inertia of the system from both sides; Nocedal and Wright, Numerical
+have, so S is condensed above the rows H of each system, and eliminated from it, rows of positive k
+first. The whole is positive definite where as many pivots of C + S A⁻¹ Sᵀ are positive as k are, less
+the negative eigenvalues of A (the inertia of the system from both sides; Nocedal and Wright, Numerical
 Optimization, 2006, section 16.3).
 """
 
@@ -25,7 +24,7 @@ NO_ROWS = NodeRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), 0)
 
 
 @njit(**KERNEL)
-def eliminate(G, free, compliance, positive_count):
+def eliminate(G, free, compliance):
     """Eliminate the first rows y of G y + free + C y = 0; what is left of G and free is condensed.
 
     Args:
@@ -33,25 +32,25 @@ def eliminate(G, free, compliance, positive_count):
             and columns of the first rows, by the condensed compliance below.
         free: Free violations, shape (n,); overwritten alike.
         compliance: C of the first rows, shape (s,).
-        positive_count: How many of these, from the first on, are to have a positive pivot.
 
     Returns:
-        Whether the pivots have the signs that they are to have.
+        How many pivots are positive; -1 where one is zero or no number.
     """
-    s, n = len(compliance), len(free)
+    s, n, positive_count = len(compliance), len(free), 0
     for k in range(s):
         G[k, k] += compliance[k]
     for k in range(s):
         pivot = G[k, k]
-        if not (pivot > 0.0 if k < positive_count else pivot < 0.0):
-            return False
+        if not (pivot > 0.0 or pivot < 0.0):
+            return -1
+        positive_count += pivot > 0.0
         for i in range(k + 1, n):
             factor = G[i, k] / pivot
             G[i, k] = factor
             free[i] -= factor * free[k]
             for j in range(k + 1, n):
                 G[i, j] -= factor * G[k, j]
-    return True
+    return positive_count
 
 
 @njit(**KERNEL)
@@ -137,12 +136,13 @@ class DenseStiffness:
             inner: It.
             terms: All that have `dense_rows`, see `DenseRows`.
         """
-        self._inner, self.name, self._terms = inner, inner.name, terms
+        self._inner, self.name, self._terms = inner, inner.name, list(terms)
         self.elimination_rank, self.storage = inner.elimination_rank, inner.storage
         self.slots, self.blocks, self.clear = inner.slots, inner.blocks, inner.clear
         self.is_traceable = getattr(inner, "is_traceable", False)
         self._place, self._compliance, self._below = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64)
         self._positive_count = self._entry_count = 0
+        self._negative_count: int | None = 0
         # The rows h, then H, in the same arrays as long as there are as many.
         self._joined = NO_ROWS
         self._eliminated: Condensed | None = None
@@ -156,7 +156,7 @@ class DenseStiffness:
         )
 
     def factor(self) -> bool:
-        """Take the rows, and factorize A; False if A is not positive definite."""
+        """Take the rows, and factorize A; False if it cannot be told whether the whole is definite."""
         parts = [term.dense_rows for term in self._terms]
         stiffness = np.concatenate([part.stiffness for part in parts])
         if len(stiffness) != len(self._place):
@@ -170,7 +170,9 @@ class DenseStiffness:
             self._append(part, self._place[first:])
             first += len(part.stiffness)
         self._eliminated = None
-        return self._inner.factor()
+        is_definite = self._inner.factor()
+        self._negative_count = 0 if is_definite else getattr(self._inner, "negative_count", None)
+        return self._negative_count is not None
 
     def _make_room(self, entry_count: int) -> None:
         """Keep the rows h, in arrays for a number of entries."""
@@ -206,7 +208,7 @@ class DenseStiffness:
         self._append(H, self._below)
         self._entry_count = entries
         W, free = self._inner.condense(self._joined._replace(row_count=s + H.row_count), b)
-        if not eliminate(W, free, self._compliance, self._positive_count):
+        if eliminate(W, free, self._compliance) != self._positive_count - self._negative_count:
             raise np.linalg.LinAlgError("rows of a stiffness make it indefinite")
         self._eliminated = Condensed(W, free)
         W = W[s:, s:]
@@ -231,3 +233,16 @@ class DenseStiffness:
         forces = np.array(b)
         np.add.at(forces, own.node_index, own.blocks * loads[own.row_index, None])
         return self._inner.solve(forces)
+
+
+def with_rows_of(term, factorization: Factorization) -> DenseStiffness:
+    """A factorization that takes the dense rows of one more term.
+
+    Args:
+        term: Has `dense_rows`, see `DenseRows`.
+        factorization: That of the others, which is changed if it takes dense rows already.
+    """
+    if not isinstance(factorization, DenseStiffness):
+        return DenseStiffness(factorization, [term])
+    factorization._terms.append(term)
+    return factorization

@@ -64,16 +64,20 @@ def test_the_tangent_is_that_of_all_blocks(both, tensions, drawn_rng):
         )
 
 
-def test_squares_of_rows_are_added_to_it(both, drawn_rng):
-    mesh, (term, matrix, _), (spread, lumped, _) = both
-    x = states(mesh, drawn_rng)[0]
-    stiffness = np.where(term.cable_of_stretch == 0, 40.0, 0.0)
-    for own, storage in ((term, matrix.storage), (spread, lumped.storage)):
-        storage[:] = 0.0
-        own.add_stiffness(x, np.array([3.0, 0.7]), storage)
-        own.add_row_stiffness(x, stiffness, storage)
-    expected = whole(term, matrix)
-    np.testing.assert_allclose(whole(spread, lumped), expected, atol=1e-12 * np.abs(expected).max())
+def test_squares_of_cables_are_added_to_it(both, drawn_rng, dense_rows):
+    mesh, (term, matrix, free), (spread, lumped, _) = both
+    x, stiffness = states(mesh, drawn_rng)[0], np.array([40.0, 0.0])
+    added = []
+    for own, of in ((term, matrix), (spread, lumped)):
+        of.storage[:] = 0.0
+        own.add_stiffness(x, np.array([3.0, 0.7]), of.storage)
+        before = whole(own, of)
+        lacking = own.add_row_stiffness(x, stiffness, of.storage)
+        S = NodeRows(*lacking[:3], len(lacking.stiffness)).transposed(len(free))
+        added.append(whole(own, of) + S @ np.diag(lacking.stiffness) @ S.T - before)
+    h = dense_rows(term, x, free)[0].reshape(2, -1)
+    for found in added:
+        np.testing.assert_allclose(found, h.T @ np.diag(stiffness) @ h, atol=1e-11 * np.abs(found).max())
     # The next stiffness begins anew.
     lumped.storage[:] = 0.0
     matrix.storage[:] = 0.0

@@ -444,7 +444,7 @@ class Newton:
                 model.factorization, rows, forces, moves, row_starts, pressing,
                 multipliers=multipliers,
             )  # fmt: skip
-        augmentation = self._augmented.augmentation(self._held, rows.groups.actuators.stop)
+        augmentation = self._augmented.augmentation(self._held)
         forces, shift = self.forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators
         shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])

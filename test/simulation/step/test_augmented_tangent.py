@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.step.augmented_tangent import (
     AUGMENTATION,
     AugmentedLU,
-    AugmentedRows,
     AugmentedTangent,
     HeldActuators,
 )
@@ -41,7 +41,9 @@ def tangents(diamond):
 
         def augment(self, chosen):
             """Augment the chosen cables; gives the tangent and what it condenses."""
-            augmented = AugmentedTangent(self.model.rows.terms[0], self.model.factorization)
+            augmented = AugmentedTangent(
+                self.model.rows, self.model.factorization, np.ones(4, bool)
+            )
             count = self.model.rows.groups.actuators.stop
             augmented.measure(self.exact.W[:count, :count])
             efforts = np.where(chosen, 1.0, 0.0)
@@ -96,7 +98,7 @@ def test_efforts_come_back_from_the_solution(tangents):
     held = HeldActuators(np.full(4, 1e-3), np.zeros(4), np.full(4, np.inf))
     displacements = np.array([1e-3, 1.1e-3, 0.9e-3, 1.2e-3])
     solved = np.array([2.0, 2.0, 2.0, 2.0])
-    found = augmented.augmentation(held, 4).efforts(solved, displacements)
+    found = augmented.augmentation(held).efforts(solved, displacements)
     expected = solved - augmented.stiffness * (displacements - held.displacements)
     np.testing.assert_allclose(found, expected)
     assert found[0] == found[3] == 2.0 and found[1] < 2.0 < found[2]
@@ -111,9 +113,9 @@ def test_the_solution_for_any_forces_is_that_of_the_condensed_system(beam, kind)
     model, newton, state = simulation.model, simulation.newton, simulation.state
     rows, factorization = model.rows, model.factorization
     if kind == "cables":
-        augmented = AugmentedTangent(rows.terms[0], factorization)
+        augmented = AugmentedTangent(rows, factorization, np.ones(4, bool))
     else:
-        augmented = AugmentedLU(factorization, np.ones(4, bool))
+        augmented = AugmentedLU(rows, factorization, np.ones(4, bool))
     newton.assemble(state.positions, rows.multipliers(state.efforts), False)
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
@@ -189,7 +191,9 @@ def test_contacts_that_press_are_augmented_too(leaning):
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
     exact = factorization.condense(H, newton.forces.copy())
-    augmented = AugmentedTangent(rows.terms[0], factorization, contacts)
+    augmented = AugmentedTangent(
+        rows, factorization, np.ones(4, bool), contacts=contacts
+    )
     augmented.measure(exact.W[:4, :4])
     held = HeldActuators(np.zeros(4), np.zeros(4), np.full(4, 40.0))
     assert augmented.choose(efforts, held)
@@ -236,7 +240,7 @@ def test_beside_the_limit_of_stability_an_inverse_neither_chatters_nor_misses():
 
 def test_a_tangent_that_is_hardly_definite_is_left_to_the_augmented_one_with_hysteresis():
     """Its softest way yields 1 / NEARLY_INDEFINITE times 1/ρ at most, and comes back at a half."""
-    tangent = AugmentedRows(None, np.ones(2, bool), np.array([2.0, 5.0]))
+    tangent = AugmentedTangent(RowStack([]), None, np.ones(2, bool), np.array([2.0, 5.0]))
     stiffness = AUGMENTATION * tangent._own
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     for softest, near in ((99.0, False), (101.0, True)):
