@@ -23,7 +23,7 @@ from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.box import Box
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
-from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, subtract
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row, subtract
 
 # Result of `face_contacts` if no face is near.
 NO_FACE = -1
@@ -136,8 +136,7 @@ def _corners(centre, axes, half, face, polygon, labels):
     for c in range(4):
         a, b = signs[c]
         p = add_scaled(add_scaled(middle, row(axes, j), a * half[j]), row(axes, k), b * half[k])
-        for axis in range(3):
-            polygon[c, axis] = p[axis]
+        set_row(polygon, c, p)
         labels[c, 0], labels[c, 1] = (c + 3) % 4, c
     return 4
 
@@ -156,14 +155,12 @@ def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
         p, q = row(polygon, c), row(polygon, following)
         p_over, q_over = dot(p, n) - limit, dot(q, n) - limit
         if p_over <= 0.0:
-            for axis in range(3):
-                clipped[left, axis] = p[axis]
+            set_row(clipped, left, p)
             clipped_labels[left, 0], clipped_labels[left, 1] = labels[c, 0], labels[c, 1]
             left += 1
         if (p_over <= 0.0) != (q_over <= 0.0):
             share = p_over / (p_over - q_over)
-            for axis in range(3):
-                clipped[left, axis] = p[axis] + share * (q[axis] - p[axis])
+            set_row(clipped, left, add_scaled(p, subtract(q, p), share))
             # The side from p to q crosses the plane.
             into = q_over <= 0.0
             clipped_labels[left, 0] = label if into else labels[c, 1]
@@ -244,10 +241,9 @@ def face_contacts(first, first_half, second, second_half, margin, found):
         if gap >= margin:
             continue
         q, sign = add_scaled(p, normal, -gap), (-1.0 if swap else 1.0)
-        for axis in range(3):
-            found.first_positions[kept, axis] = q[axis] if swap else p[axis]
-            found.second_positions[kept, axis] = p[axis] if swap else q[axis]
-            found.normals[kept, axis] = sign * normal[axis]
+        set_row(found.first_positions, kept, q if swap else p)
+        set_row(found.second_positions, kept, p if swap else q)
+        set_row(found.normals, kept, scaled(normal, sign))
         found.gaps[kept] = gap
         # Negative: the keys of a general search are positive.
         found.keys[kept] = -1 - ((pair * _LABELS + labels[c, 0]) * _LABELS + labels[c, 1])

@@ -124,6 +124,26 @@ class CellMesh(Protocol):
         ...
 
 
+class CornerMesh(CellMesh, Protocol):
+    """A mesh all of whose nodes are corners."""
+
+    @property
+    def corner_mesh(self) -> CornerMesh:
+        """Itself."""
+        return self
+
+    @property
+    def mid_edge_ends(self) -> np.ndarray:
+        """Empty, shape (0, 2)."""
+        return np.empty((0, 2), dtype=np.int64)
+
+    def carriers(
+        self, cells: np.ndarray, barycentric_weights: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `CellMesh.carriers`: the corners of the cells; of hexahedra with eight weights."""
+        return self.cells[cells], barycentric_weights
+
+
 class SomeCells(NamedTuple):
     """Some cells of a mesh, as far as elements need a mesh.
 

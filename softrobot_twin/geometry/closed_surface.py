@@ -23,7 +23,8 @@ import numpy as np
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, subtract, unit
+from softrobot_twin.geometry.surface import half_edges
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, set_row, subtract, unit
 
 
 class ClosedSurface(NamedTuple):
@@ -74,11 +75,7 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
     if (starts == ends).any():
         index = int(np.flatnonzero(starts == ends)[0]) // 3
         raise MeshError(None, f"surface triangle {index} refers to a point twice")
-    edges, first, place, counts = np.unique(
-        np.sort(np.stack([starts, ends], axis=1), axis=1),
-        axis=0, return_index=True, return_inverse=True, return_counts=True,
-    )  # fmt: skip
-    place = place.ravel()
+    edges, place, counts = half_edges(triangles)[1:]
     balance = np.bincount(place, np.where(starts < ends, 1, -1), minlength=len(edges))
     wrong = np.flatnonzero((counts != 2) | (balance != 0))
     if len(wrong):
@@ -89,6 +86,7 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
             "oriented surface every edge belongs to two, with opposite directions along it",
         )
     halves = np.argsort(place, kind="stable").reshape(-1, 2)
+    first = halves[:, 0]
     apexes = np.roll(triangles, -2, axis=1).ravel()
     other = np.empty(len(starts), dtype=np.int64)
     other[halves[:, 0]], other[halves[:, 1]] = halves[:, 1], halves[:, 0]
@@ -140,9 +138,7 @@ def compute_normals(x, links, normals):
     for t in range(len(links)):
         a = row(x, links[t, 0])
         n = unit(cross(subtract(row(x, links[t, 1]), a), subtract(row(x, links[t, 2]), a)))
-        normals[t, 0] = n[0]
-        normals[t, 1] = n[1]
-        normals[t, 2] = n[2]
+        set_row(normals, t, n)
         normals[t, 3] = dot(n, a)
 
 

@@ -75,36 +75,6 @@ def height_above(x, a, normal, p):
     return dot(subtract(p, row(x, a)), normal)
 
 
-@njit(**INNER)
-def squared_distance_to_edge(x, a, b, p):
-    """Squared distance of p to the segment between points a and b of x [m²]."""
-    start = row(x, a)
-    along, away = subtract(row(x, b), start), subtract(p, start)
-    square = dot(along, along)
-    fraction = dot(away, along) / square if square > 0.0 else 0.0
-    away = add_scaled(away, along, -min(max(fraction, 0.0), 1.0))
-    return dot(away, away)
-
-
-@njit(**KERNEL)
-def squared_distance_to_triangle(x, a, b, c, p):
-    """Squared distance of p to a triangle of points of x [m²].
-
-    A triangle without area is measured by its edges.
-    """
-    normal = triangle_normal(x, a, b, c)
-    if not is_zero(normal):
-        first, second, third = plane_weights(x, a, b, c, p)
-        if first >= 0.0 and second >= 0.0 and third >= 0.0:
-            height = height_above(x, a, normal, p)
-            return height * height
-    return min(
-        squared_distance_to_edge(x, a, b, p),
-        squared_distance_to_edge(x, b, c, p),
-        squared_distance_to_edge(x, c, a, p),
-    )
-
-
 @njit(**INLINED)
 def out_of_reach(x, a, b, c, p, reach):
     """Whether the bounding box of a triangle is farther than `reach` from p along some axis."""
@@ -299,7 +269,7 @@ def is_beyond(p, box, slack):
     return p[2] < box[2] + slack or p[2] > box[5] - slack
 
 
-@njit(**INNER)
+@njit(**KERNEL, forceinline=True)
 def squared_distance(p, a, b, c):
     """Squared distance of p from triangle abc [m²]."""
     w = closest_weights(p, a, b, c)

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.cell_mesh import CellBlock, CellMesh, SomeCells
+from softrobot_twin.geometry.cell_mesh import CellBlock, CellMesh, CornerMesh, SomeCells
 from softrobot_twin.geometry.quadrature import hexahedron_rule
 from softrobot_twin.geometry.shape_functions import (
     ENHANCED_HEXAHEDRON,
@@ -79,7 +79,7 @@ def scaled_jacobians(corners: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class HexahedralMesh(CellMesh):
+class HexahedralMesh(CornerMesh):
     """Hexahedra, and tetrahedra beside them, by their corners. Arrays are read-only.
 
     Cells are numbered tetrahedra first.
@@ -114,16 +114,6 @@ class HexahedralMesh(CellMesh):
         if not (tet_volumes(positions, self.tets) > 0.0).all():
             raise MeshError(None, "a tetrahedron has no positive volume")
         _ = self._free_faces
-
-    @property
-    def corner_mesh(self) -> HexahedralMesh:
-        """Itself."""
-        return self
-
-    @property
-    def mid_edge_ends(self) -> np.ndarray:
-        """Empty: all its nodes are corners, shape (0, 2)."""
-        return np.empty((0, 2), dtype=np.int64)
 
     @cached_property
     def cells(self) -> np.ndarray:
@@ -170,18 +160,6 @@ class HexahedralMesh(CellMesh):
         """See `CellMesh.cell_counts`."""
         counts = {"hexahedra": len(self.hexahedra), "tets": len(self.tets)}
         return {name: count for name, count in counts.items() if count}
-
-    def carriers(self, cells: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes that carry points inside cells, and their weights.
-
-        Args:
-            cells: Cell of each point, shape (point_count,).
-            weights: Weights of its corners as in `cells`, shape (point_count, 8).
-
-        Returns:
-            Nodes and weights, each of shape (point_count, 8).
-        """
-        return self.cells[cells], weights
 
     def renumbered(self, node_positions: np.ndarray, first_node: int) -> HexahedralMesh:
         """See `CellMesh.renumbered`."""
@@ -427,7 +405,7 @@ class EnhancedMesh(CellMesh):
         return self.corner_mesh.cell_counts
 
     def carriers(self, cells: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `HexahedralMesh.carriers`: inner nodes carry no points."""
+        """See `CellMesh.carriers`: inner nodes carry no points."""
         return self.corner_mesh.carriers(cells, weights)
 
     def renumbered(self, node_positions: np.ndarray, first_node: int) -> EnhancedMesh:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -146,37 +147,57 @@ def _deepest_cells(
     return cells, weights, depths
 
 
-def _deepest_hexahedra(
-    mesh: HexahedralMesh, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same among the hexahedra: depth (1 - max |ξ_i|) / 2."""
-    corners = mesh.node_positions[mesh.hexahedra]
-    centres = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centres[:, None], axis=2).max() * (1.0 + 1e-6)
-    tree = cKDTree(centres)
+def _deepest(
+    corners: np.ndarray, points: np.ndarray,
+    weights_in: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """For each point, the cell that it is deepest in, its weights there, and its depth.
+
+    The depth is −∞ for points outside the boxes of all cells, in which the cells lie.
+
+    Args:
+        corners: Corners of each cell [m], shape (cell_count, corner_count, 3).
+        points: The points [m], shape (point_count, 3).
+        weights_in: Gives weights and depths of pairs of a point and a cell, by its number.
+    """
+    middles = corners.mean(axis=1)
+    reaches = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1) * (1.0 + 1e-6)
     lowest, highest = corners.min(axis=1), corners.max(axis=1)
-    middles = 0.5 * (lowest + highest)
     diagonals = np.linalg.norm(highest - lowest, axis=1, keepdims=True)
-    halves = 0.5 * (highest - lowest) + 1e-6 * diagonals
+    centres, halves = 0.5 * (lowest + highest), 0.5 * (highest - lowest) + 1e-6 * diagonals
+
     best = np.zeros(len(points), dtype=np.int64)
-    weights = np.zeros((len(points), 8))
+    weights = np.zeros((len(points), corners.shape[1]))
     depths = np.full(len(points), -np.inf)
     for start in range(0, len(points), _CHUNK):
         chunk = points[start : start + _CHUNK]
-        owner, cells = _pairs(tree.query_ball_point(chunk, reach))
-        # A hexahedron lies in the box of its corners.
-        beyond = np.abs(chunk[owner] - middles[cells]) > halves[cells]
-        owner, cells = owner[~beyond.any(axis=1)], cells[~beyond.any(axis=1)]
+        if len(chunk) < _FEW * len(corners):
+            owner, cells = _pairs(cKDTree(middles).query_ball_point(chunk, reaches.max()))
+        else:
+            cells, owner = _pairs(cKDTree(chunk).query_ball_point(middles, reaches))
+        is_near = (np.abs(chunk[owner] - centres[cells]) <= halves[cells]).all(axis=1)
+        owner, cells = owner[is_near], cells[is_near]
         if len(owner) == 0:
             continue
-        places, is_found = _inverse_isoparametric(corners[cells], chunk[owner])
-        depth = np.where(is_found, 0.5 * (1.0 - np.abs(places).max(axis=1)), -np.inf)
+        found, depth = weights_in(chunk[owner], cells)
         winners = _first_best(owner, cells, -depth)
         rows = start + owner[winners]
-        best[rows], depths[rows] = cells[winners], depth[winners]
-        within = np.clip(places[winners], -1.0, 1.0)
-        weights[rows] = TRILINEAR_HEXAHEDRON.values(within)
+        best[rows], weights[rows], depths[rows] = cells[winners], found[winners], depth[winners]
     return best, weights, depths
+
+
+def _deepest_hexahedra(
+    mesh: HexahedralMesh, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same among hexahedra: the depth is (1 - max |ξ_i|) / 2."""
+    corners = mesh.node_positions[mesh.hexahedra]
+
+    def weights_in(asked: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        places, is_found = _inverse_isoparametric(corners[cells], asked)
+        depth = np.where(is_found, 0.5 * (1.0 - np.abs(places).max(axis=1)), -np.inf)
+        return TRILINEAR_HEXAHEDRON.values(np.clip(places, -1.0, 1.0)), depth
+
+    return _deepest(corners, points, weights_in)
 
 
 def _inverse_isoparametric(
@@ -209,44 +230,20 @@ def _inverse_isoparametric(
 def _deepest_tets(
     node_positions: np.ndarray, cells: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each point, the tetrahedron with the largest smallest weight, its weights, that weight.
-
-    The smallest weight is −∞ for points outside the boxes of all tetrahedra.
-    """
+    """The same among tetrahedra: the depth is the smallest weight."""
     corners = node_positions[cells]
-    centroids = corners.mean(axis=1)
-    reaches = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1) * (1.0 + 1e-6)
-    lowest_corner, highest_corner = corners.min(axis=1), corners.max(axis=1)
-    middles = 0.5 * (lowest_corner + highest_corner)
-    diagonals = np.linalg.norm(highest_corner - lowest_corner, axis=1, keepdims=True)
-    halves = 0.5 * (highest_corner - lowest_corner) + 1e-6 * diagonals
 
-    best_tets = np.zeros(len(points), dtype=np.int64)
-    best_weights = np.zeros((len(points), 4))
-    lowest = np.full(len(points), -np.inf)
-    for start in range(0, len(points), _CHUNK):
-        chunk = points[start : start + _CHUNK]
-        if len(chunk) < _FEW * len(cells):
-            owner, tets = _pairs(cKDTree(centroids).query_ball_point(chunk, reaches.max()))
-        else:
-            tets, owner = _pairs(cKDTree(chunk).query_ball_point(centroids, reaches))
-        is_near = (np.abs(chunk[owner] - middles[tets]) <= halves[tets]).all(axis=1)
-        owner, tets = owner[is_near], tets[is_near]
-        if len(owner) == 0:
-            continue
-        offsets = chunk[owner] - corners[tets, 0]
+    def weights_in(asked: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         used, of_used = np.unique(tets, return_inverse=True)
         edges = (corners[used, 1:] - corners[used, :1]).transpose(0, 2, 1)
-        weights = np.empty((len(owner), 4))
-        weights[:, 1:] = np.einsum("pij,pj->pi", np.linalg.inv(edges)[of_used], offsets)
+        weights = np.empty((len(tets), 4))
+        weights[:, 1:] = np.einsum(
+            "pij,pj->pi", np.linalg.inv(edges)[of_used], asked - corners[tets, 0]
+        )
         weights[:, 0] = 1.0 - weights[:, 1:].sum(axis=1)
-        smallest = weights.min(axis=1)
-        winners = _first_best(owner, tets, -smallest)
-        rows = start + owner[winners]
-        best_tets[rows] = tets[winners]
-        best_weights[rows] = weights[winners]
-        lowest[rows] = smallest[winners]
-    return best_tets, best_weights, lowest
+        return weights, weights.min(axis=1)
+
+    return _deepest(corners, points, weights_in)
 
 
 def _nearest_on_surface(

@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid, with_capacity
+from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
     closed_surface,
@@ -42,7 +42,7 @@ from softrobot_twin.geometry.proximities import (
     put_rows,
     write_row,
 )
-from softrobot_twin.geometry.surface_pairs import checked_points
+from softrobot_twin.geometry.surface_pairs import GrowingBuffers, checked_points
 from softrobot_twin.geometry.triangle_pairs import (
     FACING_SINE,
     NEIGHBOUR,
@@ -223,7 +223,7 @@ def pair_surface_with_itself(
     return count, need, need_edges
 
 
-class SelfDetector:
+class SelfDetector(GrowingBuffers):
     """Detects contacts and small overlaps of a surface with itself.
 
     Attributes:
@@ -284,21 +284,16 @@ class SelfDetector:
             MeshError: The points have another shape.
         """
         x = checked_points(points, len(self._rest_points))
-        while True:
-            side = SurfaceSide(
-                x, self._surface, self._normals, self._ridges, self._grids[0], self._no_leaders,
-                self._surface.vertices,
-            )  # fmt: skip
-            count, *needed = pair_surface_with_itself(
-                side, self._grids[1], float(margin), float(self.depth), self._rest,
-                self._rest_points, self._rest_normals, self._near, self._rows,
-            )  # fmt: skip
-            grids = [with_capacity(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
-            if all(new is old for new, old in zip(grids, self._grids, strict=True)):
-                if count <= len(self._rows.reals):
-                    return proximities(self._rows, count)
-                self._rows = empty_rows(2 * count, len(self._surface.links))
-            self._grids = grids
+        return self._grown(lambda: pair_surface_with_itself(
+            self._side(x), self._grids[1], float(margin), float(self.depth), self._rest,
+            self._rest_points, self._rest_normals, self._near, self._rows,
+        ))  # fmt: skip
+
+    def _side(self, points: np.ndarray) -> SurfaceSide:
+        return SurfaceSide(
+            points, self._surface, self._normals, self._ridges, self._grids[0], self._no_leaders,
+            self._surface.vertices,
+        )  # fmt: skip
 
 
 @njit(**KERNEL)

@@ -35,6 +35,7 @@ from softrobot_twin.geometry.closest_features import (
     FACE,
     NONE,
     nearest_feature,
+    out_of_reach,
     same_plane,
 )
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, place_frame
@@ -102,16 +103,6 @@ def keep_crests(crests, found, count):
     return kept
 
 
-@njit(**INLINED)
-def is_beside(x, links, t, p, reach):
-    """Whether the box of triangle t is farther than `reach` from p along some axis."""
-    for i in range(3):
-        a, b, c = x[links[t, 0], i], x[links[t, 1], i], x[links[t, 2], i]
-        if p[i] < min(a, b, c) - reach or p[i] > max(a, b, c) + reach:
-            return True
-    return False
-
-
 @njit(**INNER)
 def plane_under(p, x, links, edges, fans, normals, t, reach):
     """Nearest feature of triangle t if it is part of a plane of the surface.
@@ -173,7 +164,8 @@ def search_ball(
     nearest, nearest_inside = np.inf, -1
     for t in range(len(links)):
         height = dot(p, row(normals, t)) - normals[t, 3]
-        if abs(height) > reach or is_beside(x, links, t, p, reach):
+        corners = (links[t, 0], links[t, 1], links[t, 2])
+        if abs(height) > reach or out_of_reach(x, *corners, p, reach):
             continue
         kind, feature, w, _, n, gap = nearest_feature(p, x, links, fans, normals, t, reach)
         if kind == NONE or abs(gap) > reach:
@@ -184,7 +176,6 @@ def search_ball(
         if kind == NONE or gap < 0.0 or gap - radius >= margin:
             continue
         key = face_key(first_key, kind, feature, len(links), len(edges), end)
-        corners = (links[t, 0], links[t, 1], links[t, 2])
         count = add_candidate(found, count, key, corners, w, gap - radius, scaled(n, -1.0))
     if nearest_inside >= 0:
         t = nearest_inside
@@ -201,7 +192,7 @@ def search_rim_point(
 ):
     """Add a point p of the rim of a cylinder against the plane at triangle t, if it is near."""
     reach = max(margin, min(extents[0], extents[1]))
-    if is_beside(x, links, t, p, reach):
+    if out_of_reach(x, links[t, 0], links[t, 1], links[t, 2], p, reach):
         return count
     touched, feature, w, foot, n, gap = plane_under(
         p, x, links, edges, fans, normals, t, reach

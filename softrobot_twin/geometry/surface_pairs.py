@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import (
+    CellGrid,
     bounding_box,
     empty_grid,
     fill_grid,
@@ -21,7 +24,7 @@ from softrobot_twin.geometry.closed_surface import (
     flat_regions,
     mean_edge_length,
 )
-from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
+from softrobot_twin.geometry.proximities import PairRows, Proximities, empty_rows, proximities
 from softrobot_twin.geometry.triangle_pairs import (
     SurfaceSide,
     feature_count,
@@ -114,7 +117,29 @@ def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     return points if points.flags.writeable else points.copy()
 
 
-class SurfacePairDetector:
+class GrowingBuffers:
+    """Grids and rows of a detector, which grow as a search needs."""
+
+    _grids: list[CellGrid]
+    _rows: PairRows
+
+    def _grown(self, search: Callable[[], tuple[int, ...]]) -> Proximities:
+        """The pairs of a search, which is repeated until the buffers suffice.
+
+        Args:
+            search: Gives the number of rows, and the capacity that each grid needs.
+        """
+        while True:
+            count, *needed = search()
+            grids = [with_capacity(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
+            if all(new is old for new, old in zip(grids, self._grids, strict=True)):
+                if count <= len(self._rows.reals):
+                    return proximities(self._rows, count)
+                self._rows = empty_rows(2 * count, len(self._rows.found))
+            self._grids = grids
+
+
+class SurfacePairDetector(GrowingBuffers):
     """Detects contacts between two closed surfaces, deforming or rigid.
 
     Vertices are paired with triangles and edges with edges, each where the distance has a local
@@ -161,10 +186,9 @@ class SurfacePairDetector:
         ]
         self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
-        self._triangle_capacity = max(len(s.links) for s in self._surfaces)
         self._has_searched = False
         self._rest = no_excluded_pairs()
-        self._rows = empty_rows(_FIRST_CAPACITY, self._triangle_capacity)
+        self._rows = empty_rows(_FIRST_CAPACITY, max(len(s.links) for s in self._surfaces))
 
     def detect(
         self, first_points: np.ndarray, second_points: np.ndarray, margin: float
@@ -192,17 +216,10 @@ class SurfacePairDetector:
         if self._has_searched and are_apart(x, a.vertices, y, b.vertices, margin):
             return proximities(self._rows, 0)
         self._has_searched = True
-        while True:
-            count, *needed = pair_surfaces(
-                self._side(0, x), self._side(1, y),
-                self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
-            )  # fmt: skip
-            grids = [with_capacity(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
-            if all(new is old for new, old in zip(grids, self._grids, strict=True)):
-                if count <= len(self._rows.reals):
-                    return proximities(self._rows, count)
-                self._rows = empty_rows(2 * count, self._triangle_capacity)
-            self._grids = grids
+        return self._grown(lambda: pair_surfaces(
+            self._side(0, x), self._side(1, y),
+            self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
+        ))  # fmt: skip
 
     def _side(self, index: int, points: np.ndarray) -> SurfaceSide:
         ridges, leaders, crests = self._features[index]

@@ -62,7 +62,7 @@ from softrobot_twin.geometry.closest_features import (
     height_above,
     out_of_reach,
     plane_weights,
-    squared_distance_to_triangle,
+    squared_distance,
     triangle_normal,
 )
 from softrobot_twin.geometry.proximities import Proximities, found_by
@@ -184,10 +184,9 @@ def missing_room(found, count):
 def add_candidate(found, count, key, points, weights, gap, normal):
     """Append a candidate if the buffer has capacity left; returns the count in any case."""
     if count < len(found.gaps):
-        for i in range(3):
-            found.points[count, i] = points[i]
-            found.weights[count, i] = weights[i]
-            found.normals[count, i] = normal[i]
+        set_row(found.points, count, points)
+        set_row(found.weights, count, weights)
+        set_row(found.normals, count, normal)
         found.gaps[count] = gap
         found.keys[count] = key
     return count + 1
@@ -196,10 +195,9 @@ def add_candidate(found, count, key, points, weights, gap, normal):
 @njit(**INNER)
 def move_candidate(found, source, target):
     """Copy a candidate to an earlier row."""
-    for k in range(3):
-        found.points[target, k] = found.points[source, k]
-        found.weights[target, k] = found.weights[source, k]
-        found.normals[target, k] = found.normals[source, k]
+    set_row(found.points, target, row(found.points, source))
+    set_row(found.weights, target, row(found.weights, source))
+    set_row(found.normals, target, row(found.normals, source))
     found.gaps[target], found.keys[target] = found.gaps[source], found.keys[source]
 
 # Vertices
@@ -596,7 +594,7 @@ def is_nearest_way_out(kind, extents, x, triangles, chosen, p, distance):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         if t == chosen or out_of_reach(x, a, b, c, p, reach):
             continue
-        if squared_distance_to_triangle(x, a, b, c, p) >= reach * reach:
+        if squared_distance(p, row(x, a), row(x, b), row(x, c)) >= reach * reach:
             continue
         if not meet(triangles[t], triangles[chosen]):
             return False

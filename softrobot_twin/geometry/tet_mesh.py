@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.cell_mesh import CornerMesh
 from softrobot_twin.geometry.shape_functions import LINEAR_TETRAHEDRON
 from softrobot_twin.geometry.surface import boundary_triangles
 
@@ -29,7 +29,7 @@ def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class TetMesh(CellMesh):
+class TetMesh(CornerMesh):
     """Linear tetrahedra that fill a body. Both arrays are read-only.
 
     Attributes:
@@ -78,16 +78,6 @@ class TetMesh(CellMesh):
             )
 
     @property
-    def corner_mesh(self) -> TetMesh:
-        """Itself: all its nodes are corners."""
-        return self
-
-    @property
-    def mid_edge_ends(self) -> np.ndarray:
-        """Empty: it has no mid-edge nodes, shape (0, 2)."""
-        return np.empty((0, 2), dtype=np.int64)
-
-    @property
     def load_shares(self) -> np.ndarray:
         """Share of a uniform load on a tetrahedron that each node carries, shape (4,)."""
         return np.full(4, 0.25)
@@ -109,20 +99,6 @@ class TetMesh(CellMesh):
     def surface_triangles(self) -> np.ndarray:
         """Node indices of the surface, shape (triangle_count, 3); see `boundary_triangles`."""
         return boundary_triangles(self.cells)
-
-    def carriers(
-        self, tets: np.ndarray, barycentric_weights: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes that carry points inside tetrahedra, and their weights.
-
-        Args:
-            tets: Tetrahedron of each point, shape (point_count,).
-            barycentric_weights: Where in it, shape (point_count, 4).
-
-        Returns:
-            Nodes and weights, each of shape (point_count, 4).
-        """
-        return self.cells[tets], barycentric_weights
 
     @cached_property
     def volumes(self) -> np.ndarray:

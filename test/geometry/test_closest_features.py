@@ -3,7 +3,7 @@ import pytest
 
 from softrobot_twin.geometry.closest_features import (
     plane_weights,
-    squared_distance_to_triangle,
+    squared_distance,
     triangle_normal,
 )
 from softrobot_twin.geometry.point_location import closest_on_triangles
@@ -20,17 +20,16 @@ def test_distance_to_a_triangle_is_that_to_its_closest_point(pairs):
     weights = closest_on_triangles(points, corners)
     closest = np.einsum("pc,pci->pi", weights, corners)
     expected = ((points - closest) ** 2).sum(axis=1)
-    found = [
-        squared_distance_to_triangle(x, 0, 1, 2, tuple(p)) for p, x in zip(*pairs, strict=True)
-    ]
+    found = [squared_distance(tuple(p), *map(tuple, x)) for p, x in zip(*pairs, strict=True)]
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
 def test_distance_to_a_flat_triangle_is_that_to_its_edges():
     x = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
     assert triangle_normal(x, 0, 1, 2) == (0.0, 0.0, 0.0)
-    assert squared_distance_to_triangle(x, 0, 1, 2, (2.0, 1.0, 0.0)) == pytest.approx(1.0)
-    assert squared_distance_to_triangle(x, 0, 0, 0, (3.0, 4.0, 0.0)) == pytest.approx(25.0)
+    a, b, c = map(tuple, x)
+    assert squared_distance((2.0, 1.0, 0.0), a, b, c) == pytest.approx(1.0)
+    assert squared_distance((3.0, 4.0, 0.0), a, a, a) == pytest.approx(25.0)
 
 
 def test_plane_weights_give_the_foot_of_the_perpendicular(pairs):

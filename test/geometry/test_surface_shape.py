@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.closest_features import squared_distance_to_triangle
+from softrobot_twin.geometry.closest_features import squared_distance
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from softrobot_twin.geometry.shapes.distance_kernels import BOX
 from softrobot_twin.geometry.surface_shape import (
@@ -309,7 +309,7 @@ def test_of_triangles_apart_only_the_nearest_is_the_nearest_way_out():
     generator = np.random.default_rng(5)
     point, corners = generator.normal(size=3), generator.normal(size=(300, 3, 3))
     x, triangles = corners.reshape(-1, 3), np.arange(900).reshape(-1, 3)
-    distances = np.sqrt([squared_distance_to_triangle(c, 0, 1, 2, tuple(point)) for c in corners])
+    distances = np.sqrt([squared_distance(tuple(point), *map(tuple, c)) for c in corners])
     nearest = [
         is_nearest_way_out(BOX, np.ones(3), x, triangles, t, tuple(point), distances[t])
         for t in range(len(corners))
