@@ -23,9 +23,10 @@ import numpy as np
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry import gmsh_mesher
+from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.gmsh_mesher import Refused, refuse_size
 from softrobot_twin.geometry.mesh_file_checks import check_file
-from softrobot_twin.geometry.mesh_repair import connected_labels, drop_unused_nodes, orient_tets
+from softrobot_twin.geometry.mesh_repair import drop_unused_nodes, orient_tets
 from softrobot_twin.geometry.surface import boundary_triangles, half_edges
 from softrobot_twin.geometry.surface_reading import SolidSurface, read_surface, repair_surface
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -259,8 +260,8 @@ def _refuse_open(path: Path, points: np.ndarray, triangles: np.ndarray) -> None:
 def _shells(triangles: np.ndarray) -> np.ndarray:
     """Connected component of each triangle, shape (triangle_count,)."""
     count = int(triangles.max()) + 1
-    edges = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
-    return np.unique(connected_labels(edges, count)[triangles[:, 0]], return_inverse=True)[1]
+    pieces = connected_pieces(np.repeat(triangles[:, 0], 2), triangles[:, 1:].ravel(), count)
+    return np.unique(pieces[triangles[:, 0]], return_inverse=True)[1]
 
 
 def _nested(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> list[list[int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -142,6 +143,30 @@ class CornerMesh(CellMesh, Protocol):
     ) -> tuple[np.ndarray, np.ndarray]:
         """See `CellMesh.carriers`: the corners of the cells; of hexahedra with eight weights."""
         return self.cells[cells], barycentric_weights
+
+
+class InnerNodesMesh(CellMesh, Protocol):
+    """A dataclass of a mesh with nodes beside the corners of its cells. Arrays are read-only.
+
+    Its fields are `corner_mesh`, `node_positions`, and arrays of indices of nodes.
+    """
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[1:]:
+            getattr(self, field.name).setflags(write=False)
+
+    @property
+    def volumes(self) -> np.ndarray:
+        """Volumes of the cells [m³], shape (cell_count,)."""
+        return self.corner_mesh.volumes
+
+    def renumbered(self, node_positions: np.ndarray, first_node: int) -> CellMesh:
+        """See `CellMesh.renumbered`."""
+        indices = {field.name: getattr(self, field.name) + first_node for field in fields(self)[2:]}
+        return replace(
+            self, corner_mesh=self.corner_mesh.renumbered(node_positions, first_node),
+            node_positions=np.array(node_positions), **indices,
+        )  # fmt: skip
 
 
 class SomeCells(NamedTuple):

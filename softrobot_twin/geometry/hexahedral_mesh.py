@@ -13,13 +13,13 @@ whatever the faces are, and gradients at the quadrature points are shifted to ha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.cell_mesh import CellBlock, CellMesh, CornerMesh, SomeCells
+from softrobot_twin.geometry.cell_mesh import CellBlock, CornerMesh, InnerNodesMesh, SomeCells
 from softrobot_twin.geometry.quadrature import hexahedron_rule
 from softrobot_twin.geometry.shape_functions import (
     ENHANCED_HEXAHEDRON,
@@ -320,7 +320,7 @@ class Hexahedra:
 
 
 @dataclass(frozen=True, eq=False)
-class EnhancedMesh(CellMesh):
+class EnhancedMesh(InnerNodesMesh):
     """Enhanced hexahedra, and linear tetrahedra beside them. Arrays are read-only.
 
     Attributes:
@@ -338,10 +338,6 @@ class EnhancedMesh(CellMesh):
 
     shape_functions = None
 
-    def __post_init__(self) -> None:
-        for array in (self.node_positions, self.hexahedra, self.mid_edge_ends):
-            array.setflags(write=False)
-
     @cached_property
     def cells(self) -> np.ndarray:
         """Nodes of each cell, of a tetrahedron the last one repeatedly, shape (cell_count, 13)."""
@@ -354,11 +350,6 @@ class EnhancedMesh(CellMesh):
         are_points = np.ones(self.node_count, dtype=bool)
         are_points[self.hexahedra[:, 8:]] = False
         return are_points
-
-    @property
-    def volumes(self) -> np.ndarray:
-        """Volumes of the cells [m³], shape (cell_count,)."""
-        return self.corner_mesh.volumes
 
     @property
     def surface_triangles(self) -> np.ndarray:
@@ -407,14 +398,6 @@ class EnhancedMesh(CellMesh):
     def carriers(self, cells: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `CellMesh.carriers`: inner nodes carry no points."""
         return self.corner_mesh.carriers(cells, weights)
-
-    def renumbered(self, node_positions: np.ndarray, first_node: int) -> EnhancedMesh:
-        """See `CellMesh.renumbered`."""
-        return replace(
-            self, corner_mesh=self.corner_mesh.renumbered(node_positions, first_node),
-            node_positions=np.array(node_positions), hexahedra=self.hexahedra + first_node,
-            mid_edge_ends=self.mid_edge_ends + first_node,
-        )  # fmt: skip
 
 
 def enhance(mesh: HexahedralMesh) -> EnhancedMesh:

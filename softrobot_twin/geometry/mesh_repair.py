@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.hexahedral_mesh import (
     DIAGONAL_HALVES,
     HEXAHEDRON_FACES,
@@ -181,7 +180,7 @@ def first_of_touching_parts(node_positions: np.ndarray, tets: np.ndarray) -> np.
 def _first_of_groups(pairs: np.ndarray, node_count: int) -> np.ndarray:
     """First node of the group that pairs connect each node to, shape (node_count,)."""
     _, first, group = np.unique(
-        connected_labels(pairs, node_count), return_index=True, return_inverse=True
+        connected_pieces(*pairs.T, node_count), return_index=True, return_inverse=True
     )
     return first[group]
 
@@ -209,8 +208,7 @@ def component_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
     Returns:
         Number of the component of each node, from 0, shape (node_count,).
     """
-    edges = np.concatenate([tets[:, [0, corner]] for corner in (1, 2, 3)])
-    return connected_labels(edges, node_count)
+    return connected_pieces(np.repeat(tets[:, 0], 3), tets[:, 1:].ravel(), node_count)
 
 
 def hinged_part_count(tets: np.ndarray, hexahedra: np.ndarray, node_count: int) -> int:
@@ -235,24 +233,6 @@ def hinged_part_count(tets: np.ndarray, hexahedra: np.ndarray, node_count: int) 
     order = np.argsort(place.ravel(), kind="stable")
     place, owner = place.ravel()[order], owners[order]
     joined = np.flatnonzero(place[1:] == place[:-1])
-    parts = connected_labels(np.stack([owner[joined], owner[joined + 1]], axis=1), cell_count)
+    parts = connected_pieces(owner[joined], owner[joined + 1], cell_count)
     components = component_labels(linked, node_count)[np.unique(linked)]
     return int(parts.max()) + 1 - len(np.unique(components))
-
-
-def connected_labels(edges: np.ndarray, node_count: int) -> np.ndarray:
-    """Component of each node of a graph.
-
-    Args:
-        edges: Pairs of nodes, shape (edge_count, 2).
-        node_count: Number of nodes.
-
-    Returns:
-        Shape (node_count,), from 0.
-    """
-    graph = coo_matrix(
-        (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])),
-        shape=(node_count, node_count),
-    )
-    _, labels = connected_components(graph, directed=False)
-    return labels.astype(np.int64)

@@ -6,13 +6,13 @@ edges in the order of `EDGES`, which is VTK's. Shape functions: `QuadraticTetrah
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.cell_mesh import InnerNodesMesh
 from softrobot_twin.geometry.shape_functions import EDGES, QUADRATIC_TETRAHEDRON, quadratic_values
 from softrobot_twin.geometry.surface import boundary_faces
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -26,7 +26,7 @@ _CORNER_SHARE, _EDGE_SHARE = -1.0 / 20.0, 1.0 / 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class QuadraticMesh(CellMesh):
+class QuadraticMesh(InnerNodesMesh):
     """Ten-node tetrahedra that fill a body. All arrays are read-only.
 
     Attributes:
@@ -43,15 +43,6 @@ class QuadraticMesh(CellMesh):
     mid_edge_ends: np.ndarray
 
     shape_functions = QUADRATIC_TETRAHEDRON
-
-    def __post_init__(self) -> None:
-        for array in (self.node_positions, self.cells, self.mid_edge_ends):
-            array.setflags(write=False)
-
-    @property
-    def volumes(self) -> np.ndarray:
-        """Volumes of the tetrahedra [m³], shape (cell_count,)."""
-        return self.corner_mesh.volumes
 
     @property
     def load_shares(self) -> np.ndarray:
@@ -84,16 +75,6 @@ class QuadraticMesh(CellMesh):
             Nodes and weights, each of shape (point_count, 10).
         """
         return self.cells[tets], quadratic_values(barycentric_weights)
-
-    def renumbered(self, node_positions: np.ndarray, first_node: int) -> QuadraticMesh:
-        """See `CellMesh.renumbered`."""
-        return replace(
-            self,
-            corner_mesh=self.corner_mesh.renumbered(node_positions, first_node),
-            node_positions=np.array(node_positions),
-            cells=self.cells + first_node,
-            mid_edge_ends=self.mid_edge_ends + first_node,
-        )
 
 
 def add_mid_edge_nodes(mesh: TetMesh) -> QuadraticMesh:

@@ -67,10 +67,6 @@ class SmoothedMesh(TetMesh):
             places = len(EDGES) * cells[tets] + edges
         return (CellBlock(rings, places, rings.points.weights[:, 0], self.load_shares),)
 
-    def renumbered(self, node_positions: np.ndarray, first_node: int) -> SmoothedMesh:
-        """See `CellMesh.renumbered`."""
-        return SmoothedMesh(node_positions, self.cells + first_node)
-
 
 def smooth(mesh: TetMesh) -> SmoothedMesh:
     """The same tetrahedra, with smoothed strain."""

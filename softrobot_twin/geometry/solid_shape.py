@@ -41,15 +41,17 @@ from softrobot_twin.geometry.closest_features import (
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, place_frame
 from softrobot_twin.geometry.shapes.shape import Shape
 from softrobot_twin.geometry.surface_shape import (
+    CAP_STRIDE,
     KEY_STRIDE,
     PARALLEL_FACE,
-    RIM_POINTS,
     SurfaceShapeDetector,
     add_candidate,
     is_far,
     is_past_shape,
     missing_room,
     move_candidate,
+    rim_numbers,
+    rim_point,
     search_edges,
     search_vertices,
 )
@@ -224,20 +226,11 @@ def search_rims(
             up = 2.0 * cap - 1.0
             if up * n[2] > PARALLEL_FACE:
                 continue
-            if across > PARALLEL_FACE:
-                p = (-radius * n[0] / across, -radius * n[1] / across, up * half)
+            for i in rim_numbers(across):
+                p = rim_point(extents, n, across, up, i)
                 if abs(dot(p, n) - normals[t, 3]) <= reach:
                     count = search_rim_point(
-                        kind, extents, p, 16 * cap, x, links, edges, fans, normals, t, margin,
-                        first_key, found, count,
-                    )  # fmt: skip
-                continue
-            for i in range(RIM_POINTS):
-                angle = 2.0 * np.pi * i / RIM_POINTS
-                p = (radius * np.cos(angle), radius * np.sin(angle), up * half)
-                if abs(dot(p, n) - normals[t, 3]) <= reach:
-                    count = search_rim_point(
-                        kind, extents, p, 16 * cap + 1 + i, x, links, edges, fans, normals, t,
+                        kind, extents, p, CAP_STRIDE * cap + i, x, links, edges, fans, normals, t,
                         margin, first_key, found, count,
                     )  # fmt: skip
     return count

@@ -733,6 +733,26 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
     )
 
 
+@njit(**INLINED)
+def rim_numbers(across):
+    """Numbers of the points of a rim that may touch a plane: 0 for one point, or those all around.
+
+    Args:
+        across: Sine of the angle between the axis and the normal of the plane.
+    """
+    return range(0, 1) if across > PARALLEL_FACE else range(1, 1 + RIM_POINTS)
+
+
+@njit(**INLINED)
+def rim_point(extents, normal, across, up, i):
+    """A point of the rim of a cap, see `rim_numbers` [m]; `up` is 1 for the upper cap, else -1."""
+    radius, height = extents[0], up * extents[1]
+    if i == 0:
+        return (-radius * normal[0] / across, -radius * normal[1] / across, height)
+    angle = 2.0 * np.pi * (i - 1) / RIM_POINTS
+    return (radius * np.cos(angle), radius * np.sin(angle), height)
+
+
 @njit(**INNER)
 def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the candidates of a triangle against a cylinder.
@@ -740,7 +760,6 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
     These are the points of both rims nearest to the triangle, or points all around the rim of a
     cap that is parallel to it.
     """
-    radius, half = extents[0], extents[1]
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     start = row(x, a)
     across = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
@@ -748,22 +767,13 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         up = 2.0 * cap - 1.0
         if -up * normal[2] < -PARALLEL_FACE:
             continue
-        cap_key = key + CAP_STRIDE * cap
-        if across > PARALLEL_FACE:
-            rim = (-radius * normal[0] / across, -radius * normal[1] / across, up * half)
+        for i in rim_numbers(across):
+            rim = rim_point(extents, normal, across, up, i)
             # `misses` is called here because a call with more arrays costs more than the test.
             if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
                 count = add_shape_corner(
-                    CYLINDER, extents, x, triangles, t, normal, rim, margin, cap_key, found, count
-                )
-            continue
-        for i in range(RIM_POINTS):
-            angle = 2.0 * np.pi * i / RIM_POINTS
-            rim = (radius * np.cos(angle), radius * np.sin(angle), up * half)
-            if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
-                count = add_shape_corner(
-                    CYLINDER, extents, x, triangles, t, normal, rim, margin, cap_key + 1 + i, found,
-                    count,
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin,
+                    key + CAP_STRIDE * cap + i, found, count,
                 )  # fmt: skip
     for i in range(2):
         # Rules out most triangles: their bounding box does not contain the axis.

@@ -109,4 +109,4 @@ class TetMesh(CornerMesh):
 
     def renumbered(self, node_positions: np.ndarray, first_node: int) -> TetMesh:
         """See `CellMesh.renumbered`."""
-        return TetMesh(node_positions, self.cells + first_node)
+        return type(self)(node_positions, self.cells + first_node)

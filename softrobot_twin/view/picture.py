@@ -59,6 +59,40 @@ class SurfaceNormals:
         return sums / np.where(lengths > 0.0, lengths, 1.0)[:, None]
 
 
+class DeformingSurfaces:
+    """Draws surfaces whose points move.
+
+    Args:
+        recording: Recording to draw into.
+        path: Where they are; each is below it, by its name.
+        surfaces: The surfaces; their triangles are logged at once.
+        colour: Of all of them; None where it changes.
+    """
+
+    def __init__(
+        self, recording: Recording, path: str, surfaces: Sequence[Surface], colour=None
+    ):  # fmt: skip
+        self._recording, self._surfaces = recording, surfaces
+        self._paths = [f"{path}/{surface.name}" for surface in surfaces]
+        self._normals: list[SurfaceNormals] = []
+        for own, surface in zip(self._paths, surfaces):
+            triangles = np.asarray(surface.triangles, dtype=np.uint32)
+            recording.log(own, rr.Mesh3D.from_fields(
+                triangle_indices=triangles, albedo_factor=colour), static=True)
+
+    def log(self, positions: Sequence[np.ndarray], colours: Sequence | None = None) -> None:
+        """Draws them at the positions of their points [m], with other colours if given."""
+        if not self._normals:
+            self._normals = [SurfaceNormals(surface.triangles, len(points))
+                             for surface, points in zip(self._surfaces, positions)]
+        for own, normals, points, colour in zip(
+            self._paths, self._normals, positions, colours or [None] * len(positions)
+        ):
+            self._recording.log(own, rr.Mesh3D.from_fields(
+                vertex_positions=np.asarray(points, dtype=np.float32),
+                vertex_normals=normals.at(points).astype(np.float32), albedo_factor=colour))
+
+
 class RecentPath:
     """Path of the effectors over the last seconds, with a bounded number of points.
 
@@ -235,31 +269,16 @@ class CavityDrawing:
     """
 
     def __init__(self, recording: Recording, stage: Stage):
-        self._recording, self._cavities = recording, stage.cavities
-        self._range = stage.pressure_range
-        self._normals: list[SurfaceNormals] = []
-        for cavity in stage.cavities:
-            triangles = np.asarray(cavity.triangles, dtype=np.uint32)
-            recording.log(f"{CAVITIES}/{cavity.name}",
-                          rr.Mesh3D.from_fields(triangle_indices=triangles), static=True)
+        self._recording, self._range = recording, stage.pressure_range
+        self._walls = DeformingSurfaces(recording, CAVITIES, stage.cavities)
         for plot, unit in ((PRESSURE_PLOT, "kPa"), (VOLUME_PLOT, "cm³")):
             names = [f"{cavity.name} [{unit}]" for cavity in stage.cavities]
             name_curves(recording, plot, names, _CAVITY_COLOURS)
 
     def log(self, frame: Frame) -> None:
         """Draws the cavities of a frame."""
-        if not self._normals:
-            self._normals = [
-                SurfaceNormals(cavity.triangles, len(positions))
-                for cavity, positions in zip(self._cavities, frame.cavity_positions)]
         colours = pressure_colours(frame.cavity_pressures, self._range)
-        for cavity, normals, positions, colour in zip(
-            self._cavities, self._normals, frame.cavity_positions, colours
-        ):
-            self._recording.log(f"{CAVITIES}/{cavity.name}", rr.Mesh3D.from_fields(
-                vertex_positions=np.asarray(positions, dtype=np.float32),
-                vertex_normals=normals.at(positions).astype(np.float32),
-                albedo_factor=tuple(int(part) for part in colour)))
+        self._walls.log(frame.cavity_positions, [tuple(map(int, colour)) for colour in colours])
         self._recording.log_series(PRESSURE_PLOT, 1e-3 * np.asarray(frame.cavity_pressures))
         self._recording.log_series(VOLUME_PLOT, 1e6 * np.asarray(frame.cavity_volumes))
 
@@ -331,7 +350,8 @@ class Picture:
     def __init__(self, recording: Recording, stage: Stage):
         self._recording = recording
         self._stage = stage
-        self._normals: list[SurfaceNormals] = []
+        colour = CLEAR_SURFACE_COLOUR if stage.cavities else SURFACE_COLOUR
+        self._bodies = DeformingSurfaces(recording, SURFACE, stage.bodies, colour)
         self._recent_path = RecentPath(_TRAIL_DURATION)
         self._time_names: list[str] = []
         self._status: str | None = None
@@ -346,12 +366,7 @@ class Picture:
 
     def _log_stage(self) -> None:
         stage, log = self._stage, self._recording.log
-        colour = CLEAR_SURFACE_COLOUR if stage.cavities else SURFACE_COLOUR
         log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for body in stage.bodies:
-            triangles = np.asarray(body.triangles, dtype=np.uint32)
-            log(f"{SURFACE}/{body.name}", rr.Mesh3D.from_fields(
-                triangle_indices=triangles, albedo_factor=colour), static=True)
         marker_names = [str(marker) for marker in stage.marker_ids]
         radius = rr.Radius.ui_points
         for path, colour, size, names in (
@@ -399,14 +414,8 @@ class Picture:
         self._recording.close(timeout)
 
     def _log_bodies(self, frame: Frame) -> None:
-        log, bodies = self._recording.log, self._stage.bodies
-        if not self._normals:
-            self._normals = [SurfaceNormals(body.triangles, len(positions))
-                             for body, positions in zip(bodies, frame.surface_positions)]
-        for body, normals, positions in zip(bodies, self._normals, frame.surface_positions):
-            log(f"{SURFACE}/{body.name}", rr.Mesh3D.from_fields(
-                vertex_positions=np.asarray(positions, dtype=np.float32),
-                vertex_normals=normals.at(positions).astype(np.float32)))
+        log = self._recording.log
+        self._bodies.log(frame.surface_positions)
         if self._stage.cable_names:
             colours = tension_colours(frame.cable_tensions, self._stage.tension_range)
             log(CABLES, rr.LineStrips3D.from_fields(strips=frame.cable_paths, colors=colours))
