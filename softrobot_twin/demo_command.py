@@ -27,8 +27,6 @@ from softrobot_twin.study.demo_table import write_demo_table
 from softrobot_twin.study.terminal import LiveLine, console, table
 from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
 from softrobot_twin.study.tracking import (
-    LoopFigures,
-    MeshFigures,
     TimedValues,
     TrackingRecord,
     draw_tracking,
@@ -96,8 +94,10 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
     records = {run: record for run in outcome.starts
                if (record := _record(outcome, run, simulation.actuators.kind_of)) is not None}
     if records:
-        mesh = MeshFigures(simulation.node_count, simulation.tet_count, simulation.dof_count)
-        report = tracking_report(plan.robot, records, _loop_figures(plan, outcome), mesh)
+        mesh = {"nodes": simulation.node_count, "tets": simulation.tet_count,
+                "dof": simulation.dof_count}
+        report = tracking_report(plan.robot, records,
+                                 {**_loop_figures(plan, outcome), "mesh": mesh})
         report["complete"] = not outcome.was_stopped
         report["twin_priority"] = outcome.recorder.priority or None
         report["processor_share_of_others"] = outcome.others
@@ -155,25 +155,25 @@ def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | Non
     )  # fmt: skip
 
 
-def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
+def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> dict:
     """Timing of the loop, from the reports that the twin published once a second during the runs.
 
     Each report covers the last seconds. The result is the median of their medians, and the largest
-    of their 99th percentiles and maxima, which are never smaller than the true ones.
+    of their 99th percentiles and maxima, which are never smaller than the true ones; None where
+    there is no report.
     """
     before, during = (outcome.recorder.loop_reports[: outcome.reports_before],
                       outcome.recorder.loop_reports[outcome.reports_before:])
-    if not during:
-        return LoopFigures(None, None, None, plan.period, 0, 0, 0)
-    first = before[-1] if before else None
-    return LoopFigures(
-        float(np.median([report.compute_p50 for report in during])),
-        max(report.compute_p99 for report in during),
-        max(report.compute_max for report in during),
-        plan.period,
-        during[-1].ticks - (first.ticks if first else 0),
-        during[-1].missed - (first.missed if first else 0),
-        during[-1].skipped - (first.skipped if first else 0))
+    times = dict.fromkeys(("median", "p99", "max"))
+    ticks = dict.fromkeys(("ticks", "missed", "skipped"), 0)
+    if during:
+        times = {"median": 1e3 * float(np.median([report.compute_p50 for report in during])),
+                 "p99": 1e3 * max(report.compute_p99 for report in during),
+                 "max": 1e3 * max(report.compute_max for report in during)}
+        ticks = {name: getattr(during[-1], name) - (getattr(before[-1], name) if before else 0)
+                 for name in ticks}
+    return {"compute_time_ms": times, "period_ms": 1e3 * plan.period, "ticks": ticks["ticks"],
+            "missed_ticks": ticks["missed"], "skipped_ticks": ticks["skipped"]}
 
 
 def _step_counts(outcome: DemoOutcome) -> dict[str, int]:

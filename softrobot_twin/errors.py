@@ -61,18 +61,22 @@ class SceneError(SoftRobotTwinError):
         super().__init__("\n".join(shown))
 
 
-class CommandError(SoftRobotTwinError):
-    """A command does not fit the simulation that receives it.
+class NamedError(SoftRobotTwinError):
+    """Something that has a name cannot be used.
 
     Attributes:
-        name: Actuator or effector that the command names or omits.
-        reason: What is required.
+        name: Its name, or its path.
+        reason: What is wrong.
     """
 
-    def __init__(self, name: str, reason: str):
-        self.name = name
-        self.reason = reason
+    def __init__(self, name: Path | str, reason: str):
+        self.name, self.reason = name, reason
         super().__init__(f"{name}: {reason}")
+
+
+class CommandError(NamedError):
+    """A command does not fit the simulation that receives it; its name is that of the actuator or
+    effector that the command names or omits."""
 
 
 class ParameterError(SoftRobotTwinError):

@@ -19,7 +19,7 @@ from typing import Annotated, TypeAlias
 import shtab
 
 from softrobot_twin.command_line.arguments import TEXT_WIDTH, Read, add_command
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.study import training_options
 from softrobot_twin.study.length_units import UNITS
 from softrobot_twin.study.training_options import (
@@ -38,11 +38,8 @@ EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check fa
                   "inverted, 130 stopped by Ctrl-C", TEXT_WIDTH)
 
 
-class OptionError(SoftRobotTwinError):
+class OptionError(NamedError):
     """An option has no effect in this combination."""
-
-    def __init__(self, option: str, reason: str):
-        super().__init__(f"{option}: {reason}")
 
 
 def refuse(reason: str, **given: object) -> None:

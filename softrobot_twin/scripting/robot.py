@@ -44,7 +44,6 @@ from softrobot_twin.simulation import (
     Hold,
     Simulation,
     State,
-    Status,
     StepResult,
 )
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
@@ -57,11 +56,11 @@ from softrobot_twin.simulation.runs.input_tables import (
     read_targets,
 )
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
-from softrobot_twin.simulation.unit_checks import unlikely_commands
-from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands, unlikely_commands_of
-from softrobot_twin.study.equilibrium import STILL
+from softrobot_twin.study import direct_run
+from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
+from softrobot_twin.study.equilibrium import is_at_rest
 from softrobot_twin.study.figure import load_pyplot
-from softrobot_twin.study.offline_run import columns_of, far_target_warning
+from softrobot_twin.study.offline_run import columns_of, commands_of, unlikely_warning
 from softrobot_twin.study.offline_run import run as run_targets
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.scene_picture import draw_snapshots, figure_of, take_snapshot
@@ -71,8 +70,6 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 1000
 """Steps in which `Robot.settle` waits for rest, by default."""
-# A target this many sizes of the robot away is probably in millimetres.
-_FAR = 10.0
 # Names of a robot's parts that its short text shows, at most.
 _MOST_NAMES = 6
 
@@ -284,9 +281,7 @@ class Robot:
     @property
     def poses(self) -> dict[str, Pose]:
         """Pose of each rigid body, by name."""
-        poses = zip(*self.simulation.rigid_poses(), strict=True)
-        named = zip(self._names.rigid_bodies, poses, strict=True)
-        return {name: Pose(*pose) for name, pose in named}
+        return self._names.poses(self.simulation.rigid_poses())
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""
@@ -330,7 +325,7 @@ class Robot:
         self._remember(outcome, asked)
         return Result(
             outcome, self._names, self.simulation, self._columns.of(asked), asked,
-            self._is_at_rest(before, outcome.report.residual, outcome.status),
+            is_at_rest(self.simulation, outcome, before),
         )  # fmt: skip
 
     def _remember(self, outcome: StepResult, command: Command) -> None:
@@ -380,39 +375,11 @@ class Robot:
                 break
         return result
 
-    def _is_at_rest(self, before: np.ndarray, residual: float, status: Status) -> bool:
-        """Whether a step ended in balance and moved nothing."""
-        if status.is_failure or status is Status.RATE_LIMITED:
-            return False
-        if residual > self.scene.solver.residual_tolerance:
-            return False
-        size = self.simulation.model.nodes.size
-        still = STILL * (size if math.isfinite(size) else 1.0)
-        return bool(np.abs(self.positions - before).max(initial=0.0) <= still)
-
     def _warn_of_unlikely(self, asked: Command) -> None:
         """Warns once of targets, setpoints or efforts that suggest a wrong unit."""
-        if self._has_warned:
-            return
-        actuators = self.simulation.actuators
-        if not isinstance(asked, FollowTargets):
-            words = None
-            if isinstance(asked, CommandSetpoints):
-                words = unlikely_commands(actuators, asked.setpoints)
-            elif isinstance(asked, CommandEfforts):
-                words = unlikely_commands(actuators, actuators.rest_setpoints, asked.efforts)
-            if words:
-                self._has_warned = True
-                warnings.warn(words, SceneWarning, stacklevel=3)
-            return
-        size = self.simulation.model.nodes.size
-        offsets = np.linalg.norm(asked.targets - self.simulation.effector_positions(), axis=1)
-        offsets = offsets[np.isfinite(offsets)]
-        if len(offsets) and math.isfinite(size) and offsets.max() > _FAR * size:
+        if not self._has_warned and (words := unlikely_warning(self.simulation, [asked])):
             self._has_warned = True
-            warnings.warn(f"a target is {offsets.max():.3g} m away from its effector, and the robot "
-                          f"is {size:.3g} m large: are the targets in metres?", SceneWarning,
-                          stacklevel=3)
+            warnings.warn(words, SceneWarning, stacklevel=3)
 
     # --- runs ------------------------------------------------------------------------------------
 
@@ -492,7 +459,7 @@ class Robot:
         rows: Iterator[RunRow]
         if not self._is_by_rows(source):
             commanded = read_commands(source, self.simulation)
-            if unlikely := unlikely_commands_of(self.simulation, commanded):
+            if unlikely := unlikely_warning(self.simulation, direct_run.commands_of(commanded)):
                 warnings.warn(unlikely, SceneWarning, stacklevel=4)
             columns = RunColumns(self.simulation)
             rows = run_commands(self.simulation, commanded, _rate(rate), columns)
@@ -501,7 +468,7 @@ class Robot:
             return self._collected(columns, rows)
         _refuse("targets, of which each row is a step,", rate=rate)
         table = read_targets(source, self.simulation)
-        for note in (*table.notes, far_target_warning(self.simulation, table)):
+        for note in (*table.notes, unlikely_warning(self.simulation, commands_of(table))):
             if note:
                 warnings.warn(note, SceneWarning, stacklevel=4)
         columns = columns_of(self.simulation, table)

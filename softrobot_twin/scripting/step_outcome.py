@@ -48,6 +48,11 @@ class Names(NamedTuple):
     rigid_bodies: tuple[str, ...]
     touches: tuple[str, ...]
 
+    def poses(self, places_and_turns: tuple[np.ndarray, np.ndarray]) -> dict[str, Pose]:
+        """Pose of each rigid body, by name; see `rigid_poses`."""
+        poses = map(Pose, *places_and_turns)
+        return dict(zip(self.rigid_bodies, poses, strict=True))
+
 
 class Result:
     """The outcome of a step.
@@ -90,9 +95,7 @@ class Result:
     @cached_property
     def poses(self) -> dict[str, Pose]:
         """Pose of each rigid body, by name."""
-        poses = zip(*rigid_poses(self._model, self.outcome.state.positions), strict=True)
-        named = zip(self._names.rigid_bodies, poses, strict=True)
-        return {name: Pose(*pose) for name, pose in named}
+        return self._names.poses(rigid_poses(self._model, self.outcome.state.positions))
 
     @property
     def status(self) -> Status:

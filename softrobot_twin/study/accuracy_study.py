@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from statistics import median
-from time import thread_time
+from time import perf_counter, thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ import yaml
 from scipy.optimize import minimize_scalar
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
@@ -53,24 +53,14 @@ from softrobot_twin.simulation.mesh_error import (
 )
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
-from softrobot_twin.study.bench_measurement import without_garbage_collection
+from softrobot_twin.study.machine_facts import without_garbage_collection
 from softrobot_twin.study.output_file import cell, csv_output, writing
 from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.terminal import progress, warn
 
 
-class AccuracyError(SoftRobotTwinError):
-    """Accuracy cannot be determined for a scene or from a file.
-
-    Attributes:
-        scene: Name of the scene.
-        reason: What is missing.
-    """
-
-    def __init__(self, scene: str, reason: str):
-        self.scene = scene
-        self.reason = reason
-        super().__init__(f"{scene}: {reason}")
+class AccuracyError(NamedError):
+    """Accuracy cannot be determined for a scene or from a file."""
 
 
 def write_scene_copy(
@@ -712,38 +702,30 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
     return Simulation(with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness), **parts)
 
 
-def solve_for_displacements(scene: Scene, poses: np.ndarray) -> Poses:
-    """Equilibria at given displacements of the actuators [m, m³]."""
-    simulation = exact_simulation(scene)
-    return _solve(simulation, [
-        [CommandSetpoints(simulation.actuators.setpoints(share * pose), _LONG)
-         for share in _shares()]
-        for pose in poses])
-
-
-def solve_for_efforts(scene: Scene, poses: np.ndarray) -> Poses:
-    """Equilibria at given efforts of the actuators [N, Pa]."""
-    simulation = exact_simulation(unlimited(scene, displacements=True))
-    return _solve(simulation, [
-        [CommandEfforts(share * pose, _LONG) for share in _shares()] for pose in poses])
-
-
-def _shares():
-    return np.arange(1, _INCREMENTS + 1) / _INCREMENTS
-
-
-def _solve(simulation: Simulation, loads: list) -> Poses:
-    rest = simulation.effector_positions()
+def equilibria(scene: Scene, case: str, loads: Loads) -> Poses:
+    """Equilibria of a scene in the poses of a load case, see `CASES`."""
+    forces_given = case == "tensions"
+    scene = weightless(scene) if case == "weightless" else scene
+    simulation = exact_simulation(unlimited(scene, displacements=True) if forces_given else scene)
+    rest, actuators = simulation.effector_positions(), simulation.actuators
     positions, efforts = [], []
-    for commands in loads:
+    for pose in loads.pressed if forces_given else loads.moved:
         simulation.reset()
-        for command in [CommandEfforts(np.zeros(len(simulation.actuator_names)), _LONG), *commands]:
-            result = simulation.step(command)
+        simulation.step(CommandEfforts(np.zeros(actuators.count), _LONG))
+        for share in _shares():
+            result = simulation.step(
+                CommandEfforts(share * pose, _LONG) if forces_given
+                else CommandSetpoints(actuators.setpoints(share * pose), _LONG)
+            )  # fmt: skip
         good = (result.report.residual <= simulation.scene.solver.residual_tolerance
                 and not result.report.inverted_count)
         positions.append(result.effector_positions if good else np.full_like(rest, np.nan))
         efforts.append(result.efforts)
     return Poses(np.array(positions), rest, np.array(efforts))
+
+
+def _shares():
+    return np.arange(1, _INCREMENTS + 1) / _INCREMENTS
 
 
 # Speed of a cable without a rate limit [m/s]; otherwise half of its limit.
@@ -828,48 +810,58 @@ def follow_lengths(
     """Follows a path of lengths with a number of linearizations per step, from an equilibrium at
     its start.
     """
-    simulation = _ready(scene, start, iterations, parts)
-    return _follow(simulation, _along(simulation, path), None)
+    simulation = _ready(scene, iterations, parts)
+    return _follow(simulation, start, _along(simulation, path))
 
 
 def follow_targets(
     scene: Scene, path: LengthPath, targets: np.ndarray, start: State, **parts
 ) -> FollowedPath:
     """Follows targets [m] by the inverse problem, with one linearization per step."""
-    simulation = _ready(scene, start, 1, parts)
-    return _follow(simulation, [FollowTargets(target, path.time_step) for target in targets], None)
+    commands = [FollowTargets(target, path.time_step) for target in targets]
+    return _follow(_ready(scene, 1, parts), start, commands)
 
 
 def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
     """Time of a step along a path, repeated for a few seconds [s]."""
-    simulation = _ready(scene, None, iterations, {})
-    simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
-    return _follow(simulation, _along(simulation, path), _SECONDS).times
+    return spread(rounds_of(scene, path, iterations, _SECONDS, perf_counter)())
 
 
-def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], np.ndarray]:
+def rounds_of(
+    scene: Scene, path: LengthPath, iterations: int, seconds: float = _ROUND_SECONDS,
+    now: Callable[[], float] = thread_time,
+) -> Callable[[], np.ndarray]:  # fmt: skip
     """A function that runs the same steps along a path and returns their times [s].
 
-    Times are processor times of this thread, without waiting for other programs.
+    Args:
+        scene: The scene.
+        path: The path.
+        iterations: Linearizations of a step.
+        seconds: Longest time of the steps [s].
+        now: The clock; by default the processor time of this thread, in which waiting for other
+            programs does not count.
     """
-    simulation = _ready(scene, None, iterations, {"now": thread_time})
+    simulation = _ready(scene, iterations, {"now": now})
     simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
     start, commands = simulation.state, _along(simulation, path)
 
     def steps() -> np.ndarray:
+        times: list[float] = []
         simulation.restore(start)
-        return np.array(_timed_steps(simulation, commands, _ROUND_SECONDS, []))
+        with without_garbage_collection():
+            for command in commands:
+                times.append(simulation.step(command).report.compute_time)
+                if sum(times) > seconds and len(times) >= _FEWEST_STEPS:
+                    break
+        return np.array(times)
 
     return steps
 
 
-def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> Simulation:
+def _ready(scene: Scene, iterations: int, parts: dict) -> Simulation:
     # With a tolerance that is never reached, every step makes all its iterations.
-    tuned = with_newton(unlimited(scene), iterations, 1.0e-300)
-    simulation = Simulation(tuned, **parts)
+    simulation = Simulation(with_newton(unlimited(scene), iterations, 1.0e-300), **parts)
     simulation.warm_up()
-    if start is not None:
-        simulation.restore(start)
     return simulation
 
 
@@ -879,25 +871,15 @@ def _along(simulation: Simulation, path: LengthPath) -> list[CommandSetpoints]:
             for moved in path.displacements[1:]]
 
 
-def _follow(simulation: Simulation, commands: list, seconds: float | None) -> FollowedPath:
-    positions: list[np.ndarray] = []
-    times = _timed_steps(simulation, commands, seconds, positions)
-    return FollowedPath(np.array(positions), spread(np.array(times)))
-
-
-def _timed_steps(
-    simulation: Simulation, commands: list, seconds: float | None, positions: list[np.ndarray]
-) -> list[float]:  # fmt: skip
-    """Times of steps [s], of as many as fit into some time, and the effectors after each."""
-    times: list[float] = []
+def _follow(simulation: Simulation, start: State, commands: list) -> FollowedPath:
+    simulation.restore(start)
+    positions, times = [], []
     with without_garbage_collection():
         for command in commands:
             result = simulation.step(command)
             positions.append(result.effector_positions)
             times.append(result.report.compute_time)
-            if seconds is not None and sum(times) > seconds and len(times) >= _FEWEST_STEPS:
-                break
-    return times
+    return FollowedPath(np.array(positions), spread(np.array(times)))
 
 
 VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
@@ -1225,11 +1207,11 @@ class Loads(NamedTuple):
 
     Attributes:
         moved: Displacements of the actuators [m, m³], shape (pose_count, actuator_count).
-        pressed: Their efforts [N, Pa], same shape.
+        pressed: Their efforts [N, Pa], same shape; None where only displacements are.
     """
 
     moved: np.ndarray
-    pressed: np.ndarray
+    pressed: np.ndarray | None = None
 
 
 def study_meshes(
@@ -1284,16 +1266,12 @@ def _solve_reference(
     loads = None
     for level in reversed(used):
         report_activity(f"reference: {level.name}, quadratic")
-        lengths = solve_for_displacements(level.scene, moved)
+        lengths = equilibria(level.scene, "lengths", Loads(moved))
         if loads is None:
             loads = Loads(moved, prescribed_efforts(level.scene, lengths.efforts))
-        solved[level.name] = {"lengths": lengths, **_other_cases(level.scene, loads)}
+        others = {case: equilibria(level.scene, case, loads) for case in CASES[1:]}
+        solved[level.name] = {"lengths": lengths, **others}
     return loads, solved
-
-
-def _other_cases(scene, loads: Loads) -> dict[str, Poses]:
-    return {"tensions": solve_for_efforts(scene, loads.pressed),
-            "weightless": solve_for_displacements(weightless(scene), loads.moved)}
 
 
 def _reference(name: str, case: str, used: list[MeshLevel], solved, loads: Loads) -> Reference:
@@ -1365,8 +1343,7 @@ def _judge(level, law, loads, references, known, timed_steps, report_activity) -
     element = level.scene.body.element
     report_activity(f"{level.name}, {element}, {law} law")
     scene = with_law(level.scene, law)
-    solved = known or {"lengths": solve_for_displacements(scene, loads.moved),
-                       **_other_cases(scene, loads)}
+    solved = known or {case: equilibria(scene, case, loads) for case in CASES}
     times = time_steps(scene, length_path(scene, RATE, timed_steps), 1)
     simulation = Simulation(scene)
     errors = {f"error_{case}": references[case].error(solved[case]) for case in CASES}
@@ -1411,12 +1388,11 @@ class Differences(NamedTuple):
 
 def differences(scene: Scene, other: Scene) -> Differences:
     """Compares two models of one robot in the poses of a study."""
-    moved = displacements(scene)
-    poses = solve_for_displacements(scene, moved)
-    others = solve_for_displacements(other, moved)
-    pressed = prescribed_efforts(scene, poses.efforts)
-    free, others_free = solve_for_efforts(scene, pressed), solve_for_efforts(other, pressed)
-    return Differences(_apart(poses, others), _apart(free, others_free))
+    loads = Loads(displacements(scene))
+    own, others = (equilibria(one, "lengths", loads) for one in (scene, other))
+    loads = loads._replace(pressed=prescribed_efforts(scene, own.efforts))
+    free, others_free = (equilibria(one, "tensions", loads) for one in (scene, other))
+    return Differences(_apart(own, others), _apart(free, others_free))
 
 
 def _apart(poses: Poses, others: Poses) -> float:

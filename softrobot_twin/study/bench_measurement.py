@@ -7,14 +7,11 @@ constant part of a commands file, or follows a part of a targets file. Beside th
 from __future__ import annotations
 
 import cProfile
-import gc
 import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from itertools import count, cycle, repeat
 from pathlib import Path
 from time import perf_counter, thread_time
@@ -31,7 +28,7 @@ from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.scene.body_entries import Body, BoxMesh, BoxRegion, Mesh, Region
@@ -51,8 +48,14 @@ from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.symbolic import NONE
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
+from softrobot_twin.study.accuracy_study import with_mesh_file
 from softrobot_twin.study.direct_run import run_commands
-from softrobot_twin.study.machine_facts import DenseSpeed, page_faults, resident_bytes
+from softrobot_twin.study.machine_facts import (
+    DenseSpeed,
+    page_faults,
+    resident_bytes,
+    without_garbage_collection,
+)
 from softrobot_twin.study.run_summary import Spread, spread
 
 
@@ -188,17 +191,12 @@ _RADIUS_SHARE = 0.03
 _APPROACH_STEPS = 30
 
 
-class NothingToFollowError(SoftRobotTwinError):
-    """A scene has no actuator, none with a limit, or has contact.
-
-    Attributes:
-        scene: Name of the scene.
-    """
+class NothingToFollowError(NamedError):
+    """A scene has no actuator, none with a limit, or has contact."""
 
     def __init__(self, scene: str, reason: str):
-        self.scene = scene
-        super().__init__(f"{scene}: a benchmark moves effectors on a circle, or actuators over "
-                         f"their limits where there is no effector; {reason}")
+        super().__init__(scene, "a benchmark moves effectors on a circle, or actuators over their "
+                         f"limits where there is no effector; {reason}")
 
 
 _NO_ACTUATORS = "this scene has no actuators"
@@ -301,13 +299,8 @@ RATE = 250.0
 _SETTLING_SHARE = 0.25
 
 
-class NoHoldError(SoftRobotTwinError):
+class NoHoldError(NamedError):
     """A commands file has no part with constant commands."""
-
-    def __init__(self, path: Path):
-        self.path = path
-        super().__init__(f"{path}: a benchmark times the longest hold, an interval in which no "
-                         "command changes; there is none")
 
 
 def held_commands(simulation: Simulation, path: Path) -> Iterator[Command]:
@@ -327,7 +320,8 @@ def held_commands(simulation: Simulation, path: Path) -> Iterator[Command]:
     commanded = read_commands(path, simulation)
     begin, end = commanded.longest_hold
     if math.isnan(begin):
-        raise NoHoldError(path)
+        raise NoHoldError(path, "a benchmark times the longest hold, an interval in which no "
+                          "command changes; there is none")
     time = begin + _SETTLING_SHARE * (end - begin)
     for row in run_commands(simulation, commanded, RATE):
         if row.time >= time:
@@ -515,7 +509,7 @@ def robot_cases() -> list[BenchCase]:
 
     # It touches a cylinder in this interval.
     trunk = case("trunk_cylinders", "the Trunk", path=("trunk_path.csv", 5.6, 8.3))
-    small = _with_mesh(trunk.scene, trunk.scene.mesh_path.with_name("trunk_700.vtk"))
+    small = with_mesh_file(trunk.scene, trunk.scene.mesh_path.with_name("trunk_700.vtk"))
     small = small.model_copy(update={
         "obstacles": small.obstacles[:1],
         "contact": small.contact.model_copy(update={"between": small.contact.between[:1]}),
@@ -554,7 +548,7 @@ def standard_cases() -> list[BenchCase]:
     diamond = load_scene(path)
     meshes = diamond.mesh_path.parent
     diamonds = [
-        BenchCase(f"diamond_{nodes}", _with_mesh(diamond, meshes / f"diamond_{nodes}.vtk"),
+        BenchCase(f"diamond_{nodes}", with_mesh_file(diamond, meshes / f"diamond_{nodes}.vtk"),
                   "the Diamond", diamond.mesh_path.name == f"diamond_{nodes}.vtk")
         for nodes in _REFINEMENTS
     ]
@@ -567,11 +561,6 @@ def _is_default(path: Path) -> bool:
         return path.resolve() == default_scene_path().resolve()
     except NoDefaultSceneError:
         return False
-
-
-def _with_mesh(scene: Scene, file: Path) -> Scene:
-    mesh = scene.body.mesh.model_copy(update={"file": file})
-    return scene.model_copy(update={"body": scene.body.model_copy(update={"mesh": mesh})})
 
 
 def _column_case(diamond: Scene, cells: tuple[int, int, int]) -> BenchCase:
@@ -695,31 +684,6 @@ class SizeMeasurement:
     def share_of_dense_speed(self) -> float:
         """Speed of factor and solves, as a share of that of dense products."""
         return self.limit / sum(self.stages[stage].median for stage in _ALGEBRA)
-
-
-@cache
-def _set_loaded_modules_aside() -> None:
-    """Takes what lives as long as the process out of later collections, once.
-
-    Modules make up most objects: a collection that visits them takes some tenths of a second, and a
-    study begins many measurements.
-    """
-    gc.collect()
-    gc.freeze()
-
-
-@contextmanager
-def without_garbage_collection() -> Iterator[None]:
-    """Collects garbage now and disables the collector inside the context."""
-    was_on = gc.isenabled()
-    _set_loaded_modules_aside()
-    gc.collect()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def measure(case: BenchCase, steps: int) -> SizeMeasurement:

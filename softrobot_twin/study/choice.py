@@ -87,7 +87,11 @@ _REFERENCE_STEPS = 25
 
 
 class SettingClock:
-    """Times settings of one scene at one rate; the reference is its own mesh, linear elements."""
+    """Times settings of one scene at one rate; the reference is its own mesh, linear elements.
+
+    Attributes:
+        timing: The rounds so far.
+    """
 
     def __init__(self, own: Scene, rate: float, scene_of: Callable[[Setting], Scene]):
         """Builds the reference.
@@ -100,22 +104,12 @@ class SettingClock:
         self._rate, self._scene_of = rate, scene_of
         reference = with_element(own, "linear")
         path = length_path(reference, rate, _REFERENCE_STEPS)
-        self._timing = RobustTiming(rounds_of(reference, path, 1))
-
-    @property
-    def reference(self) -> float:
-        """Median time of a step of the reference, when nothing else runs [s]."""
-        return self._timing.reference
-
-    @property
-    def slowdown(self) -> float:
-        """Slowdown of the machine in the median round, relative to its fastest round."""
-        return self._timing.slowdown
+        self.timing = RobustTiming(rounds_of(reference, path, 1))
 
     def measure(self, setting: Setting) -> Measured:
         """Time of a step on this machine, and the linearization error."""
         self._add_rounds(setting, FIRST_ROUNDS)
-        times = self._timing.spread(setting)
+        times = self.timing.spread(setting)
         if times.p99 > MARGIN / self._rate:
             return Measured(times.median, times.p99, float("nan"))
         scene = self._scene_of(setting)
@@ -137,11 +131,11 @@ class SettingClock:
         rounds = {one.setting: self._rounds(one.setting) for one in near}
         for _ in range(LAST_ROUNDS):
             for setting, steps in rounds.items():
-                self._timing.add_round(setting, steps)
+                self.timing.add_round(setting, steps)
         return [self._judged(one) for one in candidates]
 
     def _judged(self, candidate: Candidate) -> Candidate:
-        times = self._timing.spread(candidate.setting)
+        times = self.timing.spread(candidate.setting)
         measured = candidate.measured._replace(median=times.median, p99=times.p99)
         keeps = times.p99 <= MARGIN / self._rate and np.isfinite(measured.linearization_error)
         return candidate._replace(measured=measured, keeps_rate=bool(keeps))
@@ -149,7 +143,7 @@ class SettingClock:
     def _add_rounds(self, setting: Setting, count: int) -> None:
         steps = self._rounds(setting)
         for _ in range(count):
-            self._timing.add_round(setting, steps)
+            self.timing.add_round(setting, steps)
 
     def _rounds(self, setting: Setting):
         scene = self._scene_of(setting)
@@ -572,7 +566,7 @@ def choose(
         remarks.append(f"Chosen by the error for given {words[0]}.")
     if clock is not None:
         remarks.append("Times are those of a machine without other programs; this one was "
-                       f"{clock.slowdown:.2f} times slower in the median round of the timing.")
+                       f"{clock.timing.slowdown:.2f} times slower in the median round of the timing.")
     write_scene_copy(write, scene_path, chosen, best.setting, remarks)
     load_scene(write)  # checks the written file
     shown.print(_table(candidates, best, rate, foreseen))
@@ -609,7 +603,7 @@ def _machine_share(
            and (row.element, row.law) == ("linear", held.body.material.law)]
     if clock is None or not own:
         return 1.0
-    return 1e3 * clock.reference * clock.slowdown / own[0]
+    return 1e3 * clock.timing.reference * clock.timing.slowdown / own[0]
 
 
 def _foreseen(

@@ -9,11 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, CommandEfforts, CommandSetpoints
+from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, Command
 from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
-from softrobot_twin.simulation.unit_checks import unlikely_commands
-from softrobot_twin.study.offline_run import Picture, load_with_notes, run_and_report
+from softrobot_twin.study.offline_run import (
+    Picture,
+    load_with_notes,
+    run_and_report,
+    unlikely_warning,
+)
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import Snapshot, take_snapshot
@@ -63,22 +67,9 @@ DEFAULT_RATE = 1.0 / DEFAULT_TIME_STEP
 """Default number of steps per second [Hz]."""
 
 
-def unlikely_commands_of(simulation: Simulation, table: CommandTable) -> str | None:
-    """A warning of commands that suggest a wrong unit, else None.
-
-    Args:
-        simulation: The scene.
-        table: Its commands.
-    """
-    actuators, wanted, efforts = simulation.actuators, [], []
-    for time in table.times:
-        command = table.command(float(time), DEFAULT_TIME_STEP)
-        if isinstance(command, CommandSetpoints):
-            wanted.append(command.setpoints)
-        elif isinstance(command, CommandEfforts):
-            efforts.append(command.efforts)
-    setpoints = np.array(wanted or [actuators.rest_setpoints])
-    return unlikely_commands(actuators, setpoints, np.array(efforts) if efforts else None)
+def commands_of(table: CommandTable) -> Iterator[Command]:
+    """The commands of the rows of a commands file."""
+    return (table.command(float(time), DEFAULT_TIME_STEP) for time in table.times)
 
 
 def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = DEFAULT_RATE,
@@ -100,7 +91,7 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
     """
     simulation = load_with_notes(scene)
     commanded = read_commands(commands, simulation)
-    if unlikely := unlikely_commands_of(simulation, commanded):
+    if unlikely := unlikely_warning(simulation, commands_of(commanded)):
         warn(unlikely)
     summary = RunSummary(simulation, commanded.longest_hold)
     return _run_and_report(simulation, commanded, output, rate, summary, picture)

@@ -212,7 +212,7 @@ def path_of(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
     if len(rest) and not given:
         low, high = limits.drive_min[0], limits.drive_max[0]
         if not np.isfinite(high - low):
-            raise ActuationError("", "is needed: the first actuator has no limits of its travel")
+            raise ActuationError("--at", "is needed: the first actuator has no limits of its travel")
         drives[0] = low + TRAVEL * (high - low) if low >= 0.0 else TRAVEL * high
     goal = simulation.actuators.setpoints(drives)
     reach = limits.reach(TIME_STEP)

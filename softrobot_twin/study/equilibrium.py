@@ -51,7 +51,6 @@ def bring_to_rest(simulation: Simulation, setpoints: np.ndarray, way: int = WAY)
     in_motion = simulation.model.is_dynamic
     time_step = TIME_STEP if in_motion else ANY_TIME
     begin, failures = simulation.state.setpoints.copy(), 0
-    still = STILL * _size_of(simulation)
     count = way + (MOST_STEPS_IN_MOTION if in_motion else MOST_STEPS)
     for index in range(1, count + 1):
         share = min(1.0, index / way)
@@ -62,19 +61,23 @@ def bring_to_rest(simulation: Simulation, setpoints: np.ndarray, way: int = WAY)
         failures = failures + 1 if result.status.is_failure else 0
         if failures == MOST_FAILURES:
             break
-        if index < way or failures or not _is_balanced(simulation, result):
-            continue
-        if np.abs(simulation.state.positions - before).max(initial=0.0) <= still:
+        if index >= way and is_at_rest(simulation, result, before):
             return Rest(result, True)
     return Rest(result, False)
 
 
-def _is_balanced(simulation: Simulation, result: StepResult) -> bool:
-    """Whether a step ended in equilibrium, and at the setpoints or at limits of the actuators."""
-    is_at_rest = not result.report.residual > simulation.scene.solver.residual_tolerance
-    return is_at_rest and result.status is not Status.RATE_LIMITED
+def is_at_rest(simulation: Simulation, result: StepResult, before: np.ndarray) -> bool:
+    """Whether a step moved nothing, in balance and at the setpoints or at limits of the actuators.
 
-
-def _size_of(simulation: Simulation) -> float:
+    Args:
+        simulation: Just after the step.
+        result: Of the step.
+        before: Node positions before it [m], shape (node_count, 3).
+    """
+    if result.status.is_failure or result.status is Status.RATE_LIMITED:
+        return False
+    if result.report.residual > simulation.scene.solver.residual_tolerance:
+        return False
     size = simulation.model.nodes.size
-    return size if np.isfinite(size) else 1.0
+    still = STILL * (size if np.isfinite(size) else 1.0)
+    return bool(np.abs(simulation.state.positions - before).max(initial=0.0) <= still)

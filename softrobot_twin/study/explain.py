@@ -31,6 +31,7 @@ from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, 
 from softrobot_twin.simulation.step.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
+from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import (
     by_key,
@@ -164,10 +165,8 @@ def _shown(quantity: Quantity) -> tuple[float, str]:
     return _READABLE.get(quantity.unit, (1.0, quantity.unit))
 
 
-_READABLE = {
-    "m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa"), "Nm": (1.0, "N m"),
-}  # fmt: skip
-"""Factor and readable unit of SI units."""
+_READABLE = {**SHOWN, "rad": (1.0, "rad")}
+"""Factor and readable unit of SI units; angles are those of the scene."""
 
 
 def _by(joint) -> str:
@@ -279,25 +278,26 @@ def describe_contact(contact) -> str:
             f"{number(contact.tolerance)} m")
 
 
-def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
+def print_mesh_error(scene: Scene, with_table: bool = False, begin: str = "") -> None:
     """Prints the estimated error of the mesh.
 
     Args:
         scene: The scene.
         with_table: Whether to print the error of each load too, and to warn of a large error.
+        begin: Words before it.
     """
     try:
         with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
             error = MeshErrorEstimator(scene).at_rest()
     except MeshErrorUnknown as unknown:
-        console().print(str(unknown))
+        console().print(f"{begin}{unknown}")
         return
     if with_table:
         print_apart(_by_load(error))
     if with_table and error.is_large:
         warn(error.in_words())
     else:
-        console().print(error.in_words())
+        console().print(begin + error.in_words())
 
 
 def print_reduction_errors(simulation: Simulation, largest_range: float) -> None:

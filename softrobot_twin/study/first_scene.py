@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from softrobot_twin.errors import MeshError, SoftRobotTwinError
+from softrobot_twin.errors import MeshError, NamedError
 from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES, kept_mesh, part_size
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
@@ -56,13 +56,8 @@ _STATIONS = (0.15, 0.35, 0.55, 0.75, 0.95)
 _OFFSET = 0.7
 
 
-class SceneExistsError(SoftRobotTwinError):
+class SceneExistsError(NamedError):
     """The scene file is there already."""
-
-    def __init__(self, path: Path):
-        self.path = path
-        super().__init__(f"{path}: exists already; name another file by --output, or replace it by "
-                         "--force")  # fmt: skip
 
 
 class MeshSource(NamedTuple):
@@ -431,7 +426,8 @@ def init(
     if output.suffix.lower() not in (".yaml", ".yml"):
         raise OutputError(output, "a scene is a .yaml file")
     if output.exists() and not replace:
-        raise SceneExistsError(output)
+        raise SceneExistsError(output, "exists already; name another file by --output, or replace "
+                               "it by --force")
     if size is not None and path.suffix.lower() not in CAD_SUFFIXES:
         raise MeshError(path, f"has tetrahedra already: --size is for {', '.join(CAD_SUFFIXES)}")
     with terminal_status(f"reading {path.name}"):

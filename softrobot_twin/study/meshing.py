@@ -25,10 +25,9 @@ from softrobot_twin.geometry.wall_thickness import thinnest_part
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import FollowTargets, Hold
-from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.study.accuracy_study import with_element, with_law
 from softrobot_twin.study.choice import MARGIN
-from softrobot_twin.study.explain import FOUR_NODES, LEAST_ACROSS
+from softrobot_twin.study.explain import FOUR_NODES, LEAST_ACROSS, print_mesh_error
 from softrobot_twin.study.first_scene import LARGEST_IN_METRES, MeshSource, first_scene
 from softrobot_twin.study.length_units import UNITS
 from softrobot_twin.study.output_file import OutputError, output_file
@@ -206,7 +205,9 @@ def mesh_part(
 
         trial = tried(size) if step is None else _searched(path, step, tried, scale)
         _print(path, trial, element)
-        print_mesh_error(trial.scene)
+        # The law is a simple one of the same moduli.
+        corotational = with_law(trial.scene, "corotational")
+        print_mesh_error(corotational, begin="With a tip at the far end: ")
     with output_file(output) as partial:
         write_msh(partial, trial.made)
     largest = float(np.ptp(trial.made.mesh.node_positions, axis=0).max())
@@ -315,16 +316,3 @@ def _print(path: Path, trial: Trial, element: str) -> None:
 
 def _place(place: np.ndarray) -> str:
     return "(" + ", ".join(f"{1e3 * value + 0.0:.3g}" for value in place) + ") mm"
-
-
-def print_mesh_error(scene: Scene) -> None:
-    """Prints the estimated error of the mesh, with the corotational law of the same moduli."""
-    corotational = with_law(scene, "corotational")
-    if scene.body.element != "quadratic":
-        corotational = with_element(corotational, scene.body.element)
-    try:
-        with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
-            words = MeshErrorEstimator(corotational).at_rest().in_words()
-    except MeshErrorUnknown as unknown:
-        words = str(unknown)
-    console().print(f"With a tip at the far end: {words}")

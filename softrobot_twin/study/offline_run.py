@@ -9,7 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation import (
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+    Simulation,
+)
 from softrobot_twin.simulation.runs.input_tables import TargetTable, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.unit_checks import unlikely_commands
@@ -41,9 +47,13 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0,
     columns = columns or columns_of(simulation, table)
     for _ in range(settle):
         simulation.step(table.command(0))
-    for index, time in enumerate(table.times):
-        command = table.command(index)
+    for index, (time, command) in enumerate(zip(table.times, commands_of(table))):
         yield columns.row(index, float(time), simulation.step(command), command)
+
+
+def commands_of(table: TargetTable) -> Iterator[Command]:
+    """The commands of the rows of a targets file."""
+    return map(table.command, range(len(table.times)))
 
 
 def columns_of(simulation: Simulation, table: TargetTable) -> RunColumns:
@@ -51,25 +61,34 @@ def columns_of(simulation: Simulation, table: TargetTable) -> RunColumns:
     return RunColumns(simulation, table.command(0))
 
 
-def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None:
-    """A warning when targets, setpoints or efforts are so far away that their unit is probably
-    wrong, else None.
+# A target this many sizes of the robot away is possible, but more often in millimetres.
+_FAR = 10.0
 
-    A target ten body sizes away is possible, but such targets are more often in millimetres.
+
+def unlikely_warning(simulation: Simulation, commands: Iterable[Command]) -> str | None:
+    """A warning of commands that suggest a wrong unit, else None.
+
+    Args:
+        simulation: The scene, where the commands begin.
+        commands: Targets, setpoints or efforts.
     """
-    actuators = simulation.actuators
-    if table.kind == "setpoints":
-        return unlikely_commands(actuators, table.values)
-    if table.kind == "efforts":
-        return unlikely_commands(actuators, actuators.rest_setpoints, table.values)
-    surface = simulation.surface_positions()
-    size = float(np.linalg.norm(np.ptp(surface, axis=0)))
-    offsets = table.values - simulation.effector_positions()
-    farthest = float(np.nanmax(np.linalg.norm(offsets, axis=2)))
-    if farthest <= 10.0 * size:
-        return None
-    return (f"a target lies {farthest:.3g} m away from its effector, the body is {size:.3g} m "
-            "large: are the targets in metres?")
+    targets, setpoints, efforts = [], [simulation.rest_setpoints], []
+    for command in commands:
+        if isinstance(command, FollowTargets):
+            targets.append(command.targets)
+        elif isinstance(command, CommandSetpoints):
+            setpoints.append(command.setpoints)
+        elif isinstance(command, CommandEfforts):
+            efforts.append(command.efforts)
+    if targets:
+        offsets = np.array(targets) - simulation.effector_positions()
+        farthest = np.nanmax(np.linalg.norm(offsets, axis=2), initial=0.0)
+        size = simulation.model.nodes.size
+        if farthest > _FAR * size:
+            return (f"a target is {farthest:.3g} m away from its effector, and the robot is "
+                    f"{size:.3g} m large: are the targets in metres?")
+    return unlikely_commands(simulation.actuators, np.array(setpoints),
+                             np.array(efforts) if efforts else None)
 
 
 @contextmanager
@@ -184,10 +203,9 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     """
     simulation = load_with_notes(scene)
     rows = read_targets(targets, simulation)
-    for note in rows.notes:
-        warn(note)
-    if far := far_target_warning(simulation, rows):
-        warn(far)
+    for note in (*rows.notes, unlikely_warning(simulation, commands_of(rows))):
+        if note:
+            warn(note)
     summary, name = RunSummary(simulation, unit="rows"), simulation.scene.name
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     goal = rows.values[-1] if rows.kind == "targets" else None

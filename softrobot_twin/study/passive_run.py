@@ -7,11 +7,14 @@ energies.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from softrobot_twin.mechanics.beam_masses import BeamWeight
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.building.table_columns import position_columns
 from softrobot_twin.simulation.runs.input_tables import CommandTable
 
 
@@ -57,40 +60,39 @@ class BodyReadouts:
     @property
     def columns(self) -> list[str]:
         """Names of the values, each with its unit."""
-        return [
-            *(f"{body.name}_{value}" for body in self._bodies
-              for value in ("centre_x_m", "centre_y_m", "centre_z_m", "moved_m")),
-            *(f"{beam.name}_{value}" for beam in self._beams
-              for value in ("moved_m", *(f"{node}_{axis}_m" for node in range(beam.node_count)
-                                         for axis in "xyz"))),
-            *(f"{entry.name}_{index}_{axis}_m" for entry in self._masses
-              for index in range(len(entry.points)) for axis in "xyz"),
-            *(f"marker_{number}_{axis}_m" for number in self._simulation.marker_ids
-              for axis in "xyz"),
-            "elastic_energy_J", "gravity_energy_J", "kinetic_energy_J"]
+        return [name for names, _ in self._parts() for name in names]
 
     def read(self) -> tuple[float, ...]:
         """The present values, in the order of `columns`."""
-        simulation, readouts = self._simulation, []
+        return tuple(float(value) for _, values in self._parts() for value in np.ravel(values))
+
+    def _parts(self) -> Iterator[tuple[Sequence[str], object]]:
+        """Names of some values, and the values."""
+        simulation, forces = self._simulation, self._simulation.model.forces
         positions, velocities = simulation.state.positions, simulation.state.velocities
-        for points, shares in zip(self._points, self._shares, strict=True):
+        for body, points, shares in zip(self._bodies, self._points, self._shares, strict=True):
             now, before = points.positions(positions), points.positions(self._rest)
-            readouts += [*(shares @ now), np.linalg.norm(now - before, axis=1).max()]
-        for nodes in self._beam_nodes:
+            yield position_columns(f"{body.name}_centre"), shares @ now
+            yield [f"{body.name}_moved_m"], np.linalg.norm(now - before, axis=1).max()
+        for beam, nodes in zip(self._beams, self._beam_nodes, strict=True):
             now, before = nodes.positions(positions), nodes.positions(self._rest)
-            readouts += [np.linalg.norm(now - before, axis=1).max(), *now.ravel()]
-        readouts += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
-        readouts.append(sum(term.energy(positions) for term in simulation.model.forces))
+            yield [f"{beam.name}_moved_m"], np.linalg.norm(now - before, axis=1).max()
+            yield _places([f"{beam.name}_{node}" for node in range(beam.node_count)]), now
+        masses = [f"{entry.name}_{index}" for entry in self._masses
+                  for index in range(len(entry.points))]  # fmt: skip
+        yield _places(masses), positions[self._mass_nodes]
+        markers = [f"marker_{number}" for number in simulation.marker_ids]
+        yield _places(markers), simulation.marker_positions()
+        yield ["elastic_energy_J"], sum(term.energy(positions) for term in forces)
         displacement = simulation.model.nodes.displacement(self._rest, positions)
         # A rotation about the centre of mass does not change the potential energy.
         energy = 0.0 - np.sum(self._weights * displacement)
         if self._beam_weight is not None:
             energy += self._beam_weight.potential(positions)
             energy -= self._beam_weight.potential(self._rest)
-        readouts.append(energy)
-        readouts.append(sum(term.kinetic_energy(positions, velocities)
-                        for term in simulation.model.forces))
-        return tuple(float(value) for value in readouts)
+        yield ["gravity_energy_J"], energy
+        kinetic = sum(term.kinetic_energy(positions, velocities) for term in forces)
+        yield ["kinetic_energy_J"], kinetic
 
     def lines(self) -> list[tuple[str, str]]:
         """The present values as names and values with units."""
@@ -112,6 +114,11 @@ class BodyReadouts:
         lines += [(f"{word} energy", f"{readouts[f'{word}_energy_J']:.4g} J")
                   for word in ("elastic", "gravity", "kinetic")]
         return lines
+
+
+def _places(names: Sequence[str]) -> list[str]:
+    """Columns of places."""
+    return [column for name in names for column in position_columns(name)]
 
 
 def _millimetres(place) -> str:

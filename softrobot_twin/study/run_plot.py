@@ -5,7 +5,6 @@ The file contains, in this order: the columns of a file, the panels, the drawing
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -32,6 +31,7 @@ from softrobot_twin.simulation.result import Status
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_cells
 from softrobot_twin.simulation.runs.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
 from softrobot_twin.study.figure import figure_file, load_pyplot
+from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.terminal import console
 
 SAMPLE = "sample"
@@ -131,10 +131,6 @@ class Panel(NamedTuple):
     is_logarithmic: bool = False
 
 
-_DRAWN = {"m": (1e3, "mm"), "m3": (1e6, "cm³"), "Pa": (1e-3, "kPa"), "rad": (180.0 / math.pi, "°"),
-          "Nm": (1.0, "N m"), "N_per_m": (1.0, "N/m"), "m_per_N": (1.0, "m/N"), "s": (1e3, "ms")}
-"""Factor and unit in which a unit of a column is drawn."""
-
 _WITHOUT_OWNER = {
     "residual_N": "residual", "contact_residual_m": "contact residual",
     "linearization_error_m": "linearization error", COMPUTE_TIME: "compute time",
@@ -229,7 +225,7 @@ def _wanted(name: str) -> str:
 
 
 def _drawn(unit: str) -> tuple[str, float]:
-    factor, drawn = _DRAWN.get(unit, (1.0, unit))
+    factor, drawn = SHOWN.get(unit, (1.0, unit))
     return drawn, factor
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from softrobot_twin.simulation import Simulation, Status
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.runs.run_columns import RunRow, pair_names, rigid_poses
+from softrobot_twin.study.length_units import SHOWN
 
 _SHOWN = 6
 """Most rows of things that are alike; more are put together."""
@@ -19,10 +20,6 @@ _SHOWN = 6
 BAD_END = 3
 """Exit code of a run whose last row is not good."""
 _BAD_ENDS = (Status.NOT_CONVERGED.value, Status.INVERTED.value)
-
-_TOLD = {"m": (1e3, "mm"), "m3": (1e6, "cm³"), "Pa": (1e-3, "kPa"), "rad": (180.0 / math.pi, "°"),
-         "Nm": (1.0, "N m")}
-"""Factor and unit in which a unit of a column is told."""
 
 
 class Spread(NamedTuple):
@@ -41,6 +38,14 @@ def spread(values: np.ndarray) -> Spread:
         return Spread(np.nan, np.nan, np.nan)
     return Spread(float(np.median(finite)), float(np.percentile(finite, 99.0)),
                   float(finite.max()))
+
+
+# What a summary needs of a row, of its result and of the report; the state and the command, which
+# are large, are of no use here.
+_OF_ROW = ("time", "rigid_poses", "pair_resultants", "pair_magnitude_sums", "reduction_errors")
+_OF_RESULT = ("effector_positions", "effector_errors", "orientation_errors", "stiffness_errors",
+              "displacements", "efforts")
+_OF_REPORT = ("contact_count", "residual", "linearization_error", "compute_time")
 
 
 class RunSummary:
@@ -73,7 +78,7 @@ class RunSummary:
         weight = np.linalg.norm(gravity)
         self._up = -gravity / weight if weight > 0.0 else np.array([0.0, 0.0, 1.0])
         self._before = rigid_poses(simulation)[self._free, :3]
-        self._rows: list[RunRow] = []
+        self._values: dict[str, list] = {name: [] for name in (*_OF_ROW, *_OF_RESULT, *_OF_REPORT)}
         self._limits: Counter[str] = Counter()
         self.statuses: Counter[str] = Counter()
         self.last_status = ""
@@ -82,12 +87,9 @@ class RunSummary:
     def add(self, row: RunRow) -> None:
         """Adds one row."""
         report = row.result.report
-        # The state and the command are large, and of no use here.
-        self._rows.append(row._replace(command=None, result=_Kept(
-            row.result.effector_positions, row.result.effector_errors,
-            row.result.orientation_errors, row.result.stiffness_errors,
-            row.result.displacements, row.result.efforts, report.contact_count, report.residual,
-            report.linearization_error, report.compute_time)))
+        for source, names in ((row, _OF_ROW), (row.result, _OF_RESULT), (report, _OF_REPORT)):
+            for name in names:
+                self._values[name].append(getattr(source, name))
         self._limits.update(list(dict.fromkeys(report.active_limits)))
         self.sampled_range = max(self.sampled_range, report.sampled_range)
         self.last_status = row.result.status.value
@@ -104,14 +106,14 @@ class RunSummary:
 
     def _series(self, field: str) -> np.ndarray:
         """A field of all rows; empty where it is None."""
-        values = [getattr(row.result, field) for row in self._rows]
+        values = self._values[field]
         return np.empty((0, 0)) if not values or values[0] is None else np.array(values)
 
     def heights(self) -> dict[str, tuple[float, float]]:
         """Greatest rise of each free body [m], and its time [s]."""
-        places = np.array([row.rigid_poses[self._free, :3] for row in self._rows])
-        risen = (places - self._before) @ self._up
-        return {name: (float(rise.max()), self._rows[int(rise.argmax())].time)
+        places = self._series("rigid_poses")[:, self._free, :3]
+        risen, times = (places - self._before) @ self._up, self._values["time"]
+        return {name: (float(rise.max()), times[int(rise.argmax())])
                 for name, rise in zip(self._free_names, risen.T, strict=True)}
 
     def creep(self) -> dict[str, float]:
@@ -121,12 +123,12 @@ class RunSummary:
         Bodies are the free bodies or, if there are none, the effectors.
         """
         begin, end = self._hold
-        times = np.array([row.time for row in self._rows])
+        times = self._series("time")
         held = np.flatnonzero((times > begin - 1e-9) & (times < end + 1e-9))
         if not held.size:
             return {}
         names = self._free_names
-        places = np.array([row.rigid_poses[self._free, :3] for row in self._rows])
+        places = self._series("rigid_poses")[:, self._free, :3]
         if not names:
             names, places = self._effectors, self._series("effector_positions")
         distances = np.linalg.norm(places[held] - places[held[0]], axis=2)
@@ -134,9 +136,10 @@ class RunSummary:
 
     def lines(self) -> list[tuple[str, str]]:
         """The summary as names and values with units."""
-        if not self._rows:
+        times = self._values["time"]
+        if not times:
             return [(self.unit, "0")]
-        lines = [(self.unit, f"{len(self._rows)}, {self._rows[-1].time:.6g} s at their end")]
+        lines = [(self.unit, f"{len(times)}, {times[-1]:.6g} s at their end")]
         lines += self._of_effectors()
         lines += self._of_bodies()
         lines += self._of_actuators()
@@ -147,7 +150,7 @@ class RunSummary:
 
     def _of_effectors(self) -> list[tuple[str, str]]:
         """Errors of the effectors that have targets; else where they are at the end."""
-        lines, times = [], [row.time for row in self._rows]
+        lines, times = [], self._values["time"]
         for field, word, factor, form in (
             ("effector_errors", "tracking error", 1e3, "{:.4f} mm"),
             ("orientation_errors", "orientation error", 180.0 / math.pi, "{:.4f}°"),
@@ -208,10 +211,9 @@ class RunSummary:
         """Contacts of each pair that touched, the hardest first; nothing without contact."""
         if not self._pairs:
             return []
-        counts = [row.result.contact_count for row in self._rows]
-        resultants = np.linalg.norm([row.pair_resultants for row in self._rows], axis=2)
-        sums = np.array([row.pair_magnitude_sums for row in self._rows])
-        lines = [("contacts, maximum", str(max(counts)))]
+        resultants = np.linalg.norm(self._series("pair_resultants"), axis=2)
+        sums = self._series("pair_magnitude_sums")
+        lines = [("contacts, maximum", str(max(self._values["contact_count"])))]
         order = [index for index in np.argsort(-sums.max(axis=0), kind="stable")
                  if sums[:, index].any()]
         for index in sorted(order[:_SHOWN]):
@@ -232,7 +234,8 @@ class RunSummary:
         met = self._limits.most_common()
         if not met:
             return []
-        told = [f"{name} {_share(count, len(self._rows))}" for name, count in met[:_SHOWN]]
+        rows = len(self._values["time"])
+        told = [f"{name} {_share(count, rows)}" for name, count in met[:_SHOWN]]
         more = f", and {len(met) - _SHOWN} more" if len(met) > _SHOWN else ""
         return [("limits met most", f"{', '.join(told)} of {self.unit}{more}")]
 
@@ -245,7 +248,7 @@ class RunSummary:
             lines.append(("linearization error, max", f"{1e3 * linearization:.2g} mm"))
         if self.sampled_range > 0.0:
             lines.append(("range of the training, max", f"{self.sampled_range:.2g} of it"))
-        errors = np.array([row.reduction_errors for row in self._rows])
+        errors = self._series("reduction_errors")
         if errors.size:
             lines.append(("reduction error, max", f"{1e3 * _largest(errors):.3g} mm, estimated"))
         lines.append(("compute time", f"median {compute.median:.2f} ms, p99 {compute.p99:.2f} ms, "
@@ -260,21 +263,6 @@ class RunSummary:
             end = ", the last too" if is_last else ""
             lines.append((f"status {name}", f"{count} {self.unit}{end}"))
         return lines
-
-
-class _Kept(NamedTuple):
-    """What a summary needs of a result and its report; see `StepResult` and `StepReport`."""
-
-    effector_positions: np.ndarray
-    effector_errors: np.ndarray
-    orientation_errors: np.ndarray | None
-    stiffness_errors: np.ndarray | None
-    displacements: np.ndarray
-    efforts: np.ndarray
-    contact_count: int
-    residual: float
-    linearization_error: float
-    compute_time: float
 
 
 def _most(found: dict, size: Callable) -> list[tuple]:
@@ -326,7 +314,7 @@ def told_range(quantity: Quantity, values: np.ndarray) -> str:
         quantity: The quantity.
         values: In its unit; at least one is finite.
     """
-    factor, unit = _TOLD.get(quantity.unit, (1.0, quantity.unit))
+    factor, unit = SHOWN.get(quantity.unit, (1.0, quantity.unit))
     low, high = factor * np.nanmin(values), factor * np.nanmax(values)
     # A rounding error is no displacement.
     rounding = 1e-9 * max(abs(low), abs(high), 1.0)

@@ -24,7 +24,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.result import Status
@@ -45,32 +45,16 @@ MOST_TRIES = 2
 CONNECTION_TIMEOUT = 10.0
 
 
-class SchedulerError(SoftRobotTwinError):
-    """A Dask scheduler cannot be used.
-
-    Attributes:
-        address: Its address.
-    """
-
-    def __init__(self, address: str, reason: str):
-        self.address = address
-        super().__init__(f"--scheduler {address}: {reason}")
+class SchedulerError(NamedError):
+    """A Dask scheduler cannot be used."""
 
 
 class WorkerError(SoftRobotTwinError):
     """Processes of this machine end before they compute anything."""
 
 
-class RunError(SoftRobotTwinError):
-    """A run cannot go on: what is there is of another one.
-
-    Attributes:
-        path: What an earlier run left, or the scene of a worker.
-    """
-
-    def __init__(self, path: Path | str, reason: str):
-        self.path = Path(path)
-        super().__init__(f"{path}: {reason}")
+class RunError(NamedError):
+    """A run cannot go on: what an earlier run left, or a worker's scene, is of another one."""
 
 
 # --- what a run is of -----------------------------------------------------------------------------
@@ -328,7 +312,8 @@ class DaskWorkers:
             )
         except (OSError, ValueError, TypeError) as error:
             # OSError is the base of the time-outs of sockets, too.
-            raise SchedulerError(self.address, f"cannot be reached: {error}") from error
+            raise SchedulerError(f"--scheduler {self.address}",
+                                 f"cannot be reached: {error}") from error
 
     def run(self, job: Job, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
         """See `SampleWorkers.run`; each run has a connection of its own."""

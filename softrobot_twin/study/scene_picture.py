@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.geometry.shapes import Sphere
+from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.appearance import fixed_ends, fixed_places
@@ -72,14 +74,8 @@ def across_of(axis: np.ndarray) -> np.ndarray:
 
 def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
     """Triangles of a sphere, corners [m], shape (triangle_count, 3, 3)."""
-    polar = np.linspace(0.0, np.pi, _SIDES + 1)
-    turn = np.linspace(0.0, 2.0 * np.pi, 2 * _SIDES, endpoint=False)
-    rings = np.stack([np.outer(np.sin(polar), np.cos(turn)),
-                      np.outer(np.sin(polar), np.sin(turn)),
-                      np.broadcast_to(np.cos(polar)[:, None], (len(polar), len(turn)))], axis=2)
-    # Triangles at the poles have no area and are left out.
-    triangles = _grid_triangles(centre + radius * rings)
-    return triangles[np.linalg.norm(_doubled_areas(triangles), axis=1) > 1e-9 * radius**2]
+    points, triangles = Sphere(centre, radius).surface(np.pi * radius / _SIDES)
+    return points[triangles]
 
 
 def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
@@ -124,23 +120,15 @@ def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarr
         Ends of the edges [m], shape (crease_count, 2, 3).
     """
     normals = _normals(points[triangles])
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    of = np.repeat(np.arange(len(triangles)), 3)
-    order = np.lexsort(edges.T)
-    edges, of = edges[order], of[order]
-    twin = np.flatnonzero((edges[:-1] == edges[1:]).all(axis=1))
-    cosines = np.einsum("ei,ei->e", normals[of[twin]], normals[of[twin + 1]])
-    return points[edges[twin[cosines < np.cos(angle)]]]
-
-
-def _doubled_areas(triangles: np.ndarray) -> np.ndarray:
-    """Normals of triangles, as long as twice their areas, shape (triangle_count, 3)."""
-    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    _, edges, place, _ = half_edges(triangles)
+    sides = normals[np.argsort(place, kind="stable").reshape(-1, 2) // 3]
+    cosines = np.einsum("ei,ei->e", sides[:, 0], sides[:, 1])
+    return points[edges[cosines < np.cos(angle)]]
 
 
 def _normals(triangles: np.ndarray) -> np.ndarray:
     """Unit normals of triangles, shape (triangle_count, 3)."""
-    normals = _doubled_areas(triangles)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, apparent_compliance
 from softrobot_twin.simulation.building.actuators import Actuators
+from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.study.equilibrium import bring_to_rest
 from softrobot_twin.study.terminal import console, print_apart, table, terminal_status, warn
 
@@ -26,16 +27,8 @@ _SHOWN = {
 ROUND_OFF = 1.0e-9
 
 
-class ActuationError(SoftRobotTwinError):
-    """A given actuation does not fit the scene.
-
-    Attributes:
-        given: What was given.
-    """
-
-    def __init__(self, given: str, reason: str, option: str = "--at"):
-        self.given = given
-        super().__init__(f"{option} {given}: {reason}")
+class ActuationError(NamedError):
+    """An actuation that an option gives does not fit the scene."""
 
 
 def print_stiffness(scene: Path, given: Sequence[str] = ()) -> int:
@@ -104,30 +97,32 @@ def actuation(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
     Raises:
         ActuationError: A column is unknown or twice there, or a value is no finite number.
     """
-    actuators = simulation.actuators
-    drives = actuators.drives(simulation.rest_setpoints)
+    drives = simulation.actuators.drives(simulation.rest_setpoints)
     columns, set_by = actuator_column_places(simulation), {}
     for text in given:
-        column, _, value = text.partition("=")
-        if column not in columns:
-            raise ActuationError(text, f"is no column of {', '.join(columns)}")
+        named, _, value = text.partition("=")
+        if named not in columns:
+            raise ActuationError(f"--at {text}", f"is no column of {', '.join(columns)}")
         try:
             number = float(value)
         except ValueError:
-            raise ActuationError(text, "must end with a number") from None
+            raise ActuationError(f"--at {text}", "must end with a number") from None
         if not np.isfinite(number):
-            raise ActuationError(text, "must be finite")
-        places, is_setpoint = columns[column]
+            raise ActuationError(f"--at {text}", "must be finite")
+        places, is_setpoint = columns[named]
         for place in places:
             if place in set_by:
-                raise ActuationError(text, f"moves what {set_by[place]} moves")
+                raise ActuationError(f"--at {text}", f"moves what {set_by[place]} moves")
             set_by[place] = text
-            drives[place] = number
-            if is_setpoint:
-                setpoints = simulation.rest_setpoints.copy()
-                setpoints[place] = number
-                drives[place] = actuators.drives(setpoints)[place]
+        drives[places] = drive_at(simulation, places, number) if is_setpoint else number
     return drives
+
+
+def drive_at(simulation: Simulation, places: list[int], setpoint: float) -> float:
+    """Displacement, or effort, of actuators that move alike at a setpoint; see `Actuators.drives`."""
+    setpoints = simulation.rest_setpoints.copy()
+    setpoints[places] = setpoint
+    return simulation.actuators.drives(setpoints)[places[0]]
 
 
 def actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:
@@ -136,8 +131,8 @@ def actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int],
     names = list(actuators.names)
     for place, (name, kind) in enumerate(actuators.kind_of.items()):
         if not kind.is_effort_driven:
-            columns[f"{name}_{kind.displacement.word}_{kind.displacement.unit}"] = [place], False
-        columns[f"{name}_{kind.setpoint.word}_{kind.setpoint.unit}"] = [place], True
+            columns[column(name, kind.displacement)] = [place], False
+        columns[column(name, kind.setpoint)] = [place], True
     for motor, cables in simulation.motors.items():
         columns[f"{motor}_shortening_m"] = [names.index(cable) for cable in cables], False
     return columns

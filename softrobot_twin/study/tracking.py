@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError
 from softrobot_twin.study.figure import figure_file, legend_below
+from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.machine_facts import machine, versions
 from softrobot_twin.study.output_file import writing
 
@@ -71,18 +72,8 @@ class TrackingRecord:
         return self.twin if self.target is None else self.target
 
 
-class RecordError(SoftRobotTwinError):
-    """A record has too few samples.
-
-    Attributes:
-        name: Name of the run or quantity.
-        reason: What is missing.
-    """
-
-    def __init__(self, name: str, reason: str):
-        self.name = name
-        self.reason = reason
-        super().__init__(f"{name}: {reason}")
+class RecordError(NamedError):
+    """A record of a run has too few samples."""
 
 
 def distances(reference: TimedValues, measured: TimedValues) -> TimedValues:
@@ -119,38 +110,6 @@ silicone and measurement differ from ours, so they are reported but not compared
 """
 
 
-@dataclass(frozen=True)
-class LoopFigures:
-    """Timing of the twin's loop over all runs.
-
-    Attributes:
-        compute_time_median: Median time of a tick's work [s]; None when not known.
-        compute_time_p99: 99th percentile [s].
-        compute_time_max: Longest [s].
-        period: Requested time between ticks [s].
-        ticks: Ticks done.
-        missed_ticks: Ticks that ended late.
-        skipped_ticks: Ticks skipped because an earlier one took too long.
-    """
-
-    compute_time_median: float | None
-    compute_time_p99: float | None
-    compute_time_max: float | None
-    period: float
-    ticks: int
-    missed_ticks: int
-    skipped_ticks: int
-
-
-@dataclass(frozen=True)
-class MeshFigures:
-    """Size of the twin's mesh."""
-
-    nodes: int
-    tets: int
-    dof: int
-
-
 def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int]:
     """Errors of one run [mm]: the device against its reference, and the twin against the device.
 
@@ -170,16 +129,14 @@ def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int
     }
 
 
-def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigures,
-                    mesh: MeshFigures) -> dict:
+def tracking_report(robot: str, runs: dict[str, TrackingRecord], figures_of_twin: dict) -> dict:
     """The report of a demo; plain numbers and text, ready for JSON.
 
     Args:
         robot: Name of the robot.
         runs: Records under ``open_loop`` and ``closed_loop``, of which the second is missing after
             an interrupted demo, or under ``direct``.
-        loop: Timing of the twin's loop.
-        mesh: Size of the twin's mesh.
+        figures_of_twin: Timing of the twin's loop, and the size of its mesh.
 
     Raises:
         RecordError: A run has no samples that can be compared.
@@ -195,14 +152,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
         "direct": figures.get("direct"),
         "closed_to_open_ratio": ratio,
         "published_open_loop_error_mm": PUBLISHED_ERRORS_MM.get(robot),
-        "compute_time_ms": {"median": _milliseconds(loop.compute_time_median),
-                            "p99": _milliseconds(loop.compute_time_p99),
-                            "max": _milliseconds(loop.compute_time_max)},
-        "period_ms": 1e3 * loop.period,
-        "ticks": loop.ticks,
-        "missed_ticks": loop.missed_ticks,
-        "skipped_ticks": loop.skipped_ticks,
-        "mesh": {"nodes": mesh.nodes, "tets": mesh.tets, "dof": mesh.dof},
+        **figures_of_twin,
         "versions": versions(),
         "machine": machine(),
     }
@@ -216,10 +166,6 @@ def write_report(path: Path, report: dict) -> None:
     """
     with writing(path):
         path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _milliseconds(seconds: float | None) -> float | None:
-    return None if seconds is None else 1e3 * seconds
 
 
 _RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8", "direct": "#1b6ca8"}
@@ -318,9 +264,6 @@ def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
     legend_below(axes, _WHOLE)
 
 
-_SHOWN_UNITS = {"m": (1e3, "mm"), "N": (1.0, "N"), "Pa": (1e-3, "kPa"), "m3": (1e6, "cm³")}
-
-
 def _draw_actuators(axes, runs: dict[str, TrackingRecord], quantity: str, title: str, label: str,
                     from_start: bool = False) -> None:
     """Draws one line for each actuator: the last run solid, the run before it dotted.
@@ -332,7 +275,7 @@ def _draw_actuators(axes, runs: dict[str, TrackingRecord], quantity: str, title:
     first = start if from_start and len(start) else 0.0
     for style, (run, record) in zip(styles, runs.items()):
         samples = getattr(record, f"{quantity}s")
-        units = [_SHOWN_UNITS.get(unit, (1.0, unit)) for unit in getattr(record, f"{quantity}_units")]
+        units = [SHOWN.get(unit, (1.0, unit)) for unit in getattr(record, f"{quantity}_units")]
         values = [factor for factor, _ in units] * (samples.values - first)
         is_common = len({unit for _, unit in units}) == 1
         for index, name in enumerate(record.actuator_names):

@@ -184,15 +184,6 @@ def divisions(scene: Scene) -> list[Division]:
     ]  # fmt: skip
 
 
-def _first_nodes(scene: Scene, simulation: Simulation) -> list[int]:
-    """First node of each reduced body in the full model."""
-    return [
-        body.first_node
-        for body, entry in zip(simulation.model.bodies, scene.deformables, strict=True)
-        if entry.vertebrae is not None
-    ]  # fmt: skip
-
-
 def reduce_body(
     division: Division, deformations: np.ndarray, pressures: np.ndarray, seed: int, note
 ) -> tuple[Reduction, list[FittedPart]]:
@@ -367,7 +358,8 @@ def _outdated(path: Path, division: Division) -> str:
 def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, out) -> None:
     begin = time.perf_counter()
     full = Simulation(without_vertebrae(full_scene(scene)), with_warnings=False)
-    first_nodes = _first_nodes(scene, full)
+    first_nodes = [body.first_node for body, entry in
+                   zip(full.model.bodies, scene.deformables, strict=True) if entry.vertebrae]
     occurring, efforts = [[] for _ in found], []
     for setpoints in tracked(setpoints_within(full, RANGE_STATES, seed), "full model", RANGE_STATES,
                              "states", "a coarser mesh shortens it"):

@@ -23,7 +23,7 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.building.table_columns import STATUS, column, position_columns
@@ -51,20 +51,12 @@ from softrobot_twin.study.sample_workers import (
     scene_fingerprint,
     workers_of,
 )
-from softrobot_twin.study.stiffness import ActuationError, actuator_column_places
+from softrobot_twin.study.stiffness import ActuationError, actuator_column_places, drive_at
 from softrobot_twin.study.terminal import console, print_apart, table, terminal_status, warn
 
 
-class WorkspaceError(SoftRobotTwinError):
-    """A scene has no workspace that can be sampled.
-
-    Attributes:
-        path: The scene.
-    """
-
-    def __init__(self, path: Path | str, reason: str):
-        self.path = Path(path)
-        super().__init__(f"{path}: {reason}")
+class WorkspaceError(NamedError):
+    """A scene has no workspace that can be sampled."""
 
 
 class Axis(NamedTuple):
@@ -133,34 +125,28 @@ def _check_axis(simulation: Simulation, axis: Axis) -> None:
     kind = simulation.actuators.kinds[axis.places[0]]
     quantity = kind.effort if kind.is_effort_driven else kind.displacement
     end = "greatest" if np.isfinite(axis.low) else "least"
-    column = f"{axis.name}_{quantity.word}_{quantity.unit}"
     raise WorkspaceError(
         simulation.scene.path,
         f"{kind.section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
-        f"the scene, or by --range {column}=LOW:HIGH",
+        f"the scene, or by --range {column(axis.name, quantity)}=LOW:HIGH",
     )  # fmt: skip
 
 
 def _read_range(simulation: Simulation, text: str) -> tuple[list[int], tuple[float, float]]:
-    column, _, ends = text.partition("=")
+    named, _, ends = text.partition("=")
     columns = actuator_column_places(simulation)
-    option = "--range"
-    if column not in columns:
-        raise ActuationError(text, f"is no column of {', '.join(columns)}", option)
+    option = f"--range {text}"
+    if named not in columns:
+        raise ActuationError(option, f"is no column of {', '.join(columns)}")
     try:
         low, high = map(float, ends.split(":"))
     except ValueError:
-        raise ActuationError(text, "must end with two numbers, LOW:HIGH", option) from None
+        raise ActuationError(option, "must end with two numbers, LOW:HIGH") from None
     if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise ActuationError(text, "must be finite, the lower one first", option)
-    places, is_setpoint = columns[column]
+        raise ActuationError(option, "must be finite, the lower one first")
+    places, is_setpoint = columns[named]
     if is_setpoint:
-        drives = []
-        for value in (low, high):
-            setpoints = simulation.rest_setpoints.copy()
-            setpoints[places] = value
-            drives.append(simulation.actuators.drives(setpoints)[places[0]])
-        low, high = sorted(drives)
+        low, high = sorted(drive_at(simulation, places, value) for value in (low, high))
     return places, (low, high)
 
 

@@ -99,7 +99,7 @@ def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
     """With steps whose time is that of a law, so that the test does not depend on the machine."""
     need_gmsh()
     monkeypatch.setattr(meshing, "measured_step", lambda scene: step_of(scene))
-    monkeypatch.setattr(meshing, "print_mesh_error", lambda scene: None)
+    monkeypatch.setattr(meshing, "print_mesh_error", lambda scene, begin: None)
 
     def step_of(scene):
         return StepTime(2e-6 * read_solid_mesh(scene.mesh_path).mesh.cell_count, 1.0)
@@ -119,7 +119,7 @@ def test_a_time_that_others_disturbed_is_told_as_such(
 ):
     need_gmsh()
     monkeypatch.setattr(meshing, "measured_step", lambda scene: StepTime(0.01, slowdown))
-    monkeypatch.setattr(meshing, "print_mesh_error", lambda scene: None)
+    monkeypatch.setattr(meshing, "print_mesh_error", lambda scene, begin: None)
     part, output = write_stl(tmp_path / "block.stl", box((60, 20, 20))), tmp_path / "block.msh"
     assert main(["mesh", str(part), "--size", "10mm", "--output", str(output)]) == 0
     told = capsys.readouterr().out

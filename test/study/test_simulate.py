@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import read_targets
-from softrobot_twin.study.offline_run import far_target_warning
+from softrobot_twin.study.offline_run import commands_of, unlikely_warning
 
 REACHED = (0.011, 0.0095, 0.097)
 TARGETS = ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
@@ -147,9 +147,11 @@ def test_a_picture_of_the_last_state_is_drawn(tmp_path, column, targets, call):
 
 def test_targets_in_millimetres_are_warned_of(column, targets):
     simulation = Simulation.from_scene_file(column)
-    assert far_target_warning(simulation, read_targets(targets(), simulation)) is None
+    likely = commands_of(read_targets(targets(), simulation))
+    assert unlikely_warning(simulation, likely) is None
     slipped = targets("time_s,tip_x_m,tip_y_m,tip_z_m\n0,10.5,10,98\n")
-    assert "in metres?" in far_target_warning(simulation, read_targets(slipped, simulation))
+    unlikely = commands_of(read_targets(slipped, simulation))
+    assert "in metres?" in unlikely_warning(simulation, unlikely)
 
 
 def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, call):

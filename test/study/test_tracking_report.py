@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.study.tracking import (
-    LoopFigures,
-    MeshFigures,
     RecordError,
     TimedValues,
     TrackingRecord,
@@ -21,9 +19,9 @@ from softrobot_twin.study.tracking import (
     write_report,
 )
 
-LOOP = LoopFigures(compute_time_median=0.004, compute_time_p99=0.006, compute_time_max=0.009,
-                   period=0.02, ticks=1500, missed_ticks=2, skipped_ticks=1)
-MESH = MeshFigures(nodes=1600, tets=4500, dof=4700)
+TWIN = {"compute_time_ms": {"median": 4.0, "p99": 6.0, "max": 9.0}, "period_ms": 20.0,
+        "ticks": 1500, "missed_ticks": 2, "skipped_ticks": 1,
+        "mesh": {"nodes": 1600, "tets": 4500, "dof": 4700}}
 
 
 def line(times, speed=(0.01, 0.0, 0.0), offset=(0.0, 0.0, 0.0)):
@@ -66,7 +64,7 @@ def test_figures_are_in_millimetres():
 
 def test_without_targets_the_device_is_compared_with_the_twin(tmp_path):
     runs = {"direct": replace(record((0.0, 0.0, -0.002)), target=None)}
-    report = tracking_report("octoleg", runs, LOOP, MESH)
+    report = tracking_report("octoleg", runs, TWIN)
     assert report["direct"]["mean_error_mm"] == pytest.approx(2.1)
     assert report["direct"]["seconds"] == pytest.approx(3.98)
     assert report["open_loop"] is None and report["closed_to_open_ratio"] is None
@@ -86,7 +84,7 @@ def test_a_run_without_device_measurements_is_refused_by_name():
 
 def test_the_report_is_json_with_the_ratio_of_closed_to_open_loop(tmp_path):
     runs = {"open_loop": record((0.0, 0.0, -0.002)), "closed_loop": record((0.0, 0.0, -0.0003))}
-    report = tracking_report("diamond", runs, LOOP, MESH)
+    report = tracking_report("diamond", runs, TWIN)
     write_report(tmp_path / "report.json", report)
     read = json.loads((tmp_path / "report.json").read_text())
     assert read == report
@@ -98,7 +96,7 @@ def test_the_report_is_json_with_the_ratio_of_closed_to_open_loop(tmp_path):
 
 
 def test_an_interrupted_demo_reports_its_finished_run():
-    report = tracking_report("diamond", {"open_loop": record((0.0, 0.0, -0.002))}, LOOP, MESH)
+    report = tracking_report("diamond", {"open_loop": record((0.0, 0.0, -0.002))}, TWIN)
     assert report["open_loop"]["mean_error_mm"] == pytest.approx(2.0)
     assert report["closed_loop"] is None
     assert report["closed_to_open_ratio"] is None
