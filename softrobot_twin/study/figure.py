@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -143,10 +144,26 @@ def figure_file(path: Path, size: tuple[float, float], title: str, foot: str = "
             figure.suptitle(title, fontsize=13, x=0.01, ha="left", weight="bold")
             if foot:
                 figure.supxlabel(foot, fontsize=7, color="#777777", x=0.01, ha="left")
-            try:
-                with output_file(path) as partial:
-                    save_figure(figure, partial, 130)
-            except ValueError as error:  # There is no format with this suffix.
-                raise OutputError(path, str(error)) from error
+            write_figure(figure, path, 130)
         finally:
             pyplot.close(figure)
+
+
+def write_figure(figure: Any, path: Path | str, dpi: int) -> None:
+    """Writes a figure whole or not at all, and closes it.
+
+    Args:
+        figure: A matplotlib figure.
+        path: Picture to write; its suffix determines the format.
+        dpi: Pixels per inch.
+
+    Raises:
+        OutputError: The picture cannot be written, or there is no format with this suffix.
+    """
+    try:
+        with output_file(path) as partial:
+            save_figure(figure, partial, dpi)
+    except ValueError as error:
+        raise OutputError(path, str(error)) from error
+    finally:
+        load_pyplot().close(figure)

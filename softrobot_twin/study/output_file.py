@@ -33,19 +33,19 @@ BROKEN_OFF = ".part"
 
 
 @contextmanager
-def writing(path: Path | str, *errors: type[Exception]) -> Iterator[None]:
+def writing(path: Path | str, error_too: type[Exception] = OSError) -> Iterator[None]:
     """Turns errors of the system into `OutputError`.
 
     Args:
         path: What is written.
-        errors: Further errors that mean the same.
+        error_too: A further kind of error that means the same.
 
     Raises:
         OutputError: It cannot be written.
     """
     try:
         yield
-    except (OSError, *errors) as error:
+    except (OSError, error_too) as error:
         raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
 
 

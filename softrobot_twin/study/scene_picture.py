@@ -23,8 +23,8 @@ from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.appearance import fixed_ends, fixed_places
 from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.effects.touches import touch_term
-from softrobot_twin.study.figure import load_pyplot, save_figure
-from softrobot_twin.study.output_file import OutputError, output_file
+from softrobot_twin.study.figure import load_pyplot, write_figure
+from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize
 from softrobot_twin.study.terminal import by_key
 
@@ -578,15 +578,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    pyplot = load_pyplot()
-    figure = figure_of(snapshots, title, view, labelled)
-    try:
-        with output_file(path) as partial:
-            save_figure(figure, partial, _sharpness(snapshots))
-    except ValueError as error:  # There is no format with this suffix.
-        raise OutputError(path, str(error)) from error
-    finally:
-        pyplot.close(figure)
+    write_figure(figure_of(snapshots, title, view, labelled), path, _sharpness(snapshots))
 
 
 def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, float] | None = None,
