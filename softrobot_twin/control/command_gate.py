@@ -68,30 +68,41 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
 
 
 @njit(**KERNEL)
-def keeps_all_limits(
-    setpoints, efforts, before, lowest, highest, reach, effort_min, effort_max, beyond,
-    beyond_effort,
+def pass_command(
+    setpoints, efforts, before, reach, lowest, highest, effort_min, effort_max, beyond,
+    beyond_effort, by_effort,
 ):  # fmt: skip
     """Whether a command is finite, and within limits of setpoints, rates and efforts.
 
-    Where it is not, `CommandGate` finds out which limit of which actuator it violates.
+    Where it is, what the tolerances allow beyond the limits is taken away. Where it is not,
+    `CommandGate` finds out which limit of which actuator it violates. An actuator that was measured
+    outside its limits violates no rate: it moves as far as its rate allows.
 
     Args:
-        setpoints, efforts: The command, shape (actuator_count,).
+        setpoints, efforts: The command, shape (actuator_count,); changed where it passes.
         before: Setpoints of the last command.
-        lowest, highest: Limits of setpoints.
         reach: Greatest moves in the time since the last command.
+        lowest, highest: Limits of setpoints.
         effort_min, effort_max: Limits of efforts.
         beyond, beyond_effort: Tolerances of setpoints and efforts.
+        by_effort: Whether the setpoint of each actuator is its effort.
     """
     for i in range(len(setpoints)):
         x, effort, slack = setpoints[i], efforts[i], beyond[i]
         if not (np.isfinite(x) and np.isfinite(effort)):
             return False
-        if x < lowest[i] - slack or x > highest[i] + slack or abs(x - before[i]) > reach[i] + slack:
+        if x < lowest[i] - slack or x > highest[i] + slack:
+            return False
+        outside = abs(min(highest[i], max(lowest[i], before[i])) - before[i])
+        if outside <= slack and abs(x - before[i]) > reach[i] + slack:
             return False
         if effort < effort_min[i] - beyond_effort[i] or effort > effort_max[i] + beyond_effort[i]:
             return False
+    for i in range(len(setpoints)):
+        x = min(highest[i], max(lowest[i], setpoints[i]))
+        setpoints[i] = min(before[i] + reach[i], max(before[i] - reach[i], x))
+        effort = min(effort_max[i], max(effort_min[i], efforts[i]))
+        efforts[i] = setpoints[i] if by_effort[i] else effort
     return True
 
 
@@ -114,6 +125,8 @@ class CommandGate:
 
     Attributes:
         last: The last command or measurement.
+        is_outside: True while an actuator that was measured outside its limits has not returned
+            inside.
         home: Setpoints at rest, or the nearest ones that the limits allow, shape (actuator_count,).
         tolerances: How far a command may exceed the limits.
     """
@@ -126,16 +139,12 @@ class CommandGate:
         self._limits = limits
         self.tolerances = gate_tolerances(limits)
         self.home = self.within(rest_setpoints)
-        self.last = self._copy(self.home, np.zeros(len(rest_setpoints)))
+        self.start_from(self.home, np.zeros(len(rest_setpoints)))
+        self.pass_on(*self.last, 0.0)  # Loads the kernel before the first tick.
 
     def within(self, setpoints: np.ndarray) -> np.ndarray:
         """The nearest setpoints inside the limits, shape (actuator_count,)."""
         return np.minimum(np.maximum(setpoints, self._lowest), self._highest)
-
-    @property
-    def is_outside(self) -> bool:
-        """True while an actuator that was measured outside its limits has not returned inside."""
-        return bool(self._outside.any())
 
     @property
     def _outside(self) -> np.ndarray:
@@ -151,7 +160,11 @@ class CommandGate:
                 (actuator_count,).
             efforts: Efforts in the unit of each actuator's kind, same shape.
         """
-        self.last = self._copy(setpoints, efforts)
+        limits, setpoints = self._limits, np.array(setpoints, dtype=float)
+        efforts = np.clip(efforts, limits.effort_min, limits.effort_max)
+        efforts = np.where(limits.is_effort_driven, setpoints, efforts)
+        self.last = ActuatorCommand(setpoints, efforts)
+        self.is_outside = bool(self._outside.any())
 
     def pass_on(self, setpoints: np.ndarray, efforts: np.ndarray, time_step: float) -> Passage:
         """Checks a command; passes it, or the last valid one in its place.
@@ -161,10 +174,20 @@ class CommandGate:
             efforts: Efforts in the unit of each actuator's kind, same shape.
             time_step: Time since the last command [s].
         """
-        violated = self._violations(setpoints, efforts, time_step)
-        if not violated:
-            self.last = self._copy(self._reachable(setpoints, time_step), efforts)
-        elif self.is_outside:
+        command = ActuatorCommand(np.array(setpoints, float), np.array(efforts, float))
+        limits = self._limits
+        if any(part.shape != self.home.shape for part in command):
+            violated = ("wrong_size",)
+        elif pass_command(
+            *command, self.last.setpoints, self.reach(time_step), self._lowest, self._highest,
+            limits.effort_min, limits.effort_max, *self.tolerances, limits.is_effort_driven,
+        ):  # fmt: skip
+            self.last, violated = command, ()
+            # What starts inside stays there.
+            self.is_outside = self.is_outside and bool(self._outside.any())
+        else:
+            violated = self._violations(*command, time_step)
+        if violated and self.is_outside:
             self.lead(self.within(self.last.setpoints), time_step)
         return Passage(self.last, violated)
 
@@ -176,35 +199,18 @@ class CommandGate:
                 limited to the allowed range.
             time_step: Time since the last command [s].
         """
-        self.last = self._copy(self._reachable(setpoints, time_step), self.last.efforts)
+        before, reach = self.last.setpoints, self.reach(time_step)
+        near = np.minimum(np.maximum(self.within(setpoints), before - reach), before + reach)
+        self.start_from(near, self.last.efforts)
         return self.last
 
     def reach(self, time_step: float) -> np.ndarray:
         """Greatest move of each actuator in a time [s], shape (actuator_count,)."""
         return self._limits.reach(time_step)
 
-    def _copy(self, setpoints: np.ndarray, efforts: np.ndarray) -> ActuatorCommand:
-        limits, setpoints = self._limits, np.array(setpoints, dtype=float)
-        efforts = np.maximum(np.asarray(efforts, dtype=float), limits.effort_min)
-        efforts = np.minimum(efforts, limits.effort_max)
-        return ActuatorCommand(setpoints, np.where(limits.is_effort_driven, setpoints, efforts))
-
-    def _reachable(self, setpoints: np.ndarray, time_step: float) -> np.ndarray:
-        """The setpoints nearest to the given ones that limits and rates allow."""
-        before, reach = self.last.setpoints, self.reach(time_step)
-        return np.minimum(np.maximum(self.within(setpoints), before - reach), before + reach)
-
     def _violations(self, setpoints, efforts, time_step: float) -> tuple[str, ...]:
-        shape = (len(self._names),)
-        if np.shape(setpoints) != shape or np.shape(efforts) != shape:
-            return ("wrong_size",)
+        """Names of the limits that a command violates."""
         beyond, beyond_effort = self.tolerances
-        if keeps_all_limits(
-            np.asarray(setpoints, float), np.asarray(efforts, float), self.last.setpoints,
-            self._lowest, self._highest, self.reach(time_step), self._limits.effort_min,
-            self._limits.effort_max, beyond, beyond_effort,
-        ):  # fmt: skip
-            return ()
         moved = np.abs(setpoints - self.last.setpoints)
         too_fast = moved > self.reach(time_step) + beyond
         limits, grows = self._limits, self._limits.signs > 0.0

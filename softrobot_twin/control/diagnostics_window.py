@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -22,6 +23,11 @@ _BY_SEVERITY = (
     Status.UNSOLVED,
     Status.DIVERGED,
 )
+
+
+def _largest(before: float, now: float) -> float:
+    """The larger of two numbers; NaN where one of them is, unlike what `max` gives."""
+    return float(before if before >= now or math.isnan(before) else now)
 
 
 class DiagnosticsWindow:
@@ -100,11 +106,10 @@ class DiagnosticsWindow:
         result, report = outcome.result, outcome.result.report
         if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):
             self.worst = result.status
-        # Unlike max, this propagates NaN.
-        self.residual_max = float(np.maximum(self.residual_max, report.residual))
+        self.residual_max = _largest(self.residual_max, report.residual)
         self.iterations_max = max(self.iterations_max, report.iterations)
-        error = report.linearization_error
-        self.linearization_error_max = float(np.fmax(self.linearization_error_max, error))
+        # A NaN is not larger: it tells that there are no effectors.
+        self.linearization_error_max = max(self.linearization_error_max, report.linearization_error)
         self.overloaded += report.is_overloaded
         self.late += report.is_late
         self.projected += report.projected_tangent
@@ -117,9 +122,9 @@ class DiagnosticsWindow:
         self.blocked += bool(outcome.violated)
         if result.contacts is not None:
             self._add_contacts(result)
-        errors = outcome.tracking_errors
-        worst = float(np.fmax.reduce(errors, initial=float("nan")))
-        self.tracking_error_max = float(np.fmax(self.tracking_error_max, worst))
+        self.tracking_error_max = float(
+            np.fmax.reduce(outcome.tracking_errors, initial=self.tracking_error_max)
+        )
         for marker in outcome.left_out:
             self.left_out[marker] = self.left_out.get(marker, 0) + 1
 
@@ -141,11 +146,9 @@ class DiagnosticsWindow:
         report = result.report
         self.contact_count_max = max(self.contact_count_max, report.contact_count)
         self.contact_sweeps_max = max(self.contact_sweeps_max, report.contact_sweeps)
-        self.contact_residual_max = float(
-            np.maximum(self.contact_residual_max, report.contact_residual)
-        )
-        self.contact_force_residual_max = float(
-            np.maximum(self.contact_force_residual_max, report.contact_force_residual)
+        self.contact_residual_max = _largest(self.contact_residual_max, report.contact_residual)
+        self.contact_force_residual_max = _largest(
+            self.contact_force_residual_max, report.contact_force_residual
         )
         contacts = result.contacts
         self.overlap_max = max(self.overlap_max, float(-contacts.gaps.min(initial=0.0)))

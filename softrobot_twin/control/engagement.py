@@ -59,6 +59,7 @@ class Engagement:
         activity: Disabled, resynchronising, returning or, when engaged, holding.
         reason: Why it is in this state; empty where no reason is needed.
         has_given_up: It was disabled because something failed, not by a request.
+        is_without_model: The robot returns to rest without the model, because the model failed.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class Engagement:
             RESYNCHRONISED_SHARE * np.where(np.isfinite(travel), travel, 0.0),
             self.gate.tolerances.setpoints,
         )
-        self._must_return = self._without_model = False
+        self._must_return = self.is_without_model = False
         self._failing = 0.0
         self.activity = Activity.HOLDING if device is None else Activity.DISABLED
         self.reason = "" if device is None else "not enabled"
@@ -83,11 +84,6 @@ class Engagement:
     def is_enabled(self) -> bool:
         """True when commands may leave, now or after the resynchronisation."""
         return self.activity is not Activity.DISABLED
-
-    @property
-    def leads_by_model(self) -> bool:
-        """False while the robot returns to rest without the model, because the model failed."""
-        return not self._without_model
 
     @property
     def goal(self) -> np.ndarray:
@@ -148,13 +144,13 @@ class Engagement:
 
     @property
     def _reason_to_return(self) -> str:
-        if self._without_model:
+        if self.is_without_model:
             return "reset: the model failed, the robot returns to rest without it"
         return "reset"
 
     def begin(self) -> None:
         """Checks before a tick that the model is where the last command sent the robot."""
-        if not self.is_enabled or self._without_model:
+        if not self.is_enabled or self.is_without_model:
             return
         if self.activity is not Activity.RESYNCHRONISING and not self._is_synchronised():
             self.resynchronise("the model was not where the robot was sent")
@@ -181,7 +177,7 @@ class Engagement:
         """
         if self.last_command is None:
             return None
-        if self._without_model:
+        if self.is_without_model:
             return Passage(self.gate.lead(self.gate.home, time_step), ())
         return self.gate.pass_on(result.setpoints, result.efforts, time_step)
 
@@ -207,10 +203,10 @@ class Engagement:
         gate = self.gate
         is_home = (np.abs(gate.last.setpoints - gate.home) <= gate.tolerances.setpoints).all()
         if is_home and self._guidance.is_home:
-            self._must_return = self._without_model = False
+            self._must_return = self.is_without_model = False
             self.activity, self.reason = Activity.HOLDING, ""
-        elif gives_up and not self._without_model:
-            self._without_model = True
+        elif gives_up and not self.is_without_model:
+            self.is_without_model = True
             self.reason = self._reason_to_return
         else:
             return False

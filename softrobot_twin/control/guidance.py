@@ -27,6 +27,7 @@ class Guidance:
 
     def __init__(self, simulation: Simulation, poses: PoseInput):
         self._simulation, self._poses = simulation, poses
+        self._names = simulation.guided_names
         size = simulation.model.nodes.size
         # A robot without nodes has no finite size.
         self._near = _NEAR * (size if np.isfinite(size) else 1.0)
@@ -36,16 +37,15 @@ class Guidance:
 
     def poses(self) -> dict[str, Pose]:
         """Present poses of the guided bodies of the model, by name."""
-        simulation = self._simulation
-        guided = simulation.guided_names
-        if not guided:
+        if not self._names:
             return {}
+        simulation = self._simulation
         return {
             name: Pose(position, quaternion)
             for name, position, quaternion in zip(
                 simulation.rigid_names, *simulation.rigid_poses(), strict=True
             )
-            if name in guided
+            if name in self._names
         }
 
     def send(self, time_step: float) -> dict[str, Pose]:

@@ -86,8 +86,6 @@ class MarkerHistory:
         after = int(np.searchsorted(times, time))
         if after == 0:
             return self._markers[order[0]].copy()
-        if after == filled:
-            return self._markers[order[-1]].copy()
         left, right = order[after - 1], order[after]
         share = (time - self._times[left]) / (self._times[right] - self._times[left])
         return (1.0 - share) * self._markers[left] + share * self._markers[right]
@@ -138,18 +136,14 @@ class MarkerPlausibility:
         self._out_since = np.full(count, np.nan)
         self._seen_at = np.zeros(count)
         self._out = np.zeros(count, dtype=bool)
+        self.left_out: tuple[int, ...] = ()
         self._noise = _FIRST_NOISE_SHARE * self._size
         self._frames = 0
         self._stamp = 0
 
-    @property
-    def left_out(self) -> tuple[int, ...]:
-        """Ids of the markers of the newest frame that are not accepted."""
-        return tuple(self._ids[self._out].tolist()) if self._out.any() else ()
-
     def without_left_out(self, measured: np.ndarray) -> np.ndarray:
         """Measured positions [m], shape (marker_count, 3); NaN for markers that are left out."""
-        if not self._out.any():
+        if not self.left_out:
             return measured
         return np.where(self._out[:, np.newaxis], np.nan, measured)
 
@@ -168,7 +162,7 @@ class MarkerPlausibility:
             return
         seen = np.isfinite(misfits).all(axis=1)
         if not seen.any():
-            self._out[:] = False
+            self._out[:], self.left_out = False, ()
             return
         if stamp == self._stamp:
             return
@@ -205,6 +199,7 @@ class MarkerPlausibility:
             for_long = now - self._out_since >= ACCEPT_AFTER
         accepted = seen & possible & (~known | as_before | as_others | for_long)
         self._out = seen & ~accepted
+        self.left_out = tuple(self._ids[self._out].tolist())
         self._out_since = np.where(accepted, np.nan, self._out_since)
         self._out_since[self._out & np.isnan(self._out_since)] = now
         if self._frames >= _FIRST_FRAMES:

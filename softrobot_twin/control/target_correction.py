@@ -134,7 +134,7 @@ class EffectorMeasurement:
             misfit: Measured minus predicted markers, at the same state of the model.
         """
         measured = np.full_like(predicted, np.nan)
-        for effector, indices in enumerate(self._markers):
+        for effector, indices in enumerate(self._markers if misfit.visible else ()):
             vectors = misfit.vectors[indices]
             vectors = vectors[np.isfinite(vectors).all(axis=1)]
             if len(vectors):
@@ -184,22 +184,20 @@ class TargetCorrection:
         self._stamp = 0
 
     def tick(
-        self, settings: LoopSettings, following: bool, stamp: int, errors: np.ndarray,
-        status: Status,
+        self, settings: LoopSettings, stamp: int, errors: np.ndarray | None, status: Status
     ) -> None:
         """Integrates each new measurement in closed loop; in open loop the correction decays.
 
         Args:
             settings: Whether the loop is closed, gain and limit.
-            following: Whether the effectors follow targets now.
             stamp: Time of the newest measurement [ns]; an old one is not integrated again.
-            errors: See `update`.
+            errors: See `update`; None while the effectors do not follow targets.
             status: Status of the last step.
         """
         since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
         if not settings.closed_loop:
             self.fade(settings.period, settings.correction_gain)
-        elif following and since != 0.0:
+        elif errors is not None and since != 0.0:
             self.update(
                 errors, abs(since), status, settings.correction_gain, settings.correction_limit
             )

@@ -154,7 +154,9 @@ class Aims(NamedTuple):
         turns, wanted = self.turns, self.reading.orientations
         if turns is not None and (~np.isclose(turns, wanted, equal_nan=True)).any():
             return True
-        return bool((~self.arrived & np.isfinite(self.wanted)).any())
+        return self.aims is not self.wanted and bool(
+            (~self.arrived & np.isfinite(self.wanted)).any()
+        )
 
 
 MOST_FAILURES = 3
@@ -639,7 +641,9 @@ class TwinLoop:
         wanted = self.measurement.controlled(corrected, positions)
         reach = self.settings.reach
         if reading.orientations is None:
-            return Aims(reading, wanted, approach(positions, wanted, reach))
+            # A tick whose reach is not limited goes all the way.
+            near = wanted if reach == math.inf else approach(positions, wanted, reach)
+            return Aims(reading, wanted, near)
         aims, turns = approach_poses(
             positions, wanted, self.simulation.effector_orientations(), reading.orientations,
             self.simulation.lengths_per_radian, reach,
@@ -680,8 +684,7 @@ class TwinLoop:
     def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
         """Why there is nothing to follow; empty when there is."""
         if self.mode is Mode.INVERSE:
-            has_place = np.isfinite(reading.targets).all(axis=1).any()
-            if not (has_place or self.stiffness.is_given):
+            if not (np.isfinite(reading.targets).any() or self.stiffness.is_given):
                 return "no target yet"
             if self.selected.is_too_old(now, self.settings.target_timeout):
                 return "no command for target_timeout"
@@ -715,7 +718,7 @@ class TwinLoop:
             )
         if activity is Activity.COMMANDED:
             return self._direct_command(time)
-        if activity is Activity.RETURNING and self._engagement.leads_by_model:
+        if activity is Activity.RETURNING and not self._engagement.is_without_model:
             return CommandSetpoints(self._engagement.gate.home, *time)
         if activity is Activity.RESYNCHRONISING:
             return CommandSetpoints(self._engagement.goal, *time)
@@ -774,7 +777,8 @@ class TwinLoop:
         Returns:
             The plausible measured markers [m], same shape, and their misfit.
         """
-        expected = self._history.at(self.markers.stamp)
+        # Nothing is expected of markers that nobody measured.
+        expected = seen if seen is self.markers.hidden else self._history.at(self.markers.stamp)
         self._plausibility.judge(seen - expected, self.markers.stamp, activity.follows_robot)
         measured = self._plausibility.without_left_out(seen)
         return measured, self.markers.misfit(measured, expected)
@@ -783,16 +787,14 @@ class TwinLoop:
         self, activity: Activity, aims: Aims, effectors: np.ndarray, result: StepResult
     ) -> None:
         """Updates the correction of the targets by the measured effectors [m]."""
-        status, touches = result.status, result.touches
-        # While an effector approaches a far target, its distance is not the model's error.
-        comparable = np.where(aims.arrived, effectors, np.nan)
-        # What a finger displaces is not an error of the model either.
+        touches, errors = result.touches, None
+        # What a finger displaces is not an error of the model.
         is_touched = touches is not None and touches.is_touched.any()
-        follows = activity is Activity.FOLLOWING and not is_touched
-        self.correction.tick(
-            self.settings, follows, self.markers.stamp,
-            self.measurement.differences(aims.reading.targets, comparable), status,
-        )  # fmt: skip
+        if self.settings.closed_loop and activity is Activity.FOLLOWING and not is_touched:
+            # Nor is its distance while an effector approaches a far target.
+            comparable = np.where(aims.arrived, effectors, np.nan)
+            errors = self.measurement.differences(aims.reading.targets, comparable)
+        self.correction.tick(self.settings, self.markers.stamp, errors, result.status)
 
 
 def _commands_same(result: StepResult, before: StepResult) -> bool:

@@ -154,3 +154,45 @@ def test_without_an_effort_limit_only_non_finite_efforts_are_blocked():
     passage = gate.pass_on(REST, np.array([-1e-12, 1e6]), STEP)
     assert passage.violated == () and passage.command.efforts.tolist() == [0.0, 1e6]
     assert gate.pass_on(REST, np.array([math.inf, 0.0]), STEP).violated == ("a.not_finite",)
+
+
+# --- measured outside the limits --------------------------------------------------------------
+
+
+def test_an_actuator_measured_far_outside_returns_as_fast_as_its_rate_allows(gate):
+    # It is asked to be at its limit at once, which is further than its rate allows.
+    gate.start_from(REST + [0.035, 0.0], TENSIONS)
+    assert gate.is_outside
+    returned = []
+    while gate.is_outside and len(returned) < 9:
+        passage = gate.pass_on(REST, TENSIONS, STEP)
+        assert passage.violated == ()
+        returned.append(passage.command.setpoints[0] - REST[0])
+    assert returned == pytest.approx([0.025, 0.015, 0.005, 0.0], abs=1e-12)
+    assert gate.pass_on(REST - [0.02, 0.0], TENSIONS, STEP).violated == ("a.rate",)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_command_passes_or_is_named_and_never_leaves_too_fast(gate, seed):
+    """Whatever was measured and is commanded: within the limits, or returning to them."""
+    random = np.random.default_rng(seed)
+    low, high, reach = REST - LIMITS.displacement_max, REST, LIMITS.reach(STEP)
+    for _ in range(200):
+        before = REST + random.normal(0.0, 0.03, 2)
+        gate.start_from(before, TENSIONS)
+        wanted = np.clip(REST + random.normal(-0.02, 0.05, 2), low, high)
+        wanted += random.choice([0.0, 1e-6, 0.01]) * random.normal(size=2)
+        passage = gate.pass_on(wanted, TENSIONS, STEP)
+        beyond = gate.tolerances.setpoints
+        was_outside = (before < low - beyond) | (before > high + beyond)
+        is_kept = (wanted >= low - beyond) & (wanted <= high + beyond)
+        is_slow = (np.abs(wanted - before) <= reach + beyond) | was_outside
+        assert (passage.violated == ()) == bool((is_kept & is_slow).all())
+        if passage.violated and not was_outside.any():
+            expected = before
+        else:
+            aim = before if passage.violated else wanted
+            expected = np.clip(np.clip(aim, low, high), before - reach, before + reach)
+        assert passage.command.setpoints == pytest.approx(expected, abs=1e-12)
+        outside = np.abs(np.clip(expected, low, high) - expected) > beyond
+        assert gate.is_outside == outside.any()

@@ -58,6 +58,25 @@ def test_a_device_outside_its_limits_is_enabled_at_the_limit(drive):
     assert driver.commands[0] == pytest.approx(rest, abs=1e-6)
 
 
+def test_a_device_further_outside_than_its_rate_allows_returns_and_then_follows(drive):
+    driver, beyond = drive(use_device=True, rate=100.0), 0.0012
+    rest = driver.loop.simulation.rest_setpoints
+    driver.measure(rest + beyond)
+    driver.loop.enable(driver.time)
+    lengths = rest + beyond
+    for _ in range(30):
+        driver.measure(lengths)
+        driver.target(*INSIDE)
+        outcome = driver.tick()
+        lengths = lengths if outcome.command is None else outcome.command.setpoints
+    moves = np.abs(np.diff(np.vstack([rest + beyond, driver.commands]), axis=0))
+    assert moves[:2] == pytest.approx(RATE / 100.0), "as fast as the rates allow"
+    assert moves.max() <= RATE / 100.0 + ROUNDING
+    assert driver.commands[2] == pytest.approx(rest, abs=1e-6)
+    assert outcome.activity is Activity.FOLLOWING
+    assert np.abs(driver.commands[-1] - rest).max() > beyond
+
+
 def test_a_disabled_device_is_not_moved_and_is_enabled_again_at_its_position(drive):
     driver = drive(use_device=True)
     rest = driver.loop.simulation.rest_setpoints
