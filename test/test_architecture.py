@@ -20,7 +20,7 @@ ELEMENTS = (ROOT / "docs" / "elements.md").read_text()
 LINKS = re.findall(r"\[`([\w./]+)`\]\(([\w./]+)\)", TEXT + ELEMENTS)
 MOST_LINES = 237
 """Half of what the page once had: it is read before a change, as a whole."""
-MOST_PASSED = {"target": 25, "Young's modulus": 18}
+MOST_PASSED = {"target": 24, "Young's modulus": 18}
 """Functions that a value may pass on its walk."""
 
 

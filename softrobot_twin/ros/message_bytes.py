@@ -1,15 +1,15 @@
-"""Messages as bytes: arrays of markers without a Python object for each point, and joints.
+"""Messages as bytes: arrays of markers without a Python object for each point, and few numbers.
 
 A `geometry_msgs/Point` takes 2 µs to make and to convert, and a surface of 2000 triangles has 6000
 of them: as long as a step of the simulation. rclpy also publishes bytes that are serialized
-already, and the points of a message are then the bytes of an array. Of a command only the stamp and
-the numbers change from tick to tick.
+already, and the points of a message are then the bytes of an array. Of a command or a position only
+the stamp and the numbers change from tick to tick.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -152,43 +152,41 @@ def to_bytes(message: object) -> bytes:
     return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
 
 
-class JointStateBytes:
-    """Bytes of messages about the same joints, made once: then only stamp and numbers change."""
+def put_stamp(content: bytearray, stamp: int) -> None:
+    """Writes a time [ns] into the header of a message in CDR, its first field."""
+    struct.pack_into("<iI", content, len(_ENCAPSULATION), *divmod(stamp, NANOSECONDS))
 
-    _STAMP, _PLACE = struct.Struct("<iI"), len(_ENCAPSULATION)
 
-    def __init__(self, names: Sequence[str], frame_id: str):
+class MessageBytes:
+    """Bytes of messages of one kind, made once: then only stamp and numbers change."""
+
+    def __init__(self, make: Callable, frame_id: str, *counts: int):
         """Make a message.
 
         Args:
-            names: Names of the joints.
+            make: Makes a message of arrays of numbers and a header, its first field.
             frame_id: Frame of its header.
+            counts: How many numbers each array has.
         """
-        count = len(names)
-        # Numbers that tell where the positions and the efforts lie.
-        marks = np.arange(1.0, 2 * count + 1)
-        self._content = bytearray(exact_bytes(JointState(
-            header=Header(frame_id=frame_id), name=list(names), position=marks[:count].tolist(),
-            effort=marks[count:].tolist(),
-        )))  # fmt: skip
-        self._places = [
-            slice(place, place + 8 * count)
-            for place in map(self._content.index, (marks[:count].tobytes(), marks[count:].tobytes()))
-        ]
+        # Numbers that tell where they lie in a message.
+        marks = np.split(np.arange(1.0, 1.0 + sum(counts)), np.cumsum(counts[:-1]))
+        self._content = bytearray(exact_bytes(make(*marks, Header(frame_id=frame_id))))
+        found = ((self._content.index(mark.tobytes()), mark.nbytes) for mark in marks)
+        # A view refuses numbers of another count.
+        whole = memoryview(self._content)
+        self._places = [whole[place : place + size] for place, size in found]
 
-    def message(self, stamp: int, positions: np.ndarray, efforts: np.ndarray) -> bytes:
+    def message(self, stamp: int, *numbers: np.ndarray | float) -> bytes:
         """A message with these numbers.
 
         Args:
             stamp: Its time [ns].
-            positions: Positions of the joints, of cables their lengths [m], shape (count,).
-            efforts: Their efforts, of cables their tensions [N], same shape.
+            numbers: The arrays, shape (count,) each.
         """
-        content = self._content
-        self._STAMP.pack_into(content, self._PLACE, *divmod(stamp, NANOSECONDS))
-        for place, numbers in zip(self._places, (positions, efforts), strict=True):
-            content[place] = np.asarray(numbers, "<f8").tobytes()
-        return bytes(content)
+        put_stamp(self._content, stamp)
+        for place, values in zip(self._places, numbers, strict=True):
+            place[:] = np.asarray(values, "<f8").tobytes()
+        return bytes(self._content)
 
 
 class _Cut(NamedTuple):

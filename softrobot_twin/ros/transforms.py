@@ -6,7 +6,7 @@ The package tf2_msgs is part of a ROS installation, and not of the wheels of rcl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
@@ -119,10 +119,11 @@ class TransformOutput:
         self._kind, topic = TFMessage, TWIN_TOPICS["/tf"]
         self.publisher = node.create_publisher(TFMessage, topic.name, topic.quality)
 
-    def publish(self, outcome: TickOutcome, header: Header) -> bool:
+    def publish(self, outcome: TickOutcome, make_header: Callable[[], Header]) -> bool:
         """Publishes a tick to those who listen; false where nobody does."""
         if self.publisher is None or not self._audience.hears(self.publisher):
             return False
+        header = make_header()
         positions, turns = self._simulation.rigid_poses()
         ends = outcome.result.effector_positions
         end_turns = outcome.result.effector_orientations

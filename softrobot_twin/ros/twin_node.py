@@ -5,7 +5,6 @@ results.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import compress, repeat
@@ -27,7 +26,6 @@ from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.last_command import LastCommand
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
-from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop, owner_of
@@ -35,7 +33,7 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.claim import TopicClaim
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.ros.message_bytes import JointStateBytes, to_bytes
+from softrobot_twin.ros.message_bytes import MessageBytes, put_stamp, to_bytes
 from softrobot_twin.ros.messages import (
     READERS,
     cables_message,
@@ -83,19 +81,15 @@ class RepeatedMessages:
         audience: Who receives what.
     """
 
-    _STAMP, _PLACE = struct.Struct("<iI"), 4
-    """A stamp, and its place after the encapsulation of a message."""
-
     def __init__(self, audience: Audience) -> None:
         self._audience = audience
-        self._sent: list[tuple[Publisher, object]] = []
-        self._contents: list[tuple[Publisher, bytearray]] = []
-        self._left_out: list[Publisher] = []
+        self.forget()
 
     def send(self, publisher: Publisher, message: object) -> None:
         """Publishes a message, serialized or not, whose first field is its header."""
-        publisher.publish(message)
-        self._sent.append((publisher, message))
+        content = to_bytes(message)
+        publisher.publish(content)
+        self._sent.append((publisher, bytearray(content)))
 
     def offer(self, publisher: Publisher, make: Callable[..., object], *values: object) -> None:
         """Makes and publishes a message if somebody receives it."""
@@ -114,7 +108,8 @@ class RepeatedMessages:
 
     def forget(self) -> None:
         """The messages that are sent from now on are those to publish again."""
-        self._sent, self._contents, self._left_out = [], [], []
+        self._sent: list[tuple[Publisher, bytearray]] = []
+        self._left_out: list[Publisher] = []
 
     def send_again(self, stamp: int) -> bool:
         """Publishes all messages since `forget` again, with another stamp [ns].
@@ -124,16 +119,10 @@ class RepeatedMessages:
         """
         if self._audience.hears_any(self._left_out):
             return False
-        if not self._contents:
-            self._contents = [
-                (publisher, bytearray(to_bytes(message))) for publisher, message in self._sent
-            ]
-        time = divmod(stamp, NANOSECONDS)
-        for publisher, content in self._contents:
-            if not self._is_heard(publisher):
-                continue
-            self._STAMP.pack_into(content, self._PLACE, *time)
-            publisher.publish(bytes(content))
+        for publisher, content in self._sent:
+            if self._is_heard(publisher):
+                put_stamp(content, stamp)
+                publisher.publish(bytes(content))
         return True
 
 
@@ -144,6 +133,8 @@ class Output(NamedTuple):
         topic: The topic.
         names: Names of the objects; nothing is opened without any.
         make: Makes a message of the values of an object and a header.
+        counts: How many numbers each value has, where a message tells nothing else; none where it
+            must be made anew.
         read: Gives what a tick tells: the values of each object; nothing where it tells none.
         has_it: Whether each object has it; None where all have.
         is_costly: Nothing is read where nobody receives it, also where the run is recorded.
@@ -152,6 +143,7 @@ class Output(NamedTuple):
     topic: Topic
     names: Sequence[str]
     make: Callable[..., object]
+    counts: Sequence[int]
     read: Callable[[TickOutcome], Sequence[tuple]]
     has_it: Sequence[bool] | None = None
     is_costly: bool = False
@@ -176,29 +168,29 @@ def outputs_of(simulation: Simulation) -> Iterator[Output]:
     """
     effectors, scene = simulation.effector_names, simulation.scene
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
-    yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message,
+    yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message, (3,),
                  lambda tick: _rows(tick.result.effector_positions))
-    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, lambda tick: _rows(
+    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, (3, 4), lambda tick: _rows(
         tick.result.effector_positions, tick.result.effector_orientations),
         simulation.oriented_effectors)  # fmt: skip
-    yield Output(TOPICS["~/stiffness/<effector>"], effectors, vector_message,
+    yield Output(TOPICS["~/stiffness/<effector>"], effectors, vector_message, (3,),
                  lambda tick: _rows(tick.result.effector_stiffness), simulation.stiff_effectors)
     yield Output(TOPICS["~/touch/<touch>"], simulation.touch_names, partial(cables_message, "xyz"),
-                 lambda tick: _rows(tick.result.touches.displacements, tick.result.touches.forces))
+                 (3, 3), lambda tick: _rows(tick.result.touches.displacements, tick.result.touches.forces))
     yield Output(TOPICS["~/predicted_markers"], [""] * bool(len(simulation.marker_ids)),
-                 markers_message, lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
+                 markers_message, (), lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
                  is_costly=True)
-    yield Output(TOPICS["~/bodies/<rigid body>"], simulation.rigid_names, pose_message,
+    yield Output(TOPICS["~/bodies/<rigid body>"], simulation.rigid_names, pose_message, (3, 4),
                  lambda tick: _rows(*simulation.rigid_poses()), is_costly=True)
     yield Output(TOPICS["~/contacts"], [""] * (scene.contact is not None),
                  lambda contacts, header: contacts_message(
-                     contacts.positions, contacts.forces, header),
+                     contacts.positions, contacts.forces, header), (),
                  lambda tick: [(found,)] if (found := tick.result.contacts) is not None else [])
-    yield Output(TOPICS["~/cable_paths"], [""] * has_cables, cables_message,
+    yield Output(TOPICS["~/cable_paths"], [""] * has_cables, cables_message, (),
                  lambda tick: _paths(simulation, tick.result.state.positions), is_costly=True)
     for channel in from_outside():
         yield Output(channel_topic(channel), channel.names(simulation),
-                     partial(cables_message, channel.parts),
+                     partial(cables_message, channel.parts), (len(channel.parts), 0),
                      lambda tick, read=channel.read: [
                          (*row, ()) for row in _rows(read(tick.result))],
                      channel.are_asked(simulation))  # fmt: skip
@@ -226,7 +218,7 @@ class ComplianceOutputs:
             for topic in ("compliance", "jacobian")
         )  # fmt: skip
 
-    def publish(self, outcome: TickOutcome, header: Header) -> bool:
+    def publish(self, outcome: TickOutcome, header: Callable[[], Header]) -> bool:
         """Publishes a tick to those who listen; false where nobody does."""
         if not self._audience.hears_any((*self._compliances, *self._jacobians)):
             return False
@@ -234,12 +226,12 @@ class ComplianceOutputs:
         if self._compliance is None:
             self._compliance = EffectorCompliance(loop.simulation)
         found = self._compliance.after_step(loop.driven_by_efforts(outcome))
-        self._send(self._compliances, found.compliance, self._FORCES, header)
+        self._send(self._compliances, found.compliance, self._FORCES, header())
         actuators = loop.simulation.actuators
         quantities = actuators.driven_quantities(found.is_by_effort)
         columns = [f"{name}_{quantity.word}_{quantity.unit}"
                    for name, quantity in zip(actuators.names, quantities, strict=True)]  # fmt: skip
-        self._send(self._jacobians, found.jacobian, columns, header)
+        self._send(self._jacobians, found.jacobian, columns, header())
         return True
 
     def _send(self, publishers, matrices: np.ndarray, columns, header: Header) -> None:
@@ -370,7 +362,15 @@ class TwinNode(TickingNode):
         self._audience = Audience()
         self._repeated = RepeatedMessages(self._audience)
         self.cables = open_publisher(self, TOPICS["~/cables"])
-        self._command_bytes = JointStateBytes(simulation.actuator_names, self.loop_frame)
+        frame = self.loop_frame
+        self._command, self._wound = (
+            MessageBytes(partial(cables_message, names), frame, len(names), len(names))
+            for names in (simulation.actuator_names, self.loop.pulleys.names)
+        )
+        self._pose = MessageBytes(pose_message, frame, 3, 4)
+        self._pressure = MessageBytes(
+            lambda numbers, header: pressure_message(*numbers, header), frame, 1
+        )
         self.pressures = {
             name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
@@ -378,12 +378,12 @@ class TwinNode(TickingNode):
         self._angles = None
         if self.loop.pulleys.count:
             self._angles = open_publisher(self, TOPICS["~/angles"])
-            self._angle_bytes = JointStateBytes(self.loop.pulleys.names, self.loop_frame)
         guided = simulation.guided_names
         poses = open_publishers(self, TOPICS["~/poses/<guided body>"], guided)
         self.poses = dict(zip(guided, poses, strict=True))
         self._outputs = [
-            (output, publishers) for output in outputs_of(simulation)
+            (output, self._maker(output.make, output.counts), publishers)
+            for output in outputs_of(simulation)
             if (publishers := {
                 index: open_publisher(self, output.topic, name)
                 for index, name in enumerate(output.names)
@@ -400,6 +400,21 @@ class TwinNode(TickingNode):
         )  # fmt: skip
         self.status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
+
+    def _maker(self, make: Callable[..., object], counts: Sequence[int]) -> Callable:
+        """Makes messages of a stamp [ns] and values.
+
+        Args:
+            make: Makes one of values and a header.
+            counts: See `Output`.
+        """
+        if counts:
+            return MessageBytes(make, self.loop_frame, *counts).message
+        return lambda stamp, *values: make(*values, self._header(stamp))
+
+    def _header(self, stamp: int) -> Header:
+        """The header of messages with a time [ns]."""
+        return Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
 
     def _open_inputs(self) -> None:
         loop, simulation = self.loop, self.loop.simulation
@@ -534,34 +549,33 @@ class TwinNode(TickingNode):
             return
         self._repeated.forget()
         offer = self._repeated.offer
-        header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
         if outcome.command is not None:
-            self._publish_command(outcome.command, stamp, header)
+            self._publish_command(outcome.command, stamp)
             for name, pose in outcome.guided_poses.items():
-                self._repeated.send(self.poses[name], pose_message(*pose, header))
+                self._repeated.send(self.poses[name], self._pose.message(stamp, *pose))
             if self.last_command is not None:
                 self.last_command.keep(*outcome.command, outcome.guided_poses)
         sealed = self.loop.cavities.sealed(outcome.result.state.positions)
         for name, pressure in sealed.items():
-            offer(self.pressures[name], pressure_message, pressure, header)
-        for output, publishers in self._outputs:
+            offer(self.pressures[name], self._pressure.message, stamp, pressure)
+        for output, make, publishers in self._outputs:
             if output.is_costly and not self._audience.hears_any(publishers.values()):
                 self._repeated.leave_out(*publishers.values())
                 continue
             rows = output.read(outcome)
             for index, publisher in publishers.items() if rows else ():
-                offer(publisher, output.make, *rows[index], header)
-        outputs = (self._compliances, self._transforms)
+                offer(publisher, make, stamp, *rows[index])
+        outputs, header = (self._compliances, self._transforms), partial(self._header, stamp)
         self._has_listeners = any([output.publish(outcome, header) for output in outputs])
 
-    def _publish_command(self, command: ActuatorCommand, stamp: int, header: Header) -> None:
+    def _publish_command(self, command: ActuatorCommand, stamp: int) -> None:
         send, pulleys = self._repeated.send, self.loop.pulleys
-        send(self.cables, self._command_bytes.message(stamp, *command))
+        send(self.cables, self._command.message(stamp, *command))
         if self._angles is not None:
             angles, torques = pulleys.angles(command.setpoints), pulleys.torques(command.efforts)
-            send(self._angles, self._angle_bytes.message(stamp, angles, torques))
+            send(self._angles, self._wound.message(stamp, angles, torques))
         for name, pressure in self.loop.cavities.absolute(command.efforts).items():
-            send(self.pressures[name], pressure_message(pressure, header))
+            send(self.pressures[name], self._pressure.message(stamp, pressure))
 
     def after_failure(self, now: float) -> None:
         """Tells the failure, and publishes the last safe command."""
@@ -570,9 +584,7 @@ class TwinNode(TickingNode):
         if self.recording is not None:
             self.recording.pass_on()
         if command is not None:
-            stamp = self.ros_time()
-            header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
-            self._publish_command(command, stamp, header)
+            self._publish_command(command, self.ros_time())
 
     @property
     def loop_frame(self) -> str:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -92,6 +93,7 @@ def far_future(node, monkeypatch):
 def test_a_stamp_beyond_2038_ends_no_node(world, twin, small_scene_file, monkeypatch):
     device = world.add(DeviceNode, device_scene_file=str(small_scene_file))
     target = world.add(TargetNode, scene_file=str(small_scene_file), target_center=[0.0, 0.0, 0.134])
+    world.hear(PointStamped, "/twin/effectors/tip")  # A message with a stamp, also while disabled.
     while target.began == math.inf:
         twin.tick()
         world.run(0.05)

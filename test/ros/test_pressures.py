@@ -232,7 +232,7 @@ class Witness:
         self._last, self.count = setpoints, self.count + 1
 
     def judge_pressure(self, name, message):
-        pressure = message.fluid_pressure
+        pressure = deserialize_message(message, FluidPressure).fluid_pressure
         assert math.isfinite(pressure) and pressure > 0.0
         index = NAMES.index(name)
         if name != "syringe":

@@ -113,10 +113,10 @@ def test_transforms_are_made_only_for_those_who_listen(with_tf2):
     audience = Audience(clock.__next__)
     output = TransformOutput(node, simulation, "base_link", "auto", "", "", POSE, audience)
     assert node.opened == [(TFMessage, "/tf", TRANSFORMS)]
-    output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
+    output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     assert simulation.reads == 0 and not output.publisher.messages
     output.publisher.listeners = 1
-    output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
+    output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     transforms = output.publisher.messages[0].transforms
     assert [one.child_frame_id for one in transforms] == ["palm", "tip"]
     assert transforms[0].transform.rotation.z == 0.6
@@ -127,7 +127,7 @@ def test_the_base_is_in_the_frame_that_is_given(with_tf2):
     pose = (1.0, 0.0, 0.5, 0.0, 0.0, 1.0, 0.0)
     output = TransformOutput(Node(), Simulation(), "base_link", "on", "left/", "world", pose, Audience())
     output.publisher.listeners = 1
-    output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
+    output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     last = output.publisher.messages[0].transforms[-1]
     assert (last.header.frame_id, last.child_frame_id) == ("world", "base_link")
     assert last.header.stamp == HEADER.stamp
@@ -154,7 +154,7 @@ def test_without_tf2_msgs_there_is_nothing_and_only_who_asks_is_told(
 ):
     node = Node()
     output = TransformOutput(node, Simulation(), "base_link", wanted, "", "", POSE, Audience())
-    output.publish(outcome_of([[0.0, 0.0, 0.2]]), HEADER)
+    output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     assert not node.opened and len(node.warnings) == warnings
     assert all("tf2_msgs is not installed" in sentence for sentence in node.warnings)
 
