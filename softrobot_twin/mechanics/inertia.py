@@ -68,8 +68,9 @@ class RememberedNodes(ForceTerm):
             velocities: Velocities v₀ of the free nodes [m/s], shape (free_node_count, 3).
             time_step: h [s].
         """
-        positions.take(self._nodes, axis=0, out=self._start)
-        velocities.take(self._unknowns, axis=0, out=self._start_velocities)
+        # What is out of range is not clipped, but refused where the nodes are given; numpy is faster so.
+        positions.take(self._nodes, axis=0, out=self._start, mode="clip")
+        velocities.take(self._unknowns, axis=0, out=self._start_velocities, mode="clip")
         self._per_second = 1.0 / time_step
 
 
@@ -358,7 +359,7 @@ class MassDamping(NodalMasses):
             velocities: Not used: the drag is that of the velocity at the end of the step.
             time_step: h [s].
         """
-        np.take(positions, self._nodes, axis=0, out=self._start)
+        np.take(positions, self._nodes, axis=0, out=self._start, mode="clip")
         self._per_second = 1.0 / time_step
 
 

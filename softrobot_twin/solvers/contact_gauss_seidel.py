@@ -113,28 +113,27 @@ class ContactGaussSeidel:
         Raises:
             ValueError: Sizes do not fit together, see `ContactProblem.check`.
         """
-        problem.check()
+        problem.check_sizes()
         guess = np.asarray(guess, dtype=np.float64)
         if guess.shape != problem.violation.shape:
             raise ValueError(f"a guess of {guess.size} multipliers for {len(problem.W)} rows")
         parts = tuple(np.ascontiguousarray(part, dtype=np.float64) for part in problem[:5])
-        rows = (*parts, problem.rows_per_contact)
-        if _usable(*parts, guess):
-            force = guess.copy()
-            workspace = self._prepare(len(guess), len(problem.friction))
-            gap, newtons, count = _iterate(
-                *rows, force, workspace, self.tolerance, self.most_sweeps
-            )
-            greatest = float(np.abs(force).max(initial=0.0))
-            if gap <= self.tolerance and newtons > self.force_share * greatest:
-                gap, newtons, count = _end(*rows, force, workspace, gap, newtons, count)
-            if np.isfinite(gap) and np.isfinite(force).all():
-                return ContactSolution(force, gap, newtons, count, bool(gap <= self.tolerance))
+        force = guess.copy()
+        gap, newtons, count = _solve(
+            *parts, problem.rows_per_contact, force, self._prepare(len(guess), len(problem.friction)),
+            self.tolerance, self.most_sweeps, self.force_share,
+        )  # fmt: skip
+        if gap < np.inf:
+            return ContactSolution(force, gap, newtons, count, gap <= self.tolerance)
+        problem.check()
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
 
-    def _prepare(self, n: int, contact_count: int) -> _Workspace:
-        """Workspace for n rows: views of the buffers, which grow where they are too small."""
+    def _prepare(self, n: int, contact_count: int) -> tuple:
+        """Workspace for n rows: views of the buffers, which grow where they are too small.
+
+        It comes as a plain tuple: numba finds the type of a named one more slowly.
+        """
         if self._workspace is None or n > self._capacity:
             self._capacity = max(n, 2 * self._capacity)
             self._vectors = np.zeros((5, self._capacity))
@@ -143,11 +142,10 @@ class ContactGaussSeidel:
             self._matrix = np.zeros(self._capacity**2)
             self._local = np.zeros((self._capacity, CONTACT_SIZE))
             self._workspace = None
-        if self._workspace is None or (len(self._workspace.delta), len(self._workspace.local)) != (
-            n, contact_count,
-        ):  # fmt: skip
+        if self._workspace is None or self._sizes != (n, contact_count):
+            self._sizes = n, contact_count
             delta, trial, trial_delta, best, right = self._vectors[:, :n]
-            self._workspace = _Workspace(
+            self._workspace = (
                 self._local[:contact_count], delta, trial, trial_delta, best,
                 self._indices[0, :n], self._indices[1, :n], self._frame[:n],
                 self._matrix[: n * n].reshape(n, n), right,
@@ -282,10 +280,39 @@ def residual(W, lower, upper, friction, rows_per_contact, force, delta):
 
 
 @njit(**KERNEL)
+def _solve(
+    W, violation, lower, upper, friction, rows_per_contact, force, workspace, tolerance,
+    most_sweeps, force_share,
+):  # fmt: skip
+    """Sweeps, and Newton steps where forces are not exact; force in place.
+
+    Returns:
+        Residual [m] and [N], and sweeps made; a residual that is infinite if anything is not
+        finite or makes no sense.
+    """
+    if not _usable(W, violation, lower, upper, friction, force):
+        return np.inf, np.inf, 0
+    rows = (W, violation, lower, upper, friction, rows_per_contact)
+    workspace = _Workspace(*workspace)
+    gap, newtons, count = _iterate(*rows, force, workspace, tolerance, most_sweeps)
+    greatest = 0.0
+    for i in range(len(force)):
+        greatest = max(greatest, abs(force[i]))
+    if gap <= tolerance and newtons > force_share * greatest:
+        gap, newtons, count = _end(*rows, force, workspace, gap, newtons, count)
+    if not (np.isfinite(gap) and np.isfinite(force).all()):
+        return np.inf, np.inf, 0
+    return gap, newtons, count
+
+
+@njit(**INNER)
 def _usable(W, violation, lower, upper, friction, guess):
-    """True if all is finite; bounds may be infinite."""
+    """True if all is finite, but for bounds, and no bound is reversed and no friction negative."""
     for i in range(len(lower)):
-        if np.isnan(lower[i]) or np.isnan(upper[i]) or lower[i] == np.inf or upper[i] == -np.inf:
+        if not lower[i] <= upper[i] or lower[i] == np.inf or upper[i] == -np.inf:
+            return False
+    for k in range(len(friction)):
+        if friction[k] < 0.0:
             return False
     return (
         np.isfinite(W).all() and np.isfinite(violation).all() and np.isfinite(friction).all()
@@ -293,7 +320,7 @@ def _usable(W, violation, lower, upper, friction, guess):
     )  # fmt: skip
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _iterate(
     W, violation, lower, upper, friction, rows_per_contact, force, workspace, tolerance, most_sweeps
 ):
@@ -352,7 +379,7 @@ def _iterate(
     return gap, newtons, count
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _end(
     W, violation, lower, upper, friction, rows_per_contact, force, workspace, gap, newtons, count
 ):

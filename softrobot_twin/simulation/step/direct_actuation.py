@@ -84,6 +84,8 @@ class DirectActuation:
         # A scene without contact allocates no contact solver.
         self.solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         self._efforts = self._before = np.zeros(model.actuators.count)
+        # Pairs with friction, and others without.
+        self._mixes = model.contacts is not None and len(set(model.contacts.rows_of_pair)) > 1
 
     def warm_up(self) -> None:
         """Compile every contact solver that may be needed."""
@@ -330,7 +332,7 @@ class DirectActuation:
             friction if linear.chosen is None else friction[linear.chosen],
             3 if contacts.rubs else 1, compliance.Yt,
         )  # fmt: skip
-        return with_frictionless_contacts(problem) if contacts.rubs else problem
+        return with_frictionless_contacts(problem) if self._mixes else problem
 
     @staticmethod
     def _places(linear: Linearized) -> np.ndarray | slice:

@@ -99,6 +99,7 @@ class Newton:
         self.forces = np.zeros((model.nodes.free_node_count, 3))
         self.multipliers = np.zeros(self._rows.row_count)
         self._linear: Linearized | None = None
+        self._actuation: Actuation | None = None
         self._stays_upright = any(term.stays_upright for term in model.forces)
         self._condensed_forces = self.forces
         self._effector_columns = None
@@ -501,9 +502,12 @@ class Newton:
 
     def _set_multipliers(self, actuation: Actuation) -> None:
         """λ of every row; an effector bears no load."""
-        groups = self._rows.groups
-        if len(self.multipliers) != self._rows.row_count:
+        groups, is_fit = self._rows.groups, len(self.multipliers) == self._rows.row_count
+        if is_fit and actuation is self._actuation:
+            return
+        if not is_fit:
             self.multipliers = np.zeros(self._rows.row_count)
+        self._actuation = actuation
         self.multipliers[groups.effectors] = 0.0
         self.multipliers[groups.actuators] = actuation.efforts[groups.actuators]
         self.multipliers[groups.contacts] = actuation.contact.multipliers
