@@ -32,7 +32,7 @@ from typing import Protocol
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
-from softrobot_twin.geometry.matrix3 import product, rows, transposed_product
+from softrobot_twin.geometry.matrix3 import IDENTITY, product, rows, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.geometry.vector_arrays import (
     add_vectors,
@@ -616,27 +616,9 @@ def add_turning_blocks(blocks, reached, is_upper, offsets, strides, storage):
                 storage[offsets[k] + j * strides[k] + i] += value
 
 
-@njit(**INNER)
-def write_derivative(derivatives, p, j, out):
-    """D of a carried point by one of its unknowns; the unit matrix for a free node, p < 0.
-
-    Args:
-        derivatives: D of all carried points, shape (carried_count, width, 3, 3).
-        p: The carried point, negative for a free node.
-        j: Number of the unknown among those of the point.
-        out: Takes the matrix, shape (3, 3).
-    """
-    for a in range(3):
-        for b in range(3):
-            if p < 0:
-                out[a, b] = 1.0 if a == b else 0.0
-            else:
-                out[a, b] = derivatives[p, j, a, b]
-
-
 @njit(**KERNEL)
-def fold_blocks(plan, offsets, strides, derivatives, scratch, work, storage):
-    """Add D_pjᵀ K_pq D_qk of every line of a plan.
+def fold_blocks(plan, offsets, strides, derivatives, scratch, storage):
+    """Add D_pjᵀ K_pq D_qk of every line of a plan; D of a free node, p < 0, is the unit matrix.
 
     Args:
         plan: Lines (source, p, j, q, k, form), shape (line_count, 6).
@@ -644,28 +626,21 @@ def fold_blocks(plan, offsets, strides, derivatives, scratch, work, storage):
         strides: Distance between two columns of the block there, same shape.
         derivatives: D of all carried points, shape (carried_count, width, 3, 3).
         scratch: K, blocks column after column [N/m], shape (9 block_count,).
-        work: Memory for three matrices, shape (3, 3, 3).
         storage: The factorization's storage [N/m]; added to.
     """
-    left, right, half = work[0], work[1], work[2]
     for line in range(len(plan)):
-        source, form = plan[line, 0], plan[line, 5]
-        write_derivative(derivatives, plan[line, 1], plan[line, 2], left)
-        write_derivative(derivatives, plan[line, 3], plan[line, 4], right)
-        for i in range(3):
-            for j in range(3):
-                half[i, j] = 0.0
-                for m in range(3):
-                    half[i, j] += scratch[source + 3 * m + i] * right[m, j]
+        source, p, q, form = plan[line, 0], plan[line, 1], plan[line, 3], plan[line, 5]
+        left = rows(derivatives[p, plan[line, 2]]) if p >= 0 else IDENTITY
+        right = rows(derivatives[q, plan[line, 4]]) if q >= 0 else IDENTITY
+        columns = rows(scratch[source : source + 9].reshape(3, 3))
+        block = transposed_product(left, transposed_product(columns, right))
+        o, stride = offsets[line], strides[line]
         for j in range(3):
             for i in range(3):
-                value = 0.0
-                for m in range(3):
-                    value += left[m, i] * half[m, j]
                 if form != TRANSPOSED:
-                    storage[offsets[line] + j * strides[line] + i] += value
+                    storage[o + j * stride + i] += block[i][j]
                 if form != AS_IS:
-                    storage[offsets[line] + i * strides[line] + j] += value
+                    storage[o + i * stride + j] += block[i][j]
 
 
 @njit(**KERNEL)
@@ -815,7 +790,6 @@ class FoldedStiffness:
         """
         self._points, self._point_stencils = points, np.asarray(stencils, np.int64)
         self.scratch = np.empty(0)
-        self._work = np.zeros((3, 3, 3))
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each element couples, each once, -1 where none, one line an element."""
@@ -910,7 +884,7 @@ class FoldedStiffness:
         add_plain_blocks(self._sources, self._offsets, self._strides, self.scratch, storage)
         fold_blocks(
             self._plan, self._fold_offsets, self._fold_strides, points.derivatives, self.scratch,
-            self._work, storage,
+            storage,
         )  # fmt: skip
         if self._common is not None:
             multiply_blocks(self._pairs, self.scratch, self._common.D, self._common.half)

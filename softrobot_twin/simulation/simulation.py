@@ -476,8 +476,7 @@ class Simulation(Readouts):
         )  # fmt: skip
         if linear is None:
             return None
-        still = self.actuators.drives(self.state.setpoints)
-        held = self.direct.held(linear, still, asked.bounds, command)
+        held = self.direct.held(linear, asked.drives, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
         rows = None
         if self._parts_with["rows"] and isinstance(command, FollowTargets):
@@ -540,9 +539,7 @@ class Simulation(Readouts):
         """
         if isinstance(command, CommandEfforts):
             return None
-        drives = self.actuators.drives(self.state.setpoints)
-        if isinstance(command, CommandSetpoints):
-            drives = asked.wanted
+        drives = asked.wanted if isinstance(command, CommandSetpoints) else asked.drives
         within = self.actuators.limits.drives_within(drives, asked.bounds)
         reach, follows = asked.reach, isinstance(command, FollowTargets)
         return HeldActuators(within, reach.effort_min, reach.effort_max, not follows)

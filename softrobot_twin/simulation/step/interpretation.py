@@ -30,6 +30,7 @@ class Asked(NamedTuple):
         wanted: Drives or efforts (each in the unit of its kind) or target rows [m].
         bounds: Bounds of this step, in which commanded actuators are fixed.
         reach: Bounds of this step by the hardware alone.
+        drives: Those of the setpoints at its beginning, shape (actuator_count,).
         commanded: Drives commanded beside targets, NaN where free; None if none is commanded,
             shape (actuator_count,). A drive is what a setpoint holds; see `Actuators.drives`.
     """
@@ -37,6 +38,7 @@ class Asked(NamedTuple):
     wanted: np.ndarray
     bounds: Bounds
     reach: Bounds
+    drives: np.ndarray
     commanded: np.ndarray | None = None
 
 
@@ -76,7 +78,7 @@ class Interpretation:
             raise CommandError("time_step", "0 s: a scene that moves in time needs a time step")
         if isinstance(command, Hold):
             still = limits.bounds(drives, 0.0)
-            return Asked(drives, still, still)
+            return Asked(drives, still, still, drives)
         moving = command.time_step if command.reach_time is None else command.reach_time
         if not (math.isfinite(moving) and moving >= 0.0):
             raise CommandError("reach_time", f"{moving} s is not a duration")
@@ -89,18 +91,18 @@ class Interpretation:
             if command.stiffness is not None:
                 self._check_stiffness(command.stiffness)
             if command.commanded is None:
-                return Asked(rows, bounds, bounds)
+                return Asked(rows, bounds, bounds, drives)
             setpoints = _fitting("commanded", command.commanded, (count,), True)
             commanded = actuators.drives(setpoints)
             within = _with_commanded(commanded, bounds, limits)
-            return Asked(rows, within, bounds, commanded)
+            return Asked(rows, within, bounds, drives, commanded)
         if isinstance(command, CommandSetpoints):
             setpoints = _fitting("setpoints", command.setpoints, (count,), False)
-            return Asked(actuators.drives(setpoints), bounds, bounds)
+            return Asked(actuators.drives(setpoints), bounds, bounds, drives)
         efforts = _fitting("efforts", command.efforts, (count,), True)
         if np.isnan(efforts[actuators.takes_efforts]).any():
             raise CommandError("efforts", f"holds {np.nan}")
-        return Asked(efforts, bounds, bounds)
+        return Asked(efforts, bounds, bounds, drives)
 
     def _check_stiffness(self, stiffness: np.ndarray) -> None:
         """Refuse wanted stiffnesses [N/m] that are none, or of effectors that ask for none."""

@@ -431,7 +431,7 @@ class InverseActuation:
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
         self._proves = model.actuators.conserves and not model.rows.varies
         self._all_free = Unknowns(np.zeros(count, dtype=bool), False)
-        self._none = np.zeros(count)
+        self._none, self._nowhere = np.zeros(count), np.full(count, np.nan)
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if not model.actuators.conserves:
             self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
@@ -498,6 +498,7 @@ class InverseActuation:
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         least, most = self._limits.drive_bounds(bounds)
         commanded, drives = least == most, held.drives(self._limits)
+        any_commanded = bool(commanded.any())
         begins, self._begins = self._learns and self._begins, False
         if begins:
             if self._posed is not None:
@@ -507,12 +508,12 @@ class InverseActuation:
             situation = Situation(
                 np.where(is_wanted, target_rows, 0.0), np.where(is_wanted, self._row_weights, 0.0),
                 linear.effector_places(held.efforts, held.contact.multipliers),
-                drives, np.where(commanded, most, np.nan),
+                drives, np.where(commanded, most, np.nan) if any_commanded else self._nowhere,
                 self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
             )  # fmt: skip
             self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
         bounds = self._near(drives, commanded, bounds)
-        if commanded.any():
+        if any_commanded:
             held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
         limits = self._limits_met(held.contact.multipliers)
@@ -520,7 +521,8 @@ class InverseActuation:
             held = held._replace(contact=held.contact._replace(limits=limits))
         if self.trust.approach is Approach.LOOK and begins:
             self._look(linear, target_rows, held, bounds, commanded, stiffness)
-        if commanded.all() or self.trust.approach in (Approach.REST, Approach.LOOK):
+        leaves_nothing = any_commanded and commanded.all()
+        if leaves_nothing or self.trust.approach in (Approach.REST, Approach.LOOK):
             return held, held
         if self.trust.approach in (Approach.RETURN, Approach.DEPART):
             goal = self._limits.drives_within(self.trust.goal, bounds)
@@ -539,12 +541,12 @@ class InverseActuation:
         stiffness = self._in_branch(stiffness, branch)
         errors, weights, extra = _rows_to_track(linear, asked, weights, stiffness)
         within = self._bearing(stiffness, branch, bounds)
-        given = linear, errors, weights, held, within, commanded
-        is_plain = extra is None and branch is None
+        given = linear, errors, weights, held, within
+        is_plain = extra is None and branch is None and not any_commanded
         while True:
             found = self._guessed(*given) if is_plain else None
             if found is None:
-                found = self._over_branches(*given, extra, branch)
+                found = self._over_branches(*given, commanded, extra, branch)
             if found is None or self.trust.longest == np.inf:
                 break
             still = self._still(linear, held)
@@ -687,14 +689,14 @@ class InverseActuation:
 
     def _guessed(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, commanded: np.ndarray,
+        bounds: Bounds,
     ) -> Actuation | None:  # fmt: skip
         """The actuation from the last active set; None where `guessed_actuation` proves none."""
         active, count = self._solver.guess, len(self._none)
         stiffness = reference = self._none
         if linear.augmentation is not None:
             stiffness, reference, _ = linear.augmentation
-        if not self._proves or active is None or commanded.any() or len(active) < 2 * count:
+        if not self._proves or active is None or len(active) < 2 * count:
             return None
         proved, efforts, within, active = guessed_actuation(
             linear.W, linear.groups.effectors.start, linear.violation, errors, weights,

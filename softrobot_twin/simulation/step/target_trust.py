@@ -213,6 +213,21 @@ def longest_move(before, after, scales):
     return longest
 
 
+@njit(**KERNEL)
+def half_squares(weights, here, there):
+    """½ Σ w (x - y)² [m²].
+
+    Args:
+        weights: w, shape (n,).
+        here: x [m], shape (n,).
+        there: y [m], shape (n,).
+    """
+    total = 0.0
+    for i in range(len(weights)):
+        total += weights[i] * (here[i] - there[i]) ** 2
+    return 0.5 * total
+
+
 NO_LOADS = np.empty(0)
 
 
@@ -245,8 +260,7 @@ class Situation(NamedTuple):
 
     def tracking(self, at: np.ndarray) -> float:
         """T [m²] of effector coordinates [m], shape (n,)."""
-        missed = at - self.targets
-        return 0.5 * float(self.weights @ (missed * missed))
+        return half_squares(self.weights, at, self.targets)
 
     def asks_the_same(self, other: Situation, now: float) -> bool:
         """Whether the targets, commands and loads are those of another situation.
@@ -257,8 +271,7 @@ class Situation(NamedTuple):
         """
         if len(self.targets) != len(other.targets):
             return False
-        moved = self.targets - other.targets
-        way = 0.5 * float(self.weights @ (moved * moved))
+        way = half_squares(self.weights, self.targets, other.targets)
         if len(self.guided):
             carried = float(np.abs(self.guided - other.guided).max())
             way += 0.5 * float(self.weights.max(initial=0.0)) * carried**2
@@ -317,6 +330,7 @@ class TargetTrust:
         self._positions = slice(position_count)
         # Compiled now, not when the first promise is judged.
         longest_move(self._recent[0], self._recent[0], scales)
+        half_squares(rest, rest, rest)
         self.forget()
 
     def forget(self) -> None:
