@@ -36,7 +36,7 @@ def followed(name, seed, by_kernel, monkeypatch):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("name", ["finger", "flexo", "fetch_reduced", "diamond_reduced"])
+@pytest.mark.parametrize("name", ["finger", "flexo", "fetch_reduced", "diamond_reduced", "trunk"])
 def test_by_one_kernel_a_robot_goes_the_same_way_to_the_bit(name, seed, monkeypatch):
     found, proved = followed(name, seed, True, monkeypatch)
     expected, none = followed(name, seed, False, monkeypatch)
