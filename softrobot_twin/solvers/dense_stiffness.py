@@ -54,6 +54,23 @@ def eliminate(G, free, compliance):
 
 
 @njit(**KERNEL)
+def write_condensed(G, free, W, left):
+    """Write what `eliminate` left of the last rows.
+
+    Args:
+        G: See there, shape (n, n).
+        free: See there, shape (n,).
+        W: Takes the symmetric compliance of the last m rows, shape (m, m).
+        left: Takes their free violations, shape (m,).
+    """
+    s = len(free) - len(left)
+    for i in range(len(left)):
+        left[i] = free[s + i]
+        for j in range(len(left)):
+            W[i, j] = 0.5 * (G[s + i, s + j] + G[s + j, s + i])
+
+
+@njit(**KERNEL)
 def substitute(G, free, count, loads):
     """Loads y of the first rows from those of the others, after `eliminate`.
 
@@ -143,8 +160,8 @@ class DenseStiffness:
         self._place, self._compliance, self._below = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64)
         self._positive_count = self._entry_count = 0
         self._negative_count: int | None = 0
-        # The rows h, then H, in the same arrays as long as there are as many.
-        self._joined = NO_ROWS
+        # The rows h, then H, in the same arrays as long as there are as many; loads of both.
+        self._joined, self._loads = NO_ROWS, np.empty(0)
         self._eliminated: Condensed | None = None
 
     def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
@@ -202,23 +219,26 @@ class DenseStiffness:
             numpy.linalg.LinAlgError: The whole is not positive definite.
         """
         s, entries = len(self._place), self._entry_count
-        if len(self._below) != H.row_count or H.row_count and self._below[0] != s:
-            self._below = s + np.arange(H.row_count)
+        if len(self._below) != H.row_count or len(self._loads) != s + H.row_count:
+            self._below, self._loads = s + np.arange(H.row_count), np.empty(s + H.row_count)
         self._make_room(entries + len(H.row_index))
         self._append(H, self._below)
         self._entry_count = entries
-        W, free = self._inner.condense(self._joined._replace(row_count=s + H.row_count), b)
-        if eliminate(W, free, self._compliance) != self._positive_count - self._negative_count:
+        if self._joined.row_count != len(self._loads):
+            self._joined = self._joined._replace(row_count=len(self._loads))
+        self._eliminated = found = self._inner.condense(self._joined, b)
+        if eliminate(*found, self._compliance) != self._positive_count - self._negative_count:
             raise np.linalg.LinAlgError("rows of a stiffness make it indefinite")
-        self._eliminated = Condensed(W, free)
-        W = W[s:, s:]
-        return Condensed(0.5 * (W + W.T), free[s:].copy())
+        condensed = Condensed(np.empty((H.row_count, H.row_count)), np.empty(H.row_count))
+        write_condensed(*found, *condensed)
+        return condensed
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """See `Factorization.expand`."""
-        loads = np.concatenate([np.empty(len(self._place)), multipliers])
-        substitute(*self._eliminated, len(self._place), loads)
-        return self._inner.expand(loads)
+        count = len(self._place)
+        self._loads[count:] = multipliers
+        substitute(*self._eliminated, count, self._loads)
+        return self._inner.expand(self._loads)
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """See `Factorization.solve`; what was condensed last stays."""
