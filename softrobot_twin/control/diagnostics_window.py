@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -30,6 +29,14 @@ def _largest(before: float, now: float) -> float:
     return float(before if before >= now or math.isnan(before) else now)
 
 
+_LARGEST = {
+    "residual": _largest, "iterations": max, "contact_count": max, "contact_sweeps": max,
+    "contact_residual": _largest, "contact_force_residual": _largest,
+    "linearization_error": max,  # A NaN is not larger: it tells that there are no effectors.
+}  # fmt: skip
+"""Fields of the reports of steps whose largest value is told, and which of two is the larger."""
+
+
 class DiagnosticsWindow:
     """Summarises the ticks between two diagnostics messages. The scene bounds its memory.
 
@@ -39,10 +46,8 @@ class DiagnosticsWindow:
         resting: The part of them that made no step, because nothing would have changed.
         worst: Their most severe status.
         statuses: Number of ticks of each status, by its word.
-        residual_max: Largest residual [N].
-        iterations_max: Largest number of linearizations in one step.
-        linearization_error_max: Largest estimated error of the effectors' displacement in one step
-            [m].
+        largest: Largest value of fields of `StepReport`, by their names; where targets are followed
+            in contact, ``contact_sweeps`` are quadratic programs of one linearization.
         overloaded: Ticks without time for a linearization before the deadline.
         late: The part of these ticks that made a complete linearization and ended late.
         projected: Ticks whose exact tangent was indefinite, so that its projection was used.
@@ -57,11 +62,6 @@ class DiagnosticsWindow:
         source_changes: How often the kind changed from tick to tick.
         tracking_error_max: Largest distance of an effector from its target [m]; NaN without one.
         left_out: Number of ticks in which a marker was left out as implausible, by its id.
-        contact_count_max: Largest number of contacts with force at once.
-        contact_sweeps_max: Largest number of sweeps of the contact solver in one linearization;
-            where targets are followed in contact, largest number of quadratic programs.
-        contact_residual_max: Largest residual of gaps and sticking [m].
-        contact_force_residual_max: Largest residual of contact forces [N].
         overlap_max: Greatest depth of overlap of two bodies [m].
         contact_forces: Largest force of one contact of each pair that touched [N], by both
             names.
@@ -75,13 +75,12 @@ class DiagnosticsWindow:
 
     def clear(self) -> None:
         """Starts a new window; the newest tick is kept."""
-        self.ticks = self.resting = self.blocked = self.iterations_max = 0
+        self.ticks = self.resting = self.blocked = 0
+        self.largest: dict[str, float] = dict.fromkeys(_LARGEST, 0)
         self.overloaded = self.late = self.projected = 0
         self.qp_solvers: set[str] = set()
-        self.linearization_error_max = 0.0
         self.worst = Status.OK
         self.statuses: dict[str, int] = {}
-        self.residual_max = 0.0
         self.stage_maxima: dict[str, float] = {}
         self.limits: set[str] = set()
         self.strains: dict[str, StrainOutside] = {}
@@ -91,8 +90,7 @@ class DiagnosticsWindow:
         self.sources: set[str] = set()
         self.source_changes = 0
         self.left_out: dict[int, int] = {}
-        self.contact_count_max = self.contact_sweeps_max = 0
-        self.contact_residual_max = self.contact_force_residual_max = self.overlap_max = 0.0
+        self.overlap_max = 0.0
         self.contact_forces: dict[tuple[str, str], float] = {}
         self.contact_resultants: dict[tuple[str, str], np.ndarray] = {}
         self.contact_magnitude_sums: dict[tuple[str, str], float] = {}
@@ -106,16 +104,15 @@ class DiagnosticsWindow:
         result, report = outcome.result, outcome.result.report
         if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):
             self.worst = result.status
-        self.residual_max = _largest(self.residual_max, report.residual)
-        self.iterations_max = max(self.iterations_max, report.iterations)
-        # A NaN is not larger: it tells that there are no effectors.
-        self.linearization_error_max = max(self.linearization_error_max, report.linearization_error)
+        for field, larger in _LARGEST.items():
+            self.largest[field] = larger(self.largest[field], getattr(report, field))
         self.overloaded += report.is_overloaded
         self.late += report.is_late
         self.projected += report.projected_tangent
         if report.qp_solver:
             self.qp_solvers.add(report.qp_solver)
-        self._add_stages(report.stage_times)
+        for stage, time in report.stage_times.items():
+            self.stage_maxima[stage] = max(time, self.stage_maxima.get(stage, 0.0))
         self.limits.update(report.active_limits)
         self.strains.update({outside.key: outside for outside in report.strains})
         self.violated.update(outcome.violated)
@@ -138,18 +135,7 @@ class DiagnosticsWindow:
         if outcome.cause:
             self.causes[outcome.cause] = self.causes.get(outcome.cause, 0) + 1
 
-    def _add_stages(self, stage_times: Mapping[str, float]) -> None:
-        for stage, time in stage_times.items():
-            self.stage_maxima[stage] = max(time, self.stage_maxima.get(stage, 0.0))
-
     def _add_contacts(self, result: StepResult) -> None:
-        report = result.report
-        self.contact_count_max = max(self.contact_count_max, report.contact_count)
-        self.contact_sweeps_max = max(self.contact_sweeps_max, report.contact_sweeps)
-        self.contact_residual_max = _largest(self.contact_residual_max, report.contact_residual)
-        self.contact_force_residual_max = _largest(
-            self.contact_force_residual_max, report.contact_force_residual
-        )
         contacts = result.contacts
         self.overlap_max = max(self.overlap_max, float(-contacts.gaps.min(initial=0.0)))
         forces = np.linalg.norm(contacts.forces, axis=1)

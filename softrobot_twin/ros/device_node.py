@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 
 import numpy as np
@@ -33,11 +33,11 @@ from softrobot_twin.ros.messages import (
     stamp_of,
     wrench_message,
 )
+from softrobot_twin.ros.outputs import Output, open_outputs, rows_of
 from softrobot_twin.ros.parameters import DEVICE, Entry, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import DEVICE_TOPICS as TOPICS
-from softrobot_twin.ros.topics import open_publisher, open_publishers
 from softrobot_twin.simulation import Simulation
 
 
@@ -118,56 +118,58 @@ class DeviceNode(TickingNode):
         return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]), presses)
 
     def _open(self, twin: str) -> None:
-        self.cables = open_publisher(self, TOPICS["<twin>/measured_cables"], "", twin)
-        self._markers = open_publisher(self, TOPICS["<twin>/markers"], "", twin)
-        wound = self.device.pulleys if isinstance(self.device, WoundDevice) else None
-        self._pulleys = wound if wound is not None and wound.count else None
-        if self._pulleys is not None:
-            self._angles = open_publisher(self, TOPICS["<twin>/measured_angles"], "", twin)
-        measured = self.device.cavity_names if isinstance(self.device, PressurisedDevice) else ()
-        pressures = TOPICS["<twin>/measured_pressures/<cavity>"]
-        self._pressures = {
-            self.device.actuator_names.index(name): open_publisher(self, pressures, name, twin)
-            for name in measured
-        }
-        effectors, topic = self.device.effector_names, TOPICS["~/effectors/<effector>"]
-        self._effectors = open_publishers(self, topic, effectors)
-        self._open_touches(twin)
-        carried = self._carried
-        bodies = () if carried is None else carried.rigid_names
-        self._bodies = open_publishers(self, TOPICS["~/bodies/<rigid body>"], bodies)
+        self._outputs = open_outputs(self, self._measurement_outputs(), twin)
+        opened = [(output.topic.name, publisher) for output, publishers in self._outputs
+                  for publisher in publishers.values()]  # fmt: skip
+        self.cables = dict(opened)["<twin>/measured_cables"]
+        carried, refusals = self._carried, self.refusals
         topic, names = TOPICS["<twin>/cables"], self.device.actuator_names
-        commands = [self.listen(topic, self.take, self.refusals, "", twin, names)]
+        commands = [self.listen(topic, self.take, refusals, "", twin, names)]
         topic = TOPICS["<twin>/poses/<guided body>"]
         for name in () if carried is None else carried.guided_names:
             take = partial(self._take_pose, name)
             commands.append(self.listen(topic, take, self.poses.refusals, name, twin))
-        angles = () if self._pulleys is None else (self._angles,)
-        self.watch_topics((self.cables, *angles, self._markers, *self._pressures.values(),
-                           *(one for _, one in self._touches), *commands))
+        self.watch_topics((*(one for name, one in opened if name.startswith("<twin>")), *commands))
 
-    def _open_touches(self, twin: str) -> None:
-        names = self.device.touch_names if isinstance(self.device, TouchedDevice) else ()
-        topic = "touch_force" if self._sends_force else "touch_position"
-        self._touches = [
-            (open_publisher(self, TOPICS["~/touch/<touch>"], name),
-             open_publisher(self, TOPICS[f"<twin>/{topic}/<touch>"], name, twin))
-            for name in names
-        ]  # fmt: skip
+    def _measurement_outputs(self) -> Iterator[Output]:
+        """What is published of each measurement."""
+        device, names = self.device, self.device.actuator_names
+        yield Output(TOPICS["<twin>/measured_cables"], [""], partial(cables_message, names),
+                     (), lambda seen: [(seen.setpoints, seen.efforts)])
+        wound = device.pulleys if isinstance(device, WoundDevice) else None
+        if wound is not None and wound.count:
+            yield Output(
+                TOPICS["<twin>/measured_angles"], [""], partial(cables_message, wound.names),
+                (), lambda seen: [(wound.angles(seen.setpoints), wound.torques(seen.efforts))])
+        if isinstance(device, PressurisedDevice):
+            places = [names.index(name) for name in device.cavity_names]
+            yield Output(
+                TOPICS["<twin>/measured_pressures/<cavity>"], device.cavity_names,
+                lambda *made: pressure_message(*made, device.pressure_variance),
+                (), lambda seen: rows_of(self._ambient_pressure + seen.efforts[places]))
+        yield Output(TOPICS["<twin>/markers"], [""], markers_message,
+                     (), lambda seen: [(seen.marker_ids, seen.marker_positions)])
+        yield Output(TOPICS["~/effectors/<effector>"], device.effector_names, point_message,
+                     (), lambda seen: rows_of(seen.effector_positions))
+        if isinstance(device, TouchedDevice):
+            yield from self._touch_outputs(device)
+        if self._carried is not None:
+            yield Output(TOPICS["~/bodies/<rigid body>"], self._carried.rigid_names, pose_message,
+                         (), lambda seen: rows_of(*self._carried.rigid_poses()))
 
-    def _publish_touches(self, header: Header) -> None:
-        """Publishes what sensors say of touches, and for the twin one of both: a force of zero, or
-        a NaN as place, without a touch."""
-        touches = self.device.touches()
-        for index, (both, one) in enumerate(self._touches):
-            both.publish(cables_message(
-                "xyz", touches.displacements[index], touches.forces[index], header))
-            if self._sends_force:
-                one.publish(wrench_message(touches.forces[index], header))
-            else:
-                is_touched = touches.is_touched[index]
-                place = touches.points[index] if is_touched else np.full(3, np.nan)
-                one.publish(point_message(place, header))
+    def _touch_outputs(self, device: TouchedDevice) -> Iterator[Output]:
+        """What sensors say of touches, and for the twin one of both: a force of zero, or a NaN as
+        place, without a touch."""
+        yield Output(TOPICS["~/touch/<touch>"], device.touch_names, partial(cables_message, "xyz"),
+                     (), lambda seen: rows_of(
+                         device.touches().displacements, device.touches().forces))  # fmt: skip
+        if self._sends_force:
+            yield Output(TOPICS["<twin>/touch_force/<touch>"], device.touch_names, wrench_message,
+                         (), lambda seen: rows_of(device.touches().forces))
+        else:
+            yield Output(TOPICS["<twin>/touch_position/<touch>"], device.touch_names, point_message,
+                         (), lambda seen: rows_of(np.where(
+                             device.touches().is_touched[:, None], device.touches().points, np.nan)))
 
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
         arrival = self.arrival(message.header)
@@ -193,24 +195,7 @@ class DeviceNode(TickingNode):
         stamp = stamp_of(self.stamp)
         reading = self.device.read(now)
         header = Header(stamp=stamp, frame_id=self._frame)
-        names = self.device.actuator_names
-        self.cables.publish(cables_message(names, reading.setpoints, reading.efforts, header))
-        if self._pulleys is not None:
-            wound = self._pulleys
-            self._angles.publish(cables_message(
-                wound.names, wound.angles(reading.setpoints), wound.torques(reading.efforts), header
-            ))  # fmt: skip
-        for index, publisher in self._pressures.items():
-            pressure = self._ambient_pressure + reading.efforts[index]
-            publisher.publish(pressure_message(pressure, header, self.device.pressure_variance))
-        self._markers.publish(
-            markers_message(reading.marker_ids, reading.marker_positions, header)
-        )
-        for publisher, position in zip(self._effectors, reading.effector_positions, strict=True):
-            publisher.publish(point_message(position, header))
-        if self._touches:
-            self._publish_touches(header)
-        if self._bodies:
-            poses = zip(*self._carried.rigid_poses(), strict=True)
-            for publisher, pose in zip(self._bodies, poses, strict=True):
-                publisher.publish(pose_message(*pose, header))
+        for output, publishers in self._outputs:
+            rows = output.read(reading)
+            for index, publisher in publishers.items():
+                publisher.publish(output.make(*rows[index], header))

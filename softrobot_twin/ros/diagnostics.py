@@ -59,10 +59,10 @@ def contact_status(
     count = window.newest.result.report.contact_count
     values = {
         "count": count,
-        "count_max": window.contact_count_max,
-        "programs_max" if follows else "sweeps_max": window.contact_sweeps_max,
-        "residual_mm": window.contact_residual_max * _MILLI,
-        "force_residual_n": window.contact_force_residual_max,
+        "count_max": window.largest["contact_count"],
+        "programs_max" if follows else "sweeps_max": window.largest["contact_sweeps"],
+        "residual_mm": window.largest["contact_residual"] * _MILLI,
+        "force_residual_n": window.largest["contact_force_residual"],
         "overlap_max_mm": window.overlap_max * _MILLI,
     }
     for (first, second), force in sorted(window.contact_forces.items()):
@@ -75,7 +75,7 @@ def contact_status(
     if contact.force_limit is not None:
         values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
     # The comparison is written so that a NaN counts as not solved.
-    if not window.contact_residual_max <= contact.tolerance:
+    if not window.largest["contact_residual"] <= contact.tolerance:
         return DiagnosticStatus.WARN, "not solved to the tolerance", values
     if given_up:
         return DiagnosticStatus.WARN, f"given up: {', '.join(given_up)}", values
@@ -242,10 +242,10 @@ class TwinDiagnostics:
             "status": window.newest.result.status.value,
             "worst_status": window.worst.value,
             "statuses": " ".join(f"{word}:{n}" for word, n in sorted(window.statuses.items())),
-            "residual_n": window.residual_max,
-            "iterations": window.iterations_max,
+            "residual_n": window.largest["residual"],
+            "iterations": window.largest["iterations"],
             "resting": window.resting,
-            "linearization_error_mm": window.linearization_error_max * _MILLI,
+            "linearization_error_mm": window.largest["linearization_error"] * _MILLI,
             "discretization_error_mm": self.discretization_error * _MILLI,
             **self._of_mesh(),
             "overloaded": window.overloaded,
@@ -281,7 +281,7 @@ class TwinDiagnostics:
             return WARN, words, values
         message = window.worst.value
         if window.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
-            message += f": residual {window.residual_max:.2g} N"
+            message += f": residual {window.largest['residual']:.2g} N"
         return level, "; ".join([message, *doubts]), values
 
     def _of_mesh(self) -> dict[str, object]:
@@ -514,10 +514,8 @@ class TwinDiagnostics:
     @staticmethod
     def _of_record(recorder: RunRecorder) -> tuple[bytes, str, dict[str, object]]:
         """The recording of the run: what it lost, and whether it still grows."""
-        values = {
-            "file": recorder.path, "ticks": recorder.ticks, "waiting": recorder.waiting,
-            "lost": recorder.lost,
-        }  # fmt: skip
+        values = {"file": recorder.path} | {
+            name: getattr(recorder, name) for name in ("ticks", "waiting", "lost")}
         if recorder.failure:
             return ERROR, f"nothing is recorded any more: {recorder.failure}", values
         if recorder.lost:
@@ -528,14 +526,9 @@ class TwinDiagnostics:
         if self._feed is None:
             return OK, "off", {}
         mirror = self._feed.mirror
-        values = {
-            "address": mirror.address or "",
-            "frames_offered": mirror.frames_offered,
-            "frames_logged": mirror.frames_logged,
-            "frames_dropped": mirror.frames_dropped,
-            "frames_failed": mirror.frames_failed,
-            "failure": mirror.failure or "",
-        }
+        values = {name: getattr(mirror, name) or "" for name in ("address", "failure")} | {
+            f"frames_{word}": getattr(mirror, f"frames_{word}")
+            for word in ("offered", "logged", "dropped", "failed")}
         return (WARN, mirror.failure, values) if mirror.failure else (OK, "shown", values)
 
 

@@ -5,10 +5,10 @@ results.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import compress, repeat
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -46,6 +46,7 @@ from softrobot_twin.ros.messages import (
     stamp_of,
     vector_message,
 )
+from softrobot_twin.ros.outputs import Output, open_outputs, rows_of
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.status import StatusOutput
@@ -126,34 +127,6 @@ class RepeatedMessages:
         return True
 
 
-class Output(NamedTuple):
-    """A topic of each object of a kind, which is published after each tick.
-
-    Attributes:
-        topic: The topic.
-        names: Names of the objects; nothing is opened without any.
-        make: Makes a message of the values of an object and a header.
-        counts: How many numbers each value has, where a message tells nothing else; none where it
-            must be made anew.
-        read: Gives what a tick tells: the values of each object; nothing where it tells none.
-        has_it: Whether each object has it; None where all have.
-        is_costly: Nothing is read where nobody receives it, also where the run is recorded.
-    """
-
-    topic: Topic
-    names: Sequence[str]
-    make: Callable[..., object]
-    counts: Sequence[int]
-    read: Callable[[TickOutcome], Sequence[tuple]]
-    has_it: Sequence[bool] | None = None
-    is_costly: bool = False
-
-
-def _rows(*arrays: Iterable | None) -> list[tuple]:
-    """The values of each object; nothing where an array is None."""
-    return [] if any(array is None for array in arrays) else list(zip(*arrays, strict=True))
-
-
 def _paths(simulation: Simulation, positions: np.ndarray) -> list[tuple]:
     """Names and path lengths of cables [m], and no tensions, at node positions [m]."""
     paths = simulation.actuators.path_lengths(positions)
@@ -169,19 +142,19 @@ def outputs_of(simulation: Simulation) -> Iterator[Output]:
     effectors, scene = simulation.effector_names, simulation.scene
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
     yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message, (3,),
-                 lambda tick: _rows(tick.result.effector_positions))
-    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, (3, 4), lambda tick: _rows(
+                 lambda tick: rows_of(tick.result.effector_positions))
+    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, (3, 4), lambda tick: rows_of(
         tick.result.effector_positions, tick.result.effector_orientations),
         simulation.oriented_effectors)  # fmt: skip
     yield Output(TOPICS["~/stiffness/<effector>"], effectors, vector_message, (3,),
-                 lambda tick: _rows(tick.result.effector_stiffness), simulation.stiff_effectors)
+                 lambda tick: rows_of(tick.result.effector_stiffness), simulation.stiff_effectors)
     yield Output(TOPICS["~/touch/<touch>"], simulation.touch_names, partial(cables_message, "xyz"),
-                 (3, 3), lambda tick: _rows(tick.result.touches.displacements, tick.result.touches.forces))
+                 (3, 3), lambda tick: rows_of(tick.result.touches.displacements, tick.result.touches.forces))
     yield Output(TOPICS["~/predicted_markers"], [""] * bool(len(simulation.marker_ids)),
                  markers_message, (), lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
                  is_costly=True)
     yield Output(TOPICS["~/bodies/<rigid body>"], simulation.rigid_names, pose_message, (3, 4),
-                 lambda tick: _rows(*simulation.rigid_poses()), is_costly=True)
+                 lambda tick: rows_of(*simulation.rigid_poses()), is_costly=True)
     yield Output(TOPICS["~/contacts"], [""] * (scene.contact is not None),
                  lambda contacts, header: contacts_message(
                      contacts.positions, contacts.forces, header), (),
@@ -192,7 +165,7 @@ def outputs_of(simulation: Simulation) -> Iterator[Output]:
         yield Output(channel_topic(channel), channel.names(simulation),
                      partial(cables_message, channel.parts), (len(channel.parts), 0),
                      lambda tick, read=channel.read: [
-                         (*row, ()) for row in _rows(read(tick.result))],
+                         (*row, ()) for row in rows_of(read(tick.result))],
                      channel.are_asked(simulation))  # fmt: skip
 
 
@@ -383,12 +356,8 @@ class TwinNode(TickingNode):
         self.poses = dict(zip(guided, poses, strict=True))
         self._outputs = [
             (output, self._maker(output.make, output.counts), publishers)
-            for output in outputs_of(simulation)
-            if (publishers := {
-                index: open_publisher(self, output.topic, name)
-                for index, name in enumerate(output.names)
-                if output.has_it is None or output.has_it[index]})
-        ]  # fmt: skip
+            for output, publishers in open_outputs(self, outputs_of(simulation))
+        ]
         self._compliances = ComplianceOutputs(self, self.loop, self._audience)
         values = self._values
         self.visualization = VisualizationOutput(

@@ -24,7 +24,7 @@ def test_the_worst_status_is_reported_and_not_only_the_newest(outcome):
     window.add(changed(outcome, Status.SATURATED, 1.0))
     window.add(changed(outcome, Status.UNSOLVED, 3.0, violated=("east.rate",)))
     window.add(changed(outcome, Status.OK, 2.0))
-    assert (window.worst, window.residual_max, window.ticks) == (Status.UNSOLVED, 3.0, 3)
+    assert (window.worst, window.largest["residual"], window.ticks) == (Status.UNSOLVED, 3.0, 3)
     assert window.limits == {"east.rate"}
     assert (window.blocked, window.violated) == (1, {"east.rate"})
     assert window.causes == {"no target yet": 3}
@@ -44,7 +44,7 @@ def test_a_residual_of_nan_is_the_worst(outcome):
     window = DiagnosticsWindow()
     window.add(changed(outcome, residual=math.nan))
     window.add(changed(outcome, residual=5.0))
-    assert math.isnan(window.residual_max)
+    assert math.isnan(window.largest["residual"])
 
 
 def test_after_clear_only_the_newest_tick_is_known(outcome):
@@ -92,6 +92,6 @@ def test_overload_and_the_largest_linearization_error_are_reported(outcome):
         )
         window.add(outcome._replace(result=replace(outcome.result, report=report)))
     assert window.overloaded == 2
-    assert window.linearization_error_max == 1e-3
+    assert window.largest["linearization_error"] == 1e-3
     assert window.projected == 1
     assert window.qp_solvers == {"OSQP", "DAQP"}
