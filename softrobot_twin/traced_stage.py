@@ -37,6 +37,7 @@ FEW, FIRST_WAIT, LONGEST_WAIT, PAYING_RUNS = 4, 64, 256, 8
 NEVER = 2**62
 # Words that are kept for what a kernel returns.
 RETURNED = 4
+_CODES = {bool: "?", int: "q", float: "d"}
 _WORD = ir.IntType(64)
 
 
@@ -138,12 +139,12 @@ def _returned(value: object) -> list[int]:
     """What a kernel returned, as it writes it.
 
     Raises:
-        TypeError: It is a number that differs from step to step, or an array.
+        TypeError: It is an array.
     """
     values = value if isinstance(value, tuple) else () if value is None else (value,)
-    if not all(isinstance(one, bool | int) for one in values):
+    if not all(type(one) in _CODES for one in values):
         raise TypeError(f"a {type(value).__name__} cannot be expected")
-    packed = struct.pack("@" + "".join("?" if isinstance(v, bool) else "q" for v in values), *values)
+    packed = struct.pack("@" + "".join(_CODES[type(one)] for one in values), *values)
     if len(packed) > 8 * RETURNED:
         raise TypeError(f"{len(values)} numbers cannot be expected")
     packed += bytes(8 * RETURNED - len(packed))

@@ -148,20 +148,30 @@ def test_other_arguments_tell_all_stages_that_something_changed_before_they_are_
 
 
 def test_a_stage_with_arrays_of_its_own_or_numbers_of_a_state_stays_in_python(monkeypatch):
-    driven, vectors = count_driven(monkeypatch), np.ones((5, 3))
+    driven, vectors, ones = count_driven(monkeypatch), np.ones((5, 3)), np.ones((5, 3))
 
     def makes_arrays():
         add_vectors(np.ones((5, 3)), vectors)
 
     def asks_for_numbers():
+        add_vectors(ones, vectors)
         return largest(vectors)
 
     for stage in (makes_arrays, asks_for_numbers):
         stages = TracedStages(True, stage)
         results = [stages.run(0) for _ in range(6)]
-    np.testing.assert_array_equal(vectors, 7.0)
-    assert results == 6 * [7.0]
+    np.testing.assert_array_equal(vectors, 13.0)
+    assert results == [8.0, 9.0, 10.0, 11.0, 12.0, 13.0]
     assert driven[0] == 0
+
+
+def test_a_number_that_stays_the_same_is_expected_and_another_one_is_found_in_python(monkeypatch):
+    driven, vectors = count_driven(monkeypatch), np.ones((5, 3))
+    stages = TracedStages(True, lambda: largest(vectors) < 2.0)
+    assert all(stages.run(0) for _ in range(6))
+    assert driven[0] > 0
+    vectors[2, 1] = 2.0
+    assert not stages.run(0)
 
 
 def test_a_kernel_whose_arguments_numba_converts_stays_in_python(monkeypatch):

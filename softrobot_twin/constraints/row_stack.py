@@ -175,7 +175,7 @@ class RowStack:
         if self._varying:
             self.groups = RowGroups(self.groups.actuators, self.groups.effectors, slice(first, row))
         # Other arrays tell the driver that its traces do not hold any more.
-        self.values, self._multipliers = np.zeros((2, row))
+        self.values, self._multipliers, self._exceeding = np.zeros((3, row))
         self.row_count = row
         self._written = self._rows[:entry], self._nodes[:entry], self._blocks[:entry]
         self.row_index, self.node_index, self.blocks = self._written
@@ -394,9 +394,16 @@ class RowStack:
             forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
         """
         if self.told is not None:
-            multipliers = multipliers.copy()
-            multipliers[: len(self.told)] -= self.told
+            write_exceeding(multipliers, self.told, self._exceeding)
+            multipliers = self._exceeding
         add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)
+
+
+@njit(**KERNEL)
+def write_exceeding(multipliers, told, exceeding):
+    """Write what multipliers, shape (row_count,), exceed the told ones of the first rows by."""
+    for r in range(len(multipliers)):
+        exceeding[r] = multipliers[r] - told[r] if r < len(told) else multipliers[r]
 
 
 @njit(**KERNEL)

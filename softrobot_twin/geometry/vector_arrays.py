@@ -64,6 +64,12 @@ def multiply_transposed(left, right, product):
 
 
 @njit(**KERNEL)
+def write_product(first, second, product):
+    """Write the sum of all products of two arrays of numbers, shape (count,), into one of shape (1,)."""
+    product[0] = np.vdot(first, second)
+
+
+@njit(**KERNEL)
 def make_unknown(vectors):
     """Set vectors to NaN: then they are the same as none."""
     for k in range(len(vectors)):

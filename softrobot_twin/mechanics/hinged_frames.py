@@ -481,13 +481,13 @@ class HingedFrames(RigidFrames):
             self._first_own, out,
         )  # fmt: skip
 
-    def largest(self, vectors: np.ndarray, are_forces: bool) -> float:
-        """Largest displacement [m] or force [N] at the rim; see `UnknownKind.largest`."""
-        found = super().largest(vectors, are_forces)
+    def raise_largest(self, vectors: np.ndarray, are_forces: bool, largest: np.ndarray) -> None:
+        """Raise a number to the largest displacement [m] or force [N] at the rim; see `UnknownKind`."""
+        super().raise_largest(vectors, are_forces, largest)
         own = np.linalg.norm(vectors[self.own], axis=1)
         own = own / self.hinges.radii if are_forces else own * self.hinges.radii
         # The maximum of numpy is NaN where any of the two is.
-        return float(np.maximum(found, own.max(initial=0.0)))
+        largest[0] = np.maximum(largest[0], own.max(initial=0.0))
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write D of every carried point, shape (carried_count, 3, 3, 3); see `UnknownKind`."""

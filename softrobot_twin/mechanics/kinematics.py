@@ -90,12 +90,18 @@ def longest_row(vectors):
     return np.sqrt(largest)
 
 
+@njit(**KERNEL)
+def write_longest_row(vectors, largest):
+    """Write the length of `longest_row` into an array of shape (1,)."""
+    largest[0] = longest_row(vectors)
+
+
 class UnknownKind(Protocol):
     """A kind of unknowns, or of points that unknowns carry: frames of rigid bodies, reduced bodies.
 
     Attributes:
-        is_traceable: Whether `write_derivatives`, where D changes, and `add_turning` do nothing
-            with numbers but by kernels.
+        is_traceable: Whether `advance`, `raise_largest`, `add_turning`, and `write_derivatives` where
+            D changes, do nothing with numbers but by kernels.
         has_constant_derivatives: Whether D is the same in every state.
         carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
             (carried_count, width). The order is that of the points' indices.
@@ -115,12 +121,14 @@ class UnknownKind(Protocol):
     def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
         """Write the displacement of these unknowns; see `Nodes.displacement`."""
 
-    def largest(self, vectors: np.ndarray, are_forces: bool) -> float:
-        """Largest displacement [m], or force [N], of a point that these unknowns carry.
+    def raise_largest(self, vectors: np.ndarray, are_forces: bool, largest: np.ndarray) -> None:
+        """Raise a number to the largest displacement [m], or force [N], of a point that they carry.
 
         Args:
             vectors: Moves or forces of all unknowns, shape (free_node_count, 3).
             are_forces: True for forces [N] and torques [N m].
+            largest: The number, shape (1,); stays where it is not finite, and is not finite then
+                where any component is not.
         """
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
@@ -239,24 +247,21 @@ class Nodes:
 
     def longest(self, move: np.ndarray) -> float:
         """Longest displacement of a point in a move [m]; not finite if any component is not."""
-        return self._largest(writable(move), False)
+        largest = np.empty(1)
+        self.write_largest(writable(move), False, largest)
+        return float(largest[0])
 
-    def largest_force(self, forces: np.ndarray) -> float:
-        """Largest force on a node [N]; torques count as forces at the body's furthest point."""
-        return self._largest(forces, True)
+    def write_largest(self, vectors: np.ndarray, are_forces: bool, largest: np.ndarray) -> None:
+        """Write the longest displacement of a point, or the largest force on a node.
 
-    def _largest(self, vectors: np.ndarray, are_forces: bool) -> float:
-        if not self.kinds:
-            return longest_row(vectors)
-        largest = longest_row(vectors[: len(self.free_nodes)])
+        Args:
+            vectors: Move [m] or forces [N] of the unknowns, shape (free_node_count, 3).
+            are_forces: True for forces; torques count as forces at the body's furthest point.
+            largest: Takes it, shape (1,); not finite if any component is not.
+        """
+        write_longest_row(vectors[: len(self.free_nodes)] if self.kinds else vectors, largest)
         for kind in self.kinds:
-            if not largest < np.inf:
-                break
-            found = kind.largest(vectors, are_forces)
-            # A comparison with NaN is false, but the result must not be finite then.
-            if not found <= largest:
-                largest = found
-        return largest
+            kind.raise_largest(vectors, are_forces, largest)
 
 
 def each_once(rows: np.ndarray) -> np.ndarray:
@@ -340,6 +345,7 @@ class CarriedPoints:
         self.turning_unknowns = np.concatenate(none + [kind.turning_unknowns for kind in kinds])
         self.turning_columns = np.concatenate(none + [kind.turning_columns for kind in kinds])
         self._turning_blocks = np.zeros((len(self.turning_unknowns), 3, 3))
+        self._moves = np.empty((free_count + self.count, 3))
 
     def update(self, positions: np.ndarray) -> None:
         """Compute D at a state: node positions [m], shape (node_count, 3).
@@ -397,11 +403,11 @@ class CarriedPoints:
                 all.
 
         Returns:
-            Shape (free_count + count, 3).
+            Shape (free_count + count, 3); the next call overwrites it.
         """
         self.update(positions)
-        moves = np.empty((self.free_count + self.count, 3))
-        moves[: self.free_count] = move
+        moves = self._moves
+        copy_vectors(move, moves)
         own = self._all if own is None else own
         write_point_moves(own, self.unknowns, self.derivatives, moves, moves[self.free_count :])
         return moves

@@ -43,6 +43,58 @@ def write_displacements(modes, coordinates, out):
                 own[k] += q * first[k] + r * second[k] + s * third[k]
 
 
+@njit(**KERNEL)
+def place_points(positions, coordinate_nodes, modes, rest, first_point, coordinates, moved):
+    """Write x₀ + Φ q of all points.
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3); those of the points are written.
+        coordinate_nodes: Nodes whose positions are the coordinates, shape (mode_count / 3,).
+        modes: See `write_displacements`.
+        rest: x₀ [m], shape (point_count, 3).
+        first_point: Node that is the first point.
+        coordinates: Takes q [m], shape (mode_count,).
+        moved: Takes Φ q [m], shape (3 point_count,).
+    """
+    for n in range(len(coordinate_nodes)):
+        for i in range(3):
+            coordinates[3 * n + i] = positions[coordinate_nodes[n], i]
+    write_displacements(modes, coordinates, moved)
+    for p in range(len(rest)):
+        for i in range(3):
+            positions[first_point + p, i] = rest[p, i] + moved[3 * p + i]
+
+
+@njit(**KERNEL)
+def raise_to_points(move, unknowns, modes, coordinates, moved, longest, largest):
+    """Raise a number to the longest displacement of a point.
+
+    A step asks for the same move several times, and in statics for the velocity, which is zero; all
+    points are a large product.
+
+    Args:
+        move: Of all unknowns [m], shape (free_node_count, 3).
+        unknowns: Unknowns that three coordinates each are, shape (mode_count / 3,).
+        modes: See `write_displacements`.
+        coordinates: Those that were moved last [m], shape (mode_count,); changed.
+        moved: Memory for the displacements, shape (3 point_count,).
+        longest: What the last move was, shape (1,); changed.
+        largest: The number [m], shape (1,); changed where it is finite.
+    """
+    is_any, is_known = False, True
+    for n in range(len(unknowns)):
+        for i in range(3):
+            value = move[unknowns[n], i]
+            is_any = is_any or value != 0.0
+            is_known = is_known and value == coordinates[3 * n + i]
+            coordinates[3 * n + i] = value
+    if not is_known:
+        write_displacements(modes, coordinates, moved)
+        longest[0] = longest_row(moved.reshape(-1, 3))
+    if is_any and largest[0] < np.inf and not longest[0] <= largest[0]:
+        largest[0] = longest[0]
+
+
 class Platform(NamedTuple):
     """What a reduced body rides on.
 
@@ -73,7 +125,6 @@ class ReducedPoints:
         turning_columns: Empty.
     """
 
-    is_traceable = True
     has_constant_derivatives = True
 
     def __init__(
@@ -90,10 +141,10 @@ class ReducedPoints:
             modes: Φ of each point, shape (point_count, 3, mode_count).
             platform: What the body rides on; None where its base stands still.
         """
-        self._platform = platform
+        self._platform, self.is_traceable = platform, platform is None
         self.coordinate_nodes = np.asarray(coordinate_nodes, np.int64)
         self._unknowns = np.asarray(unknowns, np.int64)
-        self._points = slice(first_point, first_point + len(rest))
+        self._points, self._first_point = slice(first_point, first_point + len(rest)), first_point
         self._rest, self._modes = np.asarray(rest, float), np.ascontiguousarray(modes, float)
         by_coordinate = self._modes.reshape(3 * len(rest), self._modes.shape[2]).T
         # A basis is saved in single precision: nodes of a mesh that is not turned lose nothing, and
@@ -102,7 +153,8 @@ class ReducedPoints:
         is_exact = (single == by_coordinate).all()
         self._by_coordinate = single if is_exact else np.ascontiguousarray(by_coordinate)
         self._moved = np.zeros(3 * len(rest))
-        self._measured, self._longest = np.zeros(len(by_coordinate)), 0.0
+        self._measured, self._longest = np.zeros(len(by_coordinate)), np.zeros(1)
+        self._coordinates = np.zeros(len(by_coordinate))
         self.carried_unknowns = np.tile(self._unknowns, (len(rest), 1))
         self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
 
@@ -116,29 +168,26 @@ class ReducedPoints:
         Args:
             positions: Node positions [m], shape (node_count, 3); those of the points are written.
         """
-        coordinates = positions[self.coordinate_nodes].ravel()
-        write_displacements(self._by_coordinate, coordinates, self._moved)
-        moved = self._moved.reshape(-1, 3)
+        place_points(
+            positions, self.coordinate_nodes, self._by_coordinate, self._rest, self._first_point,
+            self._coordinates, self._moved,
+        )  # fmt: skip
         if self._platform is not None:
+            moved = self._moved.reshape(-1, 3)
             moved += self._platform.displacement(positions)
-        np.add(self._rest, moved, out=positions[self._points])
+            np.add(self._rest, moved, out=positions[self._points])
 
     def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
         """Writes nothing: coordinates are free nodes."""
 
-    def largest(self, vectors: np.ndarray, are_forces: bool) -> float:
-        """Longest displacement of a point; forces on coordinates are those on free nodes."""
-        if are_forces or not len(self._rest):
-            return 0.0
-        move = vectors[self._unknowns].ravel()
-        # A step asks for the same move several times, and in statics for the velocity, which is
-        # zero; all points are a large product.
-        if not move.any():
-            return 0.0
-        if not np.array_equal(move, self._measured):
-            write_displacements(self._by_coordinate, move, self._moved)
-            self._longest, self._measured = longest_row(self._moved.reshape(-1, 3)), move
-        return float(self._longest)
+    def raise_largest(self, vectors: np.ndarray, are_forces: bool, largest: np.ndarray) -> None:
+        """Raise a number to the longest displacement of a point; forces on coordinates are those on
+        free nodes."""
+        if not are_forces and len(self._rest):
+            raise_to_points(
+                vectors, self._unknowns, self._by_coordinate, self._measured, self._moved,
+                self._longest, largest,
+            )  # fmt: skip
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write D = Φ of every point; see `UnknownKind.write_derivatives`."""

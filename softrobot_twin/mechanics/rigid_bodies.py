@@ -157,11 +157,10 @@ def place_attached(x, nodes, origins, local):
 
 
 @njit(**KERNEL)
-def largest_at_rim(vectors, first_unknown, radii, are_forces):
-    """Largest of some moves or forces; rotations count by the displacement of the body's furthest
-    point.
+def raise_to_rim(vectors, first_unknown, radii, are_forces, largest):
+    """Raise a finite number, shape (1,), to the largest of some moves or forces; rotations count by
+    the displacement of the body's furthest point.
     """
-    largest = 0.0
     for k in range(len(radii)):
         for part in range(2):
             square = 0.0
@@ -171,11 +170,9 @@ def largest_at_rim(vectors, first_unknown, radii, are_forces):
                     value = value / radii[k] if are_forces else value * radii[k]
                 square += value * value
             found = np.sqrt(square)
-            if not found <= largest:
-                largest = found
-            if not largest < np.inf:
-                return largest
-    return largest
+            # A comparison with NaN is false, but the result must not be finite then.
+            if largest[0] < np.inf and not found <= largest[0]:
+                largest[0] = found
 
 
 @njit(**KERNEL)
@@ -397,9 +394,9 @@ class RigidFrames:
         """
         displacement_kernel(before, after, self.origins, self.first_unknown, out)
 
-    def largest(self, vectors: np.ndarray, are_forces: bool) -> float:
-        """Largest displacement [m] or force [N] at the rim; see `UnknownKind.largest`."""
-        return largest_at_rim(vectors, self.first_unknown, self.radii, are_forces)
+    def raise_largest(self, vectors: np.ndarray, are_forces: bool, largest: np.ndarray) -> None:
+        """Raise a number to the largest displacement [m] or force [N] at the rim; see `UnknownKind`."""
+        raise_to_rim(vectors, self.first_unknown, self.radii, are_forces, largest)
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write 1 by the translation and -[x - c]× by the rotation; see `UnknownKind`."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.geometry.vector_arrays import copy_vectors
 from softrobot_twin.simulation.building.model import Model
 
 
@@ -32,15 +33,19 @@ class Move:
         self._before = self.start if model.slides is None else np.empty_like(self.start)
         self.displacement = np.zeros((model.nodes.free_node_count, 3))
 
-    def begin(self, before: np.ndarray, displacement: np.ndarray, efforts: np.ndarray) -> None:
+    def begin(
+        self, before: np.ndarray, displacement: np.ndarray, efforts: np.ndarray | None = None
+    ) -> None:
         """Note a correction before it is made.
 
         Args:
             before: Node positions [m], shape (node_count, 3).
             displacement: Of the unknowns [m], shape (free_node_count, 3).
-            efforts: Those of `Actuation`, of slides their displacements, shape (actuator_count,).
+            efforts: Those of `Actuation`, of slides their displacements, shape (actuator_count,);
+                needed with slides.
         """
-        self.start[:], self.displacement[:] = before, displacement
+        copy_vectors(before, self.start)
+        copy_vectors(displacement, self.displacement)
         if self._slides is not None:
             self._before[:] = before
             self._slides.shift(self.start, -efforts[-self._slides.count :])
@@ -52,7 +57,7 @@ class Move:
             positions: Takes the node positions [m], shape (node_count, 3).
             share: The share.
         """
-        positions[:] = self.start
+        copy_vectors(self.start, positions)
         self._nodes.advance(positions, self.displacement, share)
 
     def take_back(self, positions: np.ndarray) -> None:

@@ -16,6 +16,8 @@ import math
 
 import numpy as np
 
+from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.geometry.vector_arrays import copy_vectors, write_product
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators, augmented_tangent_of
@@ -64,10 +66,16 @@ LESS_PROJECTION, LEAST_PROJECTION, MORE_PROJECTION = 8.0, 2.0**-16, 2.0
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
 # Places of the traced stages.
-GATHER, ASSEMBLE = 0, 1
+GATHER, ASSEMBLE, MOVE, LOAD = range(4)
 EVALUATE, ADD_STIFFNESS = 0, 1
 # Halvings of a move that still folds an element.
 MOST_UNFOLDINGS = 40
+
+
+@njit(**KERNEL)
+def is_within(number, limit):
+    """Whether a number, shape (1,), is finite, and no more than another one."""
+    return number[0] <= limit[0] and number[0] < np.inf
 
 
 class Newton:
@@ -101,7 +109,7 @@ class Newton:
         self._linear: Linearized | None = None
         self._actuation: Actuation | None = None
         self._stays_upright = any(term.stays_upright for term in model.forces)
-        self._condensed_forces = self.forces
+        self._condensed_forces, self._untold_forces = self.forces, np.empty_like(self.forces)
         self._effector_columns = None
         if model.slides is not None:
             self._effector_columns = model.slides.effector_columns(model.effectors)
@@ -138,7 +146,16 @@ class Newton:
         self._row_points = model.nodes.carried if reaches_points else None
         # Rows that vary have other arrays where there are more or fewer.
         self._has_rows_apart = self._rows.varies or not are_rows
-        self._stages = TracedStages(are_traceable, self._gather, self._assemble)
+        # What moves the nodes depends on nothing but arrays, where nothing but A holds them.
+        self._memory_count = getattr(factorization, "memory_count", None)
+        self._makes_whole = (
+            are_traceable and not self._has_rows_apart and model.slides is None
+            and self._memory_count is not None
+            and all(getattr(kind, "is_traceable", False) for kind in model.nodes.kinds)
+        )  # fmt: skip
+        self._longest, self._work, self._limit, self._largest = np.zeros((4, 1))
+        stages = (self._gather, self._assemble, self._make_whole, self._load_rows)
+        self._stages = TracedStages(are_traceable, *stages[: None if self._makes_whole else MOVE])
         self._row_stages = TracedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
         self._traced = [self._stages, self._row_stages]
         if hasattr(factorization, "stages"):
@@ -290,6 +307,9 @@ class Newton:
         """
         if self.is_folded is None:
             self._sum_forces(positions)
+        if self._makes_whole and self._memory_count != self._model.factorization.memory_count:
+            self._memory_count = self._model.factorization.memory_count
+            self._stages.forget()
         self._was_folded = self.is_folded
         if self._rows.varies:
             self._rows.detect(positions)
@@ -438,7 +458,8 @@ class Newton:
         if not self.is_augmented:
             forces = self.forces
             if rows.told is not None:
-                forces = forces.copy()
+                forces = self._untold_forces
+                copy_vectors(self.forces, forces)
                 rows.add_forces(np.zeros(rows.row_count), forces)
             self._condensed_forces = forces
             return Linearized(
@@ -530,6 +551,13 @@ class Newton:
         nodes = self._model.nodes
         self._set_multipliers(actuation)
         self._rows.remember(self.multipliers)
+        if self._makes_whole and not self.is_augmented:
+            self._limit[0] = self._step_limit
+            if self._stages.run(MOVE, positions):
+                self._last_move = float(self._longest[0])
+                is_judged = is_judged and self._last_move > self._round_off
+                self._note(actuation, is_judged, float(self._work[0]))
+                return 1.0, actuation
         move = self._linear.expand(self.multipliers)
         self.move.begin(positions, move, actuation.efforts)
         longest = nodes.longest(move)
@@ -544,8 +572,31 @@ class Newton:
             share = 0.0
         return share, actuation
 
-    def _note(self, actuation: Actuation, is_judged: bool) -> None:
-        """Note a move before it is made, for `asks_for_more_moves` or for the merit.
+    def _make_whole(self, positions: np.ndarray) -> bool:
+        """Make the whole of the next move, and find how long it is and what the forces do along it.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+
+        Returns:
+            Whether it is made: False where it is too long for a linearization or for a row.
+        """
+        nodes, move = self._model.nodes, self.move.displacement
+        self.move.begin(positions, self._model.factorization.expand(self.multipliers))
+        nodes.write_largest(move, False, self._longest)
+        if not is_within(self._longest, self._limit):
+            return False
+        if self._rows.largest_share(positions, move) < 1.0:
+            return False
+        self._rows.add_forces(self.multipliers, self.forces)
+        write_product(self.forces.reshape(-1), move.reshape(-1), self._work)
+        self.move.make(positions, 1.0)
+        return True
+
+    def _note(self, actuation: Actuation, is_judged: bool, slope: float | None = None) -> None:
+        """Note a move for `asks_for_more_moves` or for the merit.
+
+        Without the work of the forces b + Hᵀλ along it [J], it is noted before it is made.
 
         At given efforts full moves of slender bodies converge faster than moves that lower the
         energy, and only those of bodies that buckle or are nearly flat are judged.
@@ -556,8 +607,10 @@ class Newton:
         self._judges_projection = self._projects_in_part and self.projected_tangent
         needs_slope = self._model.is_dynamic or not self._conserves or self._judges_projection
         if needs_slope or (self.merit is not None and is_judged):
-            self._load(actuation)
-            self._slope = float(np.vdot(self.forces, self.move.displacement))
+            if slope is None:
+                self._load(actuation)
+                slope = self._left_slope()
+            self._slope = slope
         self._judged = actuation if is_searched else None
         if self.merit is None:
             return
@@ -771,10 +824,19 @@ class Newton:
         """
         self._rows.tell_efforts(actuation.efforts)
         self.gather_forces(positions)
-        self._load(actuation)
+        self._set_multipliers(actuation)
+        if self._makes_whole:
+            self._stages.run(LOAD)
+        else:
+            self._load_rows()
         if self._judges_projection:
             self._judge_projection(self._last_move < self._step_limit)
-        return self._model.nodes.largest_force(self.forces)
+        return float(self._largest[0])
+
+    def _load_rows(self) -> None:
+        """Add Hᵀλ to the forces gathered last, and find the largest on a node."""
+        self._rows.add_forces(self.multipliers, self.forces)
+        self._model.nodes.write_largest(self.forces, True, self._largest)
 
     def _judge_projection(self, is_whole: bool) -> None:
         """Choose by the last move how much the next tangent is projected.

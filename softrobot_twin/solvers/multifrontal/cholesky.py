@@ -80,7 +80,7 @@ class Multifrontal:
         self._columns = ConstraintColumns(self.elimination)
         self._Y, self._gram, self._work = aligned(0), aligned(0), aligned(0)
         self._W, self._free, self._ranks = np.empty((0, 0)), np.empty(0), np.empty(0, np.int64)
-        self.stages = TracedStages(True, self._condense)
+        self.stages, self.memory_count = TracedStages(True, self._condense), 0
         self.prepare_rows(np.zeros(0, dtype=np.int64))
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,13 +128,18 @@ class Multifrontal:
         for name, needed in (("_Y", size + WIDE), ("_gram", gram_size), ("_work", self._tallest * widest)):
             if needed > len(getattr(self, name)):
                 setattr(self, name, aligned(needed))
-                self.stages.forget()
+                self._forget()
+
+    def _forget(self) -> None:
+        """Note that arrays were allocated anew, which traces know by their addresses."""
+        self.stages.forget()
+        self.memory_count += 1
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `Factorization.condense`; forward solves only, W = YᵀY with Y = L⁻¹Hᵀ."""
         if len(self._free) != H.row_count:
             self._W, self._free = np.empty((H.row_count, H.row_count)), np.empty(H.row_count)
-            self.stages.forget()
+            self._forget()
         self._row_count = H.row_count
         self.stages.run(0, H.row_index, H.node_index, H.blocks, b)
         return Condensed(self._W.copy(), self._free.copy())
@@ -171,7 +176,10 @@ class Multifrontal:
         condensation.write_ranks(
             self.elimination_rank, np.asarray(H.node_index, dtype=np.int64), self._ranks
         )
+        before = columns.column
         columns.place(np.ascontiguousarray(H.row_index, dtype=np.int64), self._ranks, H.row_count)
+        if columns.column is not before:
+            self._forget()
         self._reserve(columns.size, columns.work_size, columns.gram_size)
         self._row_count = H.row_count
 
