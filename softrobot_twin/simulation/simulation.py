@@ -42,7 +42,7 @@ from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with
 from softrobot_twin.simulation.step.step_report import Outcome, StepResults
-from softrobot_twin.simulation.step.step_status import Balance, balance
+from softrobot_twin.simulation.step.step_status import Balance, are_within, balance
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, Statics
@@ -352,7 +352,7 @@ class Simulation(Readouts):
         self.is_balanced = reached is not Balance.MISSED
         self._goes_on = not (self.is_balanced or self.model.is_dynamic)
         outcome = Outcome(
-            positions, done.actuation, done.held, done.linear, reached,
+            positions.copy(), done.actuation, done.held, done.linear, reached,
             done.residual, iterations, error, pressed,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
@@ -674,11 +674,11 @@ class Simulation(Readouts):
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
     ) -> StepResult:
         before = self.state
-        outcome = outcome._replace(positions=outcome.positions.copy())
         motion = self._motion.end_step(
             before, outcome.positions, outcome.actuation, command.time_step
         )
-        outcome = outcome._replace(actuation=motion.actuation)
+        if motion.actuation is not outcome.actuation:
+            outcome = outcome._replace(actuation=motion.actuation)
         state = State(
             outcome.positions,
             self.actuators.setpoints(outcome.actuation.drives(self.limits)),
@@ -719,12 +719,12 @@ class Simulation(Readouts):
             return False
         follows = isinstance(command, FollowTargets)
         share = KEPT_SHARE_TOWARDS_TARGETS if follows else KEPT_SHARE
-        slack = share * self.limits.drive_scale if follows else 0.0
+        slack = share * self.limits.drive_scale if follows else np.zeros(len(state.setpoints))
         stays = follows and self.inverse.trust.approach is Approach.REST
         if stays and not self.newton.projected_tangent:
             share = KEPT_SHARE_WHILE_STAYING
         return (
-            bool((np.abs(state.setpoints - before.setpoints) <= slack).all())
+            are_within(state.setpoints, before.setpoints, slack)
             and not (follows and self._is_slow(asked, slack))
             and bool((np.abs(state.positions - before.positions) <= share * size).all())
             and bool((np.abs(state.efforts - before.efforts) <= share * self.limits.effort_scale).all())

@@ -118,6 +118,11 @@ class ActuatorLimits:
         return bool(self.is_effort_driven.any())
 
     @cached_property
+    def are_all_effort_driven(self) -> bool:
+        """Whether the setpoint of each actuator is an effort."""
+        return bool(self.is_effort_driven.all())
+
+    @cached_property
     def drive_min(self) -> np.ndarray:
         """Least displacement, or least effort of what is effort-driven, shape (actuator_count,)."""
         return np.where(self.is_effort_driven, self.effort_min, self.displacement_min)
@@ -260,6 +265,8 @@ class ActuatorLimits:
     def drive_bounds(self, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
         """Bounds on what the setpoints hold: displacements, or efforts of what is effort-driven."""
         by_effort = self.is_effort_driven
+        if self.are_all_effort_driven:
+            return bounds.effort_min, bounds.effort_max
         if not self.has_effort_driven:
             return bounds.displacement_min, bounds.displacement_max
         return (np.where(by_effort, bounds.effort_min, bounds.displacement_min),

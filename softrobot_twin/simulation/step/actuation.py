@@ -77,6 +77,8 @@ class Actuation(NamedTuple):
         Returns:
             Shape (actuator_count,).
         """
+        if limits.are_all_effort_driven:
+            return self.efforts
         if not limits.has_effort_driven:
             return self.displacements
         return np.where(limits.is_effort_driven, self.efforts, self.displacements)

@@ -16,7 +16,7 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.step.actuation import Actuation, ContactLoads
 from softrobot_twin.simulation.step.contact_solvers import FORCE_SHARE, ContactSolvers
-from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.simulation.step.linearized import Linearized, row_motion
 from softrobot_twin.solvers.contact_problem import (
     ContactProblem,
     ContactSolution,
@@ -59,6 +59,28 @@ def release_at_limits(path, least, most, round_off, by_effort, lower, upper, dis
     return is_any_beyond
 
 
+@njit(**KERNEL)
+def move_by_efforts(W, violation, efforts, least, most, round_off, displacements):
+    """Displacements of the bodies at given efforts; whether none is beyond its limits.
+
+    Args:
+        W: Compliance, the rows of the actuators first [m/N], shape (m, m).
+        violation: δ_free of all rows [m], shape (m,).
+        efforts: λ, shape (n,).
+        least: See `release_at_limits`.
+        most: See there.
+        round_off: See there.
+        displacements: Takes them, within the limits, shape (n,).
+    """
+    path, is_any_beyond = row_motion(W, 0, len(efforts), efforts, violation), False
+    for i in range(len(path)):
+        displacements[i] = min(max(path[i], least[i]), most[i])
+        is_any_beyond = is_any_beyond or not (
+            least[i] - round_off[i] <= path[i] <= most[i] + round_off[i]
+        )
+    return not is_any_beyond
+
+
 class DirectActuation:
     """Solves for efforts and contact forces with commanded actuators.
 
@@ -78,6 +100,8 @@ class DirectActuation:
         self._one_sided = model.actuators.one_sided
         self._limits = model.actuators.limits
         self._by_effort = model.actuators.is_effort_driven
+        rows = model.actuators.row_count
+        self._are_all_by_effort = bool(self._by_effort.all()) and rows == model.actuators.count
         # None where nothing stalls: then nothing is looked for.
         self._actuators = model.actuators if model.actuators.stalls.any() else None
         self._round_off = ROUND_OFF * model.actuators.displacement_scale
@@ -189,6 +213,14 @@ class DirectActuation:
         limit, and its effort deviates from the given one: an empty cavity bears on its walls.
         """
         by_effort, displacements = self._by_effort, drives.copy()
+        if self._are_all_by_effort and self.solvers is None:
+            efforts = drives.copy()
+            if move_by_efforts(
+                linear.W, linear.violation, efforts, bounds.displacement_min,
+                bounds.displacement_max, self._round_off, displacements,
+            ):  # fmt: skip
+                return self._free(efforts, displacements)
+            displacements = drives.copy()
         lower, upper = np.where(by_effort, drives, (lower, upper))
         while True:
             found = self._hold(linear, displacements, lower, upper)

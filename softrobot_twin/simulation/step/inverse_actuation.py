@@ -144,6 +144,23 @@ def write_posed_steps(
 
 
 @njit(**KERNEL)
+def write_wanted(targets, row_weights, weights, wanted, wanted_weights):
+    """Write targets and their weights, both zero where a row is free, all of shape (n,).
+
+    Args:
+        targets: Wanted effector coordinates [m], NaN where free.
+        row_weights: Weight of each row.
+        weights: Those of `write_steps`.
+        wanted: Takes the targets [m].
+        wanted_weights: Takes the weights.
+    """
+    for r in range(len(weights)):
+        is_wanted = weights[r] > 0.0
+        wanted[r] = targets[r] if is_wanted else 0.0
+        wanted_weights[r] = row_weights[r] if is_wanted else 0.0
+
+
+@njit(**KERNEL)
 def keep_within(path, lower, upper, round_off, within):
     """Write displacements within their bounds; whether none changed by more than round-off.
 
@@ -504,9 +521,10 @@ class InverseActuation:
             if self._posed is not None:
                 # Coordinates of orientations are those at the present target.
                 self.trust.rest = _rest_rows(self._posed)
-            is_wanted = weights > 0.0
+            wanted = np.empty((2, len(weights)))
+            write_wanted(target_rows, self._row_weights, weights, *wanted)
             situation = Situation(
-                np.where(is_wanted, target_rows, 0.0), np.where(is_wanted, self._row_weights, 0.0),
+                *wanted,
                 linear.effector_places(held.efforts, held.contact.multipliers),
                 drives, np.where(commanded, most, np.nan) if any_commanded else self._nowhere,
                 self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
@@ -570,6 +588,8 @@ class InverseActuation:
 
     def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
         """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
+        if self._limits.are_all_effort_driven:
+            return bounds
         least, most = bounds.displacement_min.copy(), bounds.displacement_max.copy()
         reach = self.trust.move_limit * self._scales
         narrow(drives, reach, commanded | self._by_effort, least, most)

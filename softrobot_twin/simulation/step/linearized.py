@@ -85,6 +85,23 @@ def with_moves(W, free, first, displacements, columns):
     return grown, violation
 
 
+@njit(**KERNEL)
+def add_compliance(W, free, own, told):
+    """Add a compliance of the first rows, and what it yields by at told efforts.
+
+    Args:
+        W: Compliance of all rows [m/N], shape (n, n); added to.
+        free: δ_free less δ of all rows [m], shape (n,); added to.
+        own: C of the first rows [m/N], shape (m, m).
+        told: λ₀ of these rows [N], shape (m,).
+    """
+    yielded = np.dot(own, told)
+    for i in range(len(own)):
+        free[i] -= yielded[i]
+        for j in range(len(own)):
+            W[i, j] += own[i, j]
+
+
 class PrescribedMoves(NamedTuple):
     """Actuators whose unknown is their displacement, such as slides.
 
@@ -144,6 +161,7 @@ class Linearized:
         self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start
         self._paths, self._present = stack.displacement_rows(), multipliers
         self._is_chosen: np.ndarray | None = None
+        self._placed_by = self._places = None
         if not self._condense_low_rank():
             if pressing is None:
                 self._condense_all()
@@ -219,14 +237,12 @@ class Linearized:
         if self._own is None:
             return free
         a, own = self._all.actuators, self._own
-        free = free.copy()
         if self.augmentation is not None and self.augmentation.share is not None:
             _, reference, share = self.augmentation
             own = own * share[:, None]
+            free = free.copy()
             free[a] += (share - 1.0) * (self._values[a] - reference)
-        W[a, a] += own
-        if self._told is not None:
-            free[a] -= own @ self._told
+        add_compliance(W, free, own, np.zeros(len(own)) if self._told is None else self._told)
         return free
 
     def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
@@ -347,8 +363,14 @@ class Linearized:
         return self.augmentation.efforts(multipliers, path)
 
     def effector_places(self, efforts: np.ndarray, contact: np.ndarray) -> np.ndarray:
-        """δ_e under multipliers [m], shape (effector_row_count,); see `actuator_displacements`."""
-        return self._displacements(self.groups.effectors, efforts, contact)
+        """δ_e under multipliers [m], shape (effector_row_count,); see `actuator_displacements`.
+
+        Without contacts, those of the efforts that were asked for last are known.
+        """
+        if self._has_contacts or efforts is not self._placed_by:
+            self._placed_by = efforts
+            self._places = self._displacements(self.groups.effectors, efforts, contact)
+        return self._places
 
     def open_gaps(self, multipliers: np.ndarray) -> np.ndarray:
         """δ_n of each contact that is not condensed, +∞ for the others [m].

@@ -154,6 +154,15 @@ def judge(
 
 
 @njit(**KERNEL)
+def are_within(first, second, slack):
+    """Whether no two numbers differ by more than their slack, all of shape (n,); NaN does."""
+    for i in range(len(first)):
+        if not abs(first[i] - second[i]) <= slack[i]:
+            return False
+    return True
+
+
+@njit(**KERNEL)
 def are_near(displacements, made, scales):
     """Whether no displacement is off by more than `DISPLACEMENT_MET` of its scale; NaN is not.
 

@@ -228,6 +228,15 @@ def half_squares(weights, here, there):
     return 0.5 * total
 
 
+@njit(**KERNEL)
+def greatest(weights):
+    """The greatest of weights, shape (n,); zero without any."""
+    found = 0.0
+    for i in range(len(weights)):
+        found = max(found, weights[i])
+    return found
+
+
 NO_LOADS = np.empty(0)
 
 
@@ -274,7 +283,7 @@ class Situation(NamedTuple):
         way = half_squares(self.weights, self.targets, other.targets)
         if len(self.guided):
             carried = float(np.abs(self.guided - other.guided).max())
-            way += 0.5 * float(self.weights.max(initial=0.0)) * carried**2
+            way += 0.5 * greatest(self.weights) * carried**2
         return (
             are_equal(self.weights, other.weights)
             and are_equal(self.commanded, other.commanded)
@@ -400,7 +409,7 @@ class TargetTrust:
         ):
             # What came of the promise is the work of other loads or of guided bodies too.
             self._promised = None
-        reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
+        reached = 0.5 * greatest(situation.weights) * self._tolerance**2
         is_free = self.approach is Approach.FOLLOW and not self.is_careful
         if self._promised is not None and is_free and now > reached:
             before = situation.tracking(self._last.places)
