@@ -34,26 +34,30 @@ def run_every_path(simulation) -> None:
     Args:
         simulation: The simulation; its state afterwards has no meaning.
     """
+    def step(*given, **named):
+        # What only its reader needs is compiled too.
+        simulation.step(*given, **named).make()
+
     setpoints, actuators = simulation.state.setpoints, simulation.actuators
-    simulation.step(Hold(TIME_STEP))
+    step(Hold(TIME_STEP))
     if actuators.count:
-        simulation.step(CommandSetpoints(setpoints, TIME_STEP))
+        step(CommandSetpoints(setpoints, TIME_STEP))
         none = np.where(actuators.takes_efforts, 0.0, np.nan)
-        simulation.step(CommandEfforts(none, TIME_STEP))
+        step(CommandEfforts(none, TIME_STEP))
         if simulation.newton.take_augmented_tangent():
             taut = actuators.setpoints(TAUT * actuators.limits.drive_scale)
-            simulation.step(CommandSetpoints(taut, TIME_STEP))
+            step(CommandSetpoints(taut, TIME_STEP))
             simulation.newton.take_augmented_tangent()
-            simulation.step(CommandSetpoints(taut, TIME_STEP))
+            step(CommandSetpoints(taut, TIME_STEP))
     for part in simulation.parts:
         for measured in part.measurements_to_warm_up(simulation.state):
-            simulation.step(Hold(TIME_STEP), None, measured)
+            step(Hold(TIME_STEP), None, measured)
     if not why_not_followed(simulation.model):
         here, turns = simulation.effector_positions(), simulation.effector_orientations()
-        simulation.step(FollowTargets(here, TIME_STEP, None, turns))
-        simulation.step(FollowTargets(here, TIME_STEP, None, turns), budget=0.0)
+        step(FollowTargets(here, TIME_STEP, None, turns))
+        step(FollowTargets(here, TIME_STEP, None, turns), budget=0.0)
         if simulation.model.weighs_stiffness:
             # Any stiffness; that of the second step is found from the active limits of the first.
             wanted = np.where(np.array(simulation.stiff_effectors)[:, None], np.ones(3), np.nan)
             for _ in range(2):
-                simulation.step(FollowTargets(here, TIME_STEP, None, turns, wanted))
+                step(FollowTargets(here, TIME_STEP, None, turns, wanted))
