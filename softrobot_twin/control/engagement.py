@@ -75,7 +75,7 @@ class Engagement:
             self.gate.tolerances.setpoints,
         )
         self._must_return = self.is_without_model = False
-        self._failing = 0.0
+        self._failing, self._led = 0.0, (None, None)
         self.activity = Activity.HOLDING if device is None else Activity.DISABLED
         self.reason = "" if device is None else "not enabled"
         self.has_given_up = False
@@ -156,10 +156,12 @@ class Engagement:
             self.resynchronise("the model was not where the robot was sent")
 
     def _is_synchronised(self) -> bool:
-        gate = self.gate
-        apart = np.abs(self._simulation.state.setpoints - gate.within(gate.last.setpoints))
-        is_near = bool((apart <= 2.0 * gate.tolerances.setpoints).all())
-        return is_near and self._guidance.is_synchronised
+        gate, state = self.gate, self._simulation.state
+        if self._led[0] is not state or self._led[1] is not gate.last:
+            apart = np.abs(state.setpoints - gate.within(gate.last.setpoints))
+            if not (apart <= 2.0 * gate.tolerances.setpoints).all():
+                return False
+        return self._guidance.is_synchronised
 
     @property
     def last_command(self) -> ActuatorCommand | None:
@@ -179,7 +181,12 @@ class Engagement:
             return None
         if self.is_without_model:
             return Passage(self.gate.lead(self.gate.home, time_step), ())
-        return self.gate.pass_on(result.setpoints, result.efforts, time_step)
+        state, is_inside = result.state, not self.gate.is_outside
+        passage = self.gate.pass_on(result.setpoints, result.efforts, time_step)
+        if is_inside and not passage.violated and result.setpoints is state.setpoints:
+            # What passes from inside the limits is that of the state but for tolerances.
+            self._led = state, passage.command
+        return passage
 
     def end(self, result: StepResult, time_step: float) -> bool:
         """Ends, after a tick, a return or resynchronisation that is complete or has failed.

@@ -147,12 +147,12 @@ class MarkerPlausibility:
             return measured
         return np.where(self._out[:, np.newaxis], np.nan, measured)
 
-    def judge(self, misfits: np.ndarray, stamp: int, follows_robot: bool) -> None:
+    def judge(self, misfits: np.ndarray | None, stamp: int, follows_robot: bool) -> None:
         """Judges a frame, if it is new.
 
         Args:
             misfits: Measured minus predicted positions [m], shape (marker_count, 3); NaN for hidden
-                markers.
+                markers; None where all are.
             stamp: Time of the measurement [ns].
             follows_robot: Whether the model is where the robot is; else no misfit is expected.
         """
@@ -160,8 +160,7 @@ class MarkerPlausibility:
             if self._stamp:
                 self.forget()
             return
-        seen = np.isfinite(misfits).all(axis=1)
-        if not seen.any():
+        if misfits is None or not (seen := np.isfinite(misfits).all(axis=1)).any():
             self._out[:], self.left_out = False, ()
             return
         if stamp == self._stamp:

@@ -777,9 +777,12 @@ class TwinLoop:
         Returns:
             The plausible measured markers [m], same shape, and their misfit.
         """
-        # Nothing is expected of markers that nobody measured.
-        expected = seen if seen is self.markers.hidden else self._history.at(self.markers.stamp)
-        self._plausibility.judge(seen - expected, self.markers.stamp, activity.follows_robot)
+        stamp, follows = self.markers.stamp, activity.follows_robot
+        if seen is self.markers.hidden:
+            self._plausibility.judge(None, stamp, follows)
+            return seen, Misfit(seen, math.nan, 0)
+        expected = self._history.at(stamp)
+        self._plausibility.judge(seen - expected, stamp, follows)
         measured = self._plausibility.without_left_out(seen)
         return measured, self.markers.misfit(measured, expected)
 

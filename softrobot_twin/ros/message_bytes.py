@@ -21,7 +21,7 @@ from visualization_msgs.msg import Marker
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
 # CDR of version 1, little-endian, without options (OMG DDSI-RTPS, section 10.5).
-_ENCAPSULATION = b"\x00\x01\x00\x00"
+_ENCAPSULATION, _STAMP = b"\x00\x01\x00\x00", struct.Struct("<iI")
 _NUMBERS = {
     "boolean": "?", "octet": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
     "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float": "f", "double": "d",
@@ -154,7 +154,7 @@ def to_bytes(message: object) -> bytes:
 
 def put_stamp(content: bytearray, stamp: int) -> None:
     """Writes a time [ns] into the header of a message in CDR, its first field."""
-    struct.pack_into("<iI", content, len(_ENCAPSULATION), *divmod(stamp, NANOSECONDS))
+    _STAMP.pack_into(content, len(_ENCAPSULATION), *divmod(stamp, NANOSECONDS))
 
 
 class MessageBytes:

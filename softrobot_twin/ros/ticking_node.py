@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,42 +46,6 @@ class Clash(NamedTuple):
     key: str
     sentence: str
     is_severe: bool
-
-
-class GraphWatch:
-    """Counts the publishers on a node's topics in the middleware's graph.
-
-    A query takes some microseconds per topic and no network traffic. A node that crashed stays in
-    the graph for about 20 s.
-
-    Args:
-        node: The node.
-        critical: Full names of the topics of commands and measurements of the hardware.
-        others: Full names of further topics that should have one publisher.
-    """
-
-    def __init__(self, node: TickingNode, critical: Sequence[str], others: Sequence[str] = ()):
-        self._node = node
-        self._topics = [(topic, True) for topic in critical] + [(topic, False) for topic in others]
-
-    def clashes(self) -> list[Clash]:
-        """The present clashes."""
-        found, ghosts = [], self._node.ghosts()
-        own = (self._node.get_name(), self._node.get_namespace())
-        names = self._node.get_node_names_and_namespaces()
-        if (count := names.count(own)) > 1 and own not in ghosts:
-            name = self._node.get_fully_qualified_name()
-            found.append(Clash("name", f"{count} nodes are called {name}: end all but one, or "
-                               "rename one with -r __node:=NAME", True))
-        for topic, is_severe in self._topics:
-            if (count := self._node.count_publishers(topic)) > 1:
-                if ghosts and publishing_nodes(self._node, topic) <= ghosts:
-                    continue
-                found.append(Clash(topic, self._sentence(topic, count), is_severe))
-        return found
-
-    def _sentence(self, topic: str, count: int) -> str:
-        return f"{count} publishers on {topic} ({publisher_names(self._node, topic)}): end all but one"
 
 
 def publishing_nodes(node: Node, topic: str) -> set[tuple[str, str]]:
@@ -144,7 +108,7 @@ class TickingNode(Node):
         self._time = (ElapsedTime(self.ros_time)
                       if self.is_simulated_time else time.monotonic)
         self._clock_watch = ClockWatch()
-        self._graph: GraphWatch | None = None
+        self._watched: list[tuple[str, bool]] | None = None
         self._last_look: list[Clash] = []
         self.add_on_set_parameters_callback(self._keep_time_source)
         try:
@@ -370,14 +334,36 @@ class TickingNode(Node):
             critical: Publishers and subscriptions of commands and measurements of the hardware.
             others: Further ones whose topic should have one publisher.
         """
-        self._graph = GraphWatch(self, _names(critical), _names(others))
+        self._watched = [
+            (end.topic_name, is_severe)
+            for ends, is_severe in ((critical, True), (others, False)) for end in ends
+        ]  # fmt: skip
         # A separate timer: ticks may be rare, and with simulated time they may pause.
         self.create_timer(_GRAPH_PERIOD, self.watch_graph,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def look_for_clashes(self) -> list[Clash]:
-        """The clashes at this moment."""
-        return [] if self._graph is None else self._graph.clashes()
+        """The clashes at this moment.
+
+        Publishers are counted in the middleware's graph, which takes some microseconds per topic and
+        no network traffic. A node that crashed stays in the graph for about 20 s.
+        """
+        if self._watched is None:
+            return []
+        found, ghosts = [], self.ghosts()
+        own = self.get_name(), self.get_namespace()
+        if (count := self.get_node_names_and_namespaces().count(own)) > 1 and own not in ghosts:
+            name = self.get_fully_qualified_name()
+            found.append(Clash("name", f"{count} nodes are called {name}: end all but one, or "
+                               "rename one with -r __node:=NAME", True))
+        for topic, is_severe in self._watched:
+            if (count := self.count_publishers(topic)) > 1:
+                if ghosts and publishing_nodes(self, topic) <= ghosts:
+                    continue
+                names = publisher_names(self, topic)
+                sentence = f"{count} publishers on {topic} ({names}): end all but one"
+                found.append(Clash(topic, sentence, is_severe))
+        return found
 
     def watch_graph(self) -> None:
         """Checks the graph and logs new clashes."""
@@ -421,7 +407,3 @@ class TickingNode(Node):
                     successful=False, reason="parameter use_sim_time can be set only at the start"
                 )
         return SetParametersResult(successful=True)
-
-
-def _names(ends: Iterable) -> Sequence[str]:
-    return [end.topic_name for end in ends]

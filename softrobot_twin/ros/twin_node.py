@@ -94,7 +94,7 @@ class RepeatedMessages:
 
     def offer(self, publisher: Publisher, make: Callable[..., object], *values: object) -> None:
         """Makes and publishes a message if somebody receives it."""
-        if self._is_heard(publisher):
+        if self.is_heard(publisher):
             self.send(publisher, make(*values))
         else:
             self.leave_out(publisher)
@@ -103,7 +103,7 @@ class RepeatedMessages:
         """Makes no messages of some publishers, which nobody receives."""
         self._left_out.extend(publishers)
 
-    def _is_heard(self, publisher: Publisher) -> bool:
+    def is_heard(self, publisher: Publisher) -> bool:
         """Whether messages are received or, as those of a recorded run, kept."""
         return type(publisher) is not Publisher or self._audience.hears(publisher)
 
@@ -121,7 +121,7 @@ class RepeatedMessages:
         if self._audience.hears_any(self._left_out):
             return False
         for publisher, content in self._sent:
-            if self._is_heard(publisher):
+            if self.is_heard(publisher):
                 put_stamp(content, stamp)
                 publisher.publish(bytes(content))
         return True
@@ -528,7 +528,8 @@ class TwinNode(TickingNode):
         for name, pressure in sealed.items():
             offer(self.pressures[name], self._pressure.message, stamp, pressure)
         for output, make, publishers in self._outputs:
-            if output.is_costly and not self._audience.hears_any(publishers.values()):
+            hears = self._audience.hears if output.is_costly else self._repeated.is_heard
+            if not any(map(hears, publishers.values())):
                 self._repeated.leave_out(*publishers.values())
                 continue
             rows = output.read(outcome)
