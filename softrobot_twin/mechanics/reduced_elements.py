@@ -61,12 +61,13 @@ from softrobot_twin.mechanics.point_law import (
     law_projects,
     law_turns,
 )
+from softrobot_twin.mechanics.row_sums import WIDTH, add_squares, row_sums
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 from softrobot_twin.mechanics.strain_watch import extreme_squares
 
-# Modes are padded by empty ones to a multiple of this: vector instructions and BLAS take 48 modes in
-# less time than 45.
-LANES = 8
+# Modes are padded by empty ones to a multiple of this: vector instructions take 48 modes in less
+# time than 45.
+LANES = WIDTH
 
 
 class SampledPoints(NamedTuple):
@@ -251,15 +252,18 @@ def lower_cholesky(M):
 
 
 @njit(**KERNEL)
-def write_spin_rows(law, deformations, weights, rotations, uprights, projected, spin_rows, signs):
-    """Rows v of ∂P/∂F = 2µ 1 + λ R Rᵀ - Σ s v vᵀ of the corotational law, times √w.
+def write_spin_rows(
+    law, root, deformations, weights, rotations, uprights, projected, spin_rows, signs
+):  # fmt: skip
+    """Rows √λ R and v of ∂P/∂F = 2µ 1 + λ R Rᵀ - Σ s v vᵀ of the corotational law, times √w.
 
     The spin stiffness M = c G⁻¹ gives dF : dP a part -wᵀ M w with w the axial vector of dF Rᵀ:
     with M = s L Lᵀ, v are the three components of Lᵀ w.
 
     Args:
         law, deformations, weights, rotations, uprights, projected: See `write_stress_changes`.
-        spin_rows: Takes v, shape (batch_count, BATCH, 3, 9).
+        root: √λ of Lamé [√Pa].
+        spin_rows: Takes √λ R, then v, shape (batch_count, BATCH, 4, 9).
         signs: Takes s of each point, 1 or -1, shape (batch_count, BATCH).
     """
     for k in range(len(weights)):
@@ -273,7 +277,9 @@ def write_spin_rows(law, deformations, weights, rotations, uprights, projected, 
                  (size * M[2][0], size * M[2][1], size * M[2][2]))  # fmt: skip
             l00, l10, l11, l20, l21, l22 = lower_cholesky(M)
             signs[k, e] = sign
-            v = spin_rows[k, e]
+            v, stretched = spin_rows[k, e, 1:], root * math.sqrt(weights[k, e])
+            for i in range(9):
+                spin_rows[k, e, 0, i] = stretched * rotations[k, at(i, e)]
             for j in range(3):
                 # w = (A₂₁ - A₁₂, A₀₂ - A₂₀, A₁₀ - A₀₁) with A = dF Rᵀ.
                 v[0, j] = l10 * R[2][j] - l20 * R[1][j]
@@ -287,54 +293,8 @@ def write_spin_rows(law, deformations, weights, rotations, uprights, projected, 
                 v[2, 6 + j] = 0.0
 
 
-@njit(**KERNEL)
-def apply_rows(root, weights, rotations, spin_rows, signs, gradients, positive, negative):
-    """The rows times G: those that are added to the stiffness, and those that are subtracted.
-
-    Args:
-        root: √λ of Lamé [√Pa].
-        weights, rotations, spin_rows, signs: See `write_spin_rows`.
-        gradients: G, shape (batch_count, 9, BATCH, mode_count).
-        positive: Takes the rows that are added, shape (4 point_count, mode_count).
-        negative: Takes those that are subtracted, shape (3 point_count, mode_count).
-
-    Returns:
-        Number of rows of each.
-    """
-    added, subtracted, axial = 0, 0, np.empty(9, gradients.dtype)
-    for k in range(len(weights)):
-        for e in range(BATCH):
-            if weights[k, e] == 0.0:
-                continue
-            size = root * math.sqrt(weights[k, e])
-            for i in range(9):
-                axial[i] = size * rotations[k, at(i, e)]
-            write_row(axial, gradients, k, e, positive, added)
-            added += 1
-            for m in range(3):
-                if signs[k, e] > 0.0:
-                    write_row(spin_rows[k, e, m], gradients, k, e, negative, subtracted)
-                    subtracted += 1
-                else:
-                    write_row(spin_rows[k, e, m], gradients, k, e, positive, added)
-                    added += 1
-    return added, subtracted
-
-
 FAST = {**KERNEL, "fastmath": True}
 """Options of sums that vector instructions may take in another order."""
-
-
-@njit(**FAST)
-def write_row(v, gradients, k, e, rows, line):
-    """Row number `line`: vᵀ G of element e of batch k."""
-    v0, v1, v2, v3, v4, v5, v6, v7, v8 = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8]
-    for m in range(gradients.shape[3]):
-        rows[line, m] = (
-            v0 * gradients[k, 0, e, m] + v1 * gradients[k, 1, e, m] + v2 * gradients[k, 2, e, m]
-            + v3 * gradients[k, 3, e, m] + v4 * gradients[k, 4, e, m] + v5 * gradients[k, 5, e, m]
-            + v6 * gradients[k, 6, e, m] + v7 * gradients[k, 7, e, m] + v8 * gradients[k, 8, e, m]
-        )  # fmt: skip
 
 
 @njit(**FAST)
@@ -414,27 +374,42 @@ def subtract_forces(own, unknowns, forces):
             forces[unknowns[n], i] -= own[3 * n + i]
 
 
+_one_row, _three_rows = row_sums(1), row_sums(3)
+
+
 @njit(**KERNEL)
-def sum_spin_rows(
-    root, weights, rotations, spin_rows, signs, gradients, constant, positive, negative, squares,
-    stiffness,
-):  # fmt: skip
+def sum_spin_rows(spin_rows, signs, gradients, constant, rows, squares, stiffness):
     """The stiffness of the corotational law.
 
     Args:
-        root, weights, rotations, spin_rows, signs, gradients, positive, negative: See `apply_rows`.
+        spin_rows, signs: See `write_spin_rows`.
+        gradients: G, shape (batch_count, 9, BATCH, mode_count).
         constant: Its constant part [N/m], shape (mode_count, mode_count).
-        squares: Memory for the products of added and of subtracted rows, shape (2, *same).
+        rows: Memory for the rows times G of one batch: those of √λ R, then three for each v, shape
+            (4 × BATCH, mode_count).
+        squares: Memory for the products of the two kinds, shape (2, mode_count, mode_count).
         stiffness: Takes the sum [N/m], same shape as `constant`.
     """
-    added, subtracted = apply_rows(
-        root, weights, rotations, spin_rows, signs, gradients, positive, negative
-    )
-    np.dot(positive[:added].T, positive[:added], squares[0])
-    np.dot(negative[:subtracted].T, negative[:subtracted], squares[1])
-    for i in range(len(constant)):
-        for j in range(len(constant)):
+    n = len(constant)
+    squares[:] = 0.0
+    for k in range(len(signs)):
+        for e in range(BATCH):
+            own = 36 * (BATCH * k + e)
+            for m in range(0, n, WIDTH):
+                b, b_step = (9 * BATCH * k + e) * n + m, BATCH * n
+                _one_row(9, spin_rows, own, 9, 1, gradients, b, b_step, rows, e * n + m, n, 0)
+                own_rows = (BATCH + 3 * e) * n + m
+                _three_rows(9, spin_rows, own + 9, 9, 1, gradients, b, b_step, rows, own_rows, n, 0)
+            if signs[k, e] < 0.0:
+                # Added where it is subtracted below with all others, and once more.
+                add_squares(BATCH + 3 * e, 3, rows, squares[0])
+                add_squares(BATCH + 3 * e, 3, rows, squares[0])
+        add_squares(0, BATCH, rows, squares[0])
+        add_squares(BATCH, 3 * BATCH, rows, squares[1])
+    for i in range(n):
+        for j in range(i + 1):
             stiffness[i, j] = constant[i, j] + (squares[0, i, j] - squares[1, i, j])
+            stiffness[j, i] = stiffness[i, j]
 
 
 class ReducedAssembly(NamedTuple):
@@ -536,10 +511,9 @@ class ReducedElements(ForceTerm):
         scaled = by_point * np.repeat(np.sqrt(2.0 * self.law.shear_modulus * weights), 9)[:, None]
         self._constant = scaled.T @ scaled
         self._squares = np.empty((2, *self._constant.shape), precision)
-        self._spin_rows = np.empty((count // BATCH, BATCH, 3, 9), precision)
+        self._spin_rows = np.empty((count // BATCH, BATCH, 4, 9), precision)
         self._signs = np.empty((count // BATCH, BATCH))
-        self._positive = np.empty((4 * count, self._width), precision)
-        self._negative = np.empty((3 * count, self._width), precision)
+        self._products = np.empty((4 * BATCH, self._width), precision)
 
     def stencils(self) -> np.ndarray:
         """Unknowns that the points couple: all coordinates, shape (1, mode_count / 3)."""
@@ -592,13 +566,12 @@ class ReducedElements(ForceTerm):
 
     def _by_spin_rows(self, projected: bool) -> np.ndarray:
         write_spin_rows(
-            self.law, self._deformations, self._weights, self._rotations, self._uprights, projected,
-            self._spin_rows, self._signs,
+            self.law, math.sqrt(max(self.law.lame_lambda, 0.0)), self._deformations, self._weights,
+            self._rotations, self._uprights, projected, self._spin_rows, self._signs,
         )  # fmt: skip
         sum_spin_rows(
-            math.sqrt(max(self.law.lame_lambda, 0.0)), self._weights, self._rotations,
-            self._spin_rows, self._signs, self._gradients, self._constant, self._positive,
-            self._negative, self._squares, self._stiffness,
+            self._spin_rows, self._signs, self._gradients, self._constant, self._products,
+            self._squares, self._stiffness,
         )  # fmt: skip
         return self._stiffness
 

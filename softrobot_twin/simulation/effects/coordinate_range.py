@@ -63,18 +63,13 @@ class SampledRanges(StepPart):
             coordinates: The ranges of the bodies in the coordinates of a basis.
         """
         self._superelements, self._coordinates = superelements, coordinates
-        self._shares: dict[str, float] = {}
-
-    def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
-        """See `StepPart`."""
-        self._shares = {name: one.ranges.max() for name, one in self._superelements.items()}
-        self._shares |= {one.name: one.share(positions) for one in self._coordinates}
-        return {}
 
     def report(self, state: State) -> PartReport:
         """See `StepPart`."""
-        outside = (f"{name}.{SAMPLED}" for name, share in self._shares.items() if share > 1.0)
-        return PartReport(tuple(outside), entries={"sampled_range": max(self._shares.values())})
+        shares = {name: one.ranges.max() for name, one in self._superelements.items()}
+        shares |= {one.name: one.share(state.positions) for one in self._coordinates}
+        outside = (f"{name}.{SAMPLED}" for name, share in shares.items() if share > 1.0)
+        return PartReport(tuple(outside), entries={"sampled_range": max(shares.values())})
 
 
 def sampled_ranges_of(model: Model) -> Iterator[StepPart]:
