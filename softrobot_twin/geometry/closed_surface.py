@@ -23,7 +23,7 @@ import numpy as np
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.surface import half_edges
+from softrobot_twin.geometry.surface import checked_triangles, half_edges
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, set_row, subtract, unit
 
 
@@ -66,11 +66,7 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
         MeshError: A triangle refers to a point that does not exist or to one point twice, or an
             edge is not shared by exactly two triangles with opposite directions along it.
     """
-    triangles = np.ascontiguousarray(triangles, dtype=np.int64)
-    if triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise MeshError(None, f"triangles of a surface have shape {triangles.shape}, not (n, 3)")
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= point_count):
-        raise MeshError(None, f"a triangle refers to a point outside 0..{point_count - 1}")
+    triangles = checked_triangles(triangles, point_count)
     starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     if (starts == ends).any():
         index = int(np.flatnonzero(starts == ends)[0]) // 3

@@ -189,6 +189,7 @@ _FLAT_CORNER = 1e-9
 _COINCIDENT = 1e-9
 CUT = "the body is cut there"
 """Text of a note on nodes that coincide and are not merged."""
+_REPEATED = "Dropped {} that the file contains more than once."
 # Number of indices listed in a note.
 _NAMED_INDICES = 5
 
@@ -270,25 +271,17 @@ def read_solid_mesh(
     elif merge_tolerance > 0.0:
         representatives = first_of_duplicates(positions, merge_tolerance)
     merged = np.flatnonzero(representatives != np.arange(len(positions)))
-    if len(merged):
-        notes.append(f"Merged {_counted(merged, 'node')} with coincident ones{why}.")
+    _note(notes, merged, "node", f"Merged {{}} with coincident ones{why}.")
 
     kept = drop_degenerate_tets(positions, representatives[file.tets])
-    if len(kept.degenerate):
-        notes.append(f"Dropped {_counted(kept.degenerate, 'tetrahedron')} without volume.")
+    _note(notes, kept.degenerate, "tetrahedron", "Dropped {} without volume.")
     if len(kept.tets) == 0 and len(file.hexahedra) == 0:
         raise MeshError(path, "has only tetrahedra without volume")
     once = first_of_repeated_tets(kept.tets)
-    repeated = np.delete(kept.kept, once)
-    if len(repeated):
-        notes.append(
-            f"Dropped {_counted(repeated, 'tetrahedron')} that the file contains more than once."
-        )
+    _note(notes, np.delete(kept.kept, once), "tetrahedron", _REPEATED)
     file_tets = kept.kept[once]
     oriented = orient_tets(positions, kept.tets[once])
-    if len(oriented.inverted):
-        inverted = _counted(file_tets[oriented.inverted], "inverted tetrahedron")
-        notes.append(f"Reoriented {inverted}.")
+    _note(notes, file_tets[oriented.inverted], "inverted tetrahedron", "Reoriented {}.")
     hexahedra = _upright_hexahedra(path, positions, representatives[file.hexahedra], notes)
     nodes = drop_unused_nodes(positions, oriented.tets, hexahedra)
     mesh_node_indices = nodes.new_indices[representatives]
@@ -299,10 +292,8 @@ def read_solid_mesh(
         )
     used = mesh_node_indices >= 0
     used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
-    unused = np.flatnonzero(~used)
-    if len(unused):
-        cell = "cell" if len(hexahedra) else "tetrahedron"
-        notes.append(f"Dropped {_counted(unused, 'node')} that no {cell} uses.")
+    cell = "cell" if len(hexahedra) else "tetrahedron"
+    _note(notes, np.flatnonzero(~used), "node", f"Dropped {{}} that no {cell} uses.")
 
     mesh = _made_mesh(path, nodes, nodes.new_indices[hexahedra])
     notes += _oddity_notes(mesh, nodes.old_indices, file_tets)
@@ -332,16 +323,11 @@ def _upright_hexahedra(
             "hexahedron is not simulated",
         )  # fmt: skip
     once = first_of_repeated_tets(hexahedra) if len(hexahedra) else np.empty(0, np.int64)
-    repeated = np.delete(np.arange(len(hexahedra)), once)
-    if len(repeated):
-        notes.append(
-            f"Dropped {_counted(repeated, 'hexahedron')} that the file contains more than once."
-        )
+    _note(notes, np.delete(np.arange(len(hexahedra)), once), "hexahedron", _REPEATED)
     kept = hexahedra[once]
     mirrored = np.flatnonzero((corner_determinants(positions[kept]) < 0.0).all(axis=1))
     kept[mirrored] = kept[mirrored][:, [4, 5, 6, 7, 0, 1, 2, 3]]
-    if len(mirrored):
-        notes.append(f"Reoriented {_counted(once[mirrored], 'inverted hexahedron')}.")
+    _note(notes, once[mirrored], "inverted hexahedron", "Reoriented {}.")
     corners = positions[kept]
     sizes = np.linalg.norm(np.ptp(corners, axis=1), axis=1, keepdims=True)
     upright = (corner_determinants(corners) > _FLAT_CORNER * sizes**3).all(axis=1)
@@ -438,11 +424,8 @@ def _oddity_notes(
         notes.append(f"The mesh consists of {len(sizes)} separate parts, of {shown} nodes.")
     size = float(np.linalg.norm(np.ptp(mesh.node_positions, axis=0)))
     pairs = coincident_pairs(mesh.node_positions, _COINCIDENT * size)
-    if len(pairs):
-        doubled = np.unique(file_node_indices[pairs[:, 1]])
-        notes.append(
-            f"Another node coincides with {_counted(doubled, 'node')}: {CUT}."
-        )
+    doubled = np.unique(file_node_indices[pairs[:, 1]])
+    _note(notes, doubled, "node", f"Another node coincides with {{}}: {CUT}.")
     tets, hexahedra = mesh.cells, np.empty((0, 8), np.int64)
     if isinstance(mesh, HexahedralMesh):
         tets, hexahedra = mesh.tets, mesh.hexahedra
@@ -454,27 +437,31 @@ def _oddity_notes(
         )
     scaled = scaled_jacobians(mesh.node_positions[hexahedra])
     skewed = np.flatnonzero(scaled < SKEWED_JACOBIAN)
-    if len(skewed):
-        notes.append(
-            f"Kept {_counted(skewed, 'hexahedron')} with a scaled Jacobian below "
-            f"{SKEWED_JACOBIAN:g} (lowest {scaled.min():.2g}): expect less accuracy there."
-        )
+    _note(notes, skewed, "hexahedron", f"Kept {{}} with a scaled Jacobian below {SKEWED_JACOBIAN:g} "
+          f"(lowest {scaled.min(initial=1.0):.2g}): expect less accuracy there.")
     ratios = radius_ratios(SomeCells(mesh.node_positions, tets, LINEAR_TETRAHEDRON))
     slivers = np.flatnonzero(ratios < SLIVER_RATIO)
     if len(slivers):
         worst = int(ratios.argmin())
-        named = _counted(file_tet_indices[slivers], "tetrahedron")
-        notes.append(
-            f"Kept {named} with a radius ratio below {SLIVER_RATIO:g} (lowest {ratios[worst]:.2g}, "
-            f"tetrahedron {file_tet_indices[worst]}): expect less accuracy there."
-        )
+        _note(notes, file_tet_indices[slivers], "tetrahedron",
+              f"Kept {{}} with a radius ratio below {SLIVER_RATIO:g} (lowest {ratios[worst]:.2g}, "
+              f"tetrahedron {file_tet_indices[worst]}): expect less accuracy there.")
     return notes
 
 
-def _counted(indices: np.ndarray, noun: str) -> str:
-    """Text such as ``2 nodes (4, 7)``; only the first few indices are listed."""
+def _note(notes: list[str], indices: np.ndarray, noun: str, sentence: str) -> None:
+    """Adds a sentence on indices, if there are any.
+
+    Args:
+        notes: Where it is added.
+        indices: In the file.
+        noun: What they number.
+        sentence: Its braces become text such as ``2 nodes (4, 7)``; only the first few are listed.
+    """
+    if not len(indices):
+        return
     named = ", ".join(str(int(index)) for index in indices[:_NAMED_INDICES])
     more = ", …" if len(indices) > _NAMED_INDICES else ""
     if len(indices) > 1:
         noun = noun.removesuffix("on") + "a" if noun.endswith("hedron") else noun + "s"
-    return f"{len(indices)} {noun} ({named}{more})"
+    notes.append(sentence.format(f"{len(indices)} {noun} ({named}{more})"))

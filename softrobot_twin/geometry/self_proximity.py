@@ -42,7 +42,8 @@ from softrobot_twin.geometry.proximities import (
     put_rows,
     write_row,
 )
-from softrobot_twin.geometry.surface_pairs import GrowingBuffers, checked_points
+from softrobot_twin.geometry.surface import checked_points
+from softrobot_twin.geometry.surface_pairs import GrowingBuffers
 from softrobot_twin.geometry.triangle_pairs import (
     FACING_SINE,
     NEIGHBOUR,

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
-from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import (
     CellGrid,
     bounding_box,
@@ -25,6 +24,7 @@ from softrobot_twin.geometry.closed_surface import (
     mean_edge_length,
 )
 from softrobot_twin.geometry.proximities import PairRows, Proximities, empty_rows, proximities
+from softrobot_twin.geometry.surface import checked_points
 from softrobot_twin.geometry.triangle_pairs import (
     SurfaceSide,
     feature_count,
@@ -102,19 +102,6 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
         first, second, edge_grid, margin, edge_depth, x[:0], first.normals, 0.0, key, rows, count
     )
     return count, need_first, need_second, need_edges
-
-
-def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
-    """Checks points and returns them as a contiguous, writable array.
-
-    Raises:
-        MeshError: Their shape is not (point_count, 3).
-    """
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    if points.shape != (point_count, 3):
-        raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
-    # A read-only array is another type for numba, which would compile all kernels a second time.
-    return points if points.flags.writeable else points.copy()
 
 
 class GrowingBuffers:

@@ -55,7 +55,6 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
-from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import Clusters, cluster_triangles
 from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
 from softrobot_twin.geometry.closest_features import (
@@ -76,6 +75,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import (
     shape_distance,
 )
 from softrobot_twin.geometry.shapes.shape import Shape
+from softrobot_twin.geometry.surface import checked_points, checked_triangles
 from softrobot_twin.geometry.vector3 import (
     add,
     add_scaled,
@@ -1054,15 +1054,7 @@ class SurfaceShapeDetector:
         Raises:
             MeshError: There are no triangles, or one refers to a point that does not exist.
         """
-        triangles = np.array(triangles, np.int64)
-        if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
-            raise MeshError(None, f"triangles have shape {triangles.shape}, not (n, 3) with n > 0")
-        if triangles.min() < 0 or triangles.max() >= point_count:
-            raise MeshError(
-                None,
-                f"triangles refer to points {triangles.min()} to {triangles.max()}, "
-                f"but there are {point_count} points",
-            )
+        triangles = checked_triangles(triangles, point_count, least=1)
         self.shape = shape
         self.point_count = point_count
         self._vertices, own = np.unique(triangles, return_inverse=True)
@@ -1103,13 +1095,7 @@ class SurfaceShapeDetector:
         Raises:
             MeshError: The number of points differs from `point_count`.
         """
-        points = np.ascontiguousarray(points, float)
-        if not points.flags.writeable:
-            points = points.copy()
-        if points.shape != (self.point_count, 3):
-            raise MeshError(
-                None, f"points have shape {points.shape}, not ({self.point_count}, 3)"
-            )
+        points = checked_points(points, self.point_count)
         pose = np.array(origin, float), np.array(rotation, float, order="C")
         reach = np.array([float(margin)])
         return found_by(lambda rows, span: self.write(points, *pose, reach, rows, span))

@@ -433,7 +433,8 @@ class Models:
         """The scene of a setting."""
         if setting.reduced:
             return self.reduced[setting.reduced].scene
-        return _tuned(self._by_name[setting.mesh], setting)
+        scene = self._by_name[setting.mesh].scene
+        return with_law(with_element(scene, setting.element), setting.law)
 
     def level(self, row: AccuracyRow) -> MeshLevel:
         """The full model of a row, with its element."""
@@ -693,10 +694,6 @@ def _offer(wanted: Foreseen, best: Candidate | None) -> str:
             f"step (p99 {1e3 * measured.p99:.2f} ms; its full model takes {row.step_ms:.2f} ms in "
             f"the file of errors). Its training takes {approximate_duration(wanted.seconds)} on "
             "this machine, for the ranges or targets that this command names, and no others:")
-
-
-def _tuned(level: MeshLevel, setting: Setting) -> Scene:
-    return with_law(with_element(level.scene, setting.element), setting.law)
 
 
 def _rows(

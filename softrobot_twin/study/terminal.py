@@ -328,8 +328,8 @@ class LiveLine:
             missed_ticks: Ticks missed so far.
             cause: Why the error is large; empty when it is not.
         """
-        line = (f"{elapsed:6.1f} s  {phase:<11}  error {_millimetres(error)}  "
-                f"step {_milliseconds(compute_time)}  missed {missed_ticks}")
+        line = (f"{elapsed:6.1f} s  {phase:<11}  error {_thousandth(error, 'mm')}  "
+                f"step {_thousandth(compute_time, 'ms')}  missed {missed_ticks}")
         if cause:
             line += f"  cause: {cause}"
         if self._live is not None:
@@ -343,9 +343,5 @@ class LiveLine:
             print(line, file=self._stream, flush=True)
 
 
-def _millimetres(value: float) -> str:
-    return "   –   mm" if math.isnan(value) else f"{1e3 * value:6.2f} mm"
-
-
-def _milliseconds(value: float) -> str:
-    return "   –   ms" if math.isnan(value) else f"{1e3 * value:6.2f} ms"
+def _thousandth(value: float, unit: str) -> str:
+    return f"   –   {unit}" if math.isnan(value) else f"{1e3 * value:6.2f} {unit}"
