@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.closed_surface import closed_surface
 
 
 class MassProperties(NamedTuple):
@@ -40,7 +41,9 @@ def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassPr
         MeshError: The surface is open, two triangles have the same direction along an edge, or the
             surface encloses no positive volume because it is inside out or flat.
     """
-    refuse_open(triangles)
+    if len(triangles) == 0:
+        raise MeshError(None, "the surface has no triangles")
+    closed_surface(triangles, len(points))
     points = np.asarray(points, float)
     # A common point in the middle keeps the tetrahedra, and with them the round-off, small.
     middle = points[np.unique(triangles)].mean(axis=0)
@@ -59,28 +62,3 @@ def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassPr
     second = (second + np.einsum("t,ti,tj->ij", volumes, sums, sums)) / 20.0
     second -= volume * np.outer(offset, offset)
     return MassProperties(volume, middle + offset, np.trace(second) * np.eye(3) - second)
-
-
-def refuse_open(triangles: np.ndarray) -> None:
-    """Checks that every edge belongs to two triangles with opposite directions along it.
-
-    Args:
-        triangles: Point indices, shape (triangle_count, 3).
-
-    Raises:
-        MeshError: An edge does not; the message names it.
-    """
-    triangles = np.asarray(triangles)
-    if len(triangles) == 0:
-        raise MeshError(None, "the surface has no triangles")
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    passed, counts = np.unique(edges, axis=0, return_counts=True)
-    if (counts > 1).any():
-        a, b = passed[counts.argmax()]
-        raise MeshError(
-            None, f"two triangles have the same direction along the edge from point {a} to point {b}"
-        )
-    there = {tuple(edge) for edge in passed.tolist()}
-    for a, b in passed.tolist():
-        if (b, a) not in there:
-            raise MeshError(None, f"the surface is open at the edge from point {a} to point {b}")

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.closed_surface import closed_surface, flatten_regions
+from softrobot_twin.geometry.closed_surface import flatten_regions
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
 from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
@@ -301,7 +301,6 @@ def read_solid_surface(path: Path, *, notes: list[str], **placement) -> SolidSur
     used, index = np.unique(repaired.triangles, return_inverse=True)
     points, triangles = points[used], np.ascontiguousarray(index.reshape(-1, 3))
     try:
-        closed_surface(triangles, len(points))
         surface_mass_properties(points, triangles)
     except MeshError as error:
         raise MeshError(path, error.reason) from None

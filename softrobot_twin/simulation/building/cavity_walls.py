@@ -8,7 +8,6 @@ from functools import reduce
 import numpy as np
 
 from softrobot_twin.errors import MeshError, SceneError
-from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.cubic_bubbles import CubicMesh
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
@@ -105,7 +104,6 @@ def _part(
     points = body.mesh.node_positions[used]
     repaired = repair_surface(points, triangles.reshape(-1, 3))
     try:
-        closed_surface(repaired.triangles, len(points))
         surface_mass_properties(points, repaired.triangles)
     except MeshError as error:
         raise SceneError(layout.scene.path, key, part, "", error.reason) from None
