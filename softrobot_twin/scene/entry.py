@@ -13,7 +13,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Union, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    Self,
+    Union,
+    get_args,
+    get_origin,
+)
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -57,11 +67,29 @@ class Entry(BaseModel):
         """Those of some keys that have a value."""
         return [key for key in keys if getattr(self, key) is not None]
 
+    def changed(self, **values: Any) -> Self:
+        """A copy with other values of some keys, which are not checked.
+
+        A dict has values of keys of the entry inside, or of each of a list of them; a function makes
+        them of it. An entry that is not there stays so.
+        """
+        return self.model_copy(update={
+            key: _inside(getattr(self, key), value) for key, value in values.items()
+        })  # fmt: skip
+
     @model_validator(mode="after")
     def _has_one_of_them(self):
         if self.one_of and len(self.given(self.one_of)) != 1:
             raise ValueError(self.one_of_words.format(", ".join(self.one_of)))
         return self
+
+
+def _inside(entry: Any, value: Any) -> Any:
+    """What becomes of an entry, or of a list of them; see `Entry.changed`."""
+    change = (lambda one: one.changed(**value)) if isinstance(value, dict) else value
+    if entry is None or not callable(change):
+        return None if callable(change) else change
+    return tuple(map(change, entry)) if isinstance(entry, tuple) else change(entry)
 
 
 def values_below(entry: Entry, key: str = "") -> Iterator[tuple[str, str, Any]]:

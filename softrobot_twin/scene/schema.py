@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -292,16 +292,9 @@ class Scene(Entry):
         """All deformable bodies."""
         return self.bodies if self.body is None else (self.body,)
 
-    def with_deformables(self, bodies: Iterable[Body]) -> Scene:
-        """The same scene with other deformable bodies in the place of these."""
-        if self.body is None:
-            return self.model_copy(update={"bodies": tuple(bodies)})
-        (body,) = bodies
-        return self.model_copy(update={"body": body})
-
-    def with_solver(self, **values: Any) -> Scene:
-        """The same scene with other values of some keys of its solver section."""
-        return self.model_copy(update={"solver": self.solver.model_copy(update=values)})
+    def with_deformables(self, change: dict | Callable[[Body], Body]) -> Scene:
+        """The same scene with all deformable bodies changed; see `changed`."""
+        return self.changed(body=change, bodies=change)
 
     def file_path(self, file: Path) -> Path:
         """The path of a file in an entry, relative to the folder of the scene file."""

@@ -40,7 +40,7 @@ SETTLED, MOST_LINEARIZATIONS = 0.1, 12
 
 def full_scene(scene: Scene) -> Scene:
     """The scene with all nodes of its reduced bodies as unknowns, one linearization a step."""
-    return without_reductions(scene).with_solver(newton_iterations=1)
+    return without_reductions(scene).changed(solver={"newton_iterations": 1})
 
 
 class FullError(NamedTuple):

@@ -120,39 +120,27 @@ def _refuse_hexahedra(scene: Scene) -> None:
 def still(scene: Scene) -> Scene:
     """The scene in statics, without contact, with its actuators without limits."""
     anything = (-np.inf, np.inf)
-    cables = _changed(
-        scene.cables, rate=None, shortening=(-1.0e3, 1.0e3), tension=(0.0, 1.0e9), pulley=None,
-        friction=0.0, presliding=None,
-    )  # fmt: skip
-    cavities = _changed(
-        scene.cavities, rate=None, flow=None, pressure=anything, growth=anything,
-        volume=(0.0, np.inf),
-    )  # fmt: skip
     # Free rigid bodies are fixed: without contact they are not supported.
-    rigid = _changed(scene.rigid_bodies, motion="guided", speed=None, turn_rate=None)
-    return scene.with_deformables(_changed(scene.deformables, mass=None)).model_copy(update={
-        "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
-        "motors": (), "markers": (), "cables": cables, "cavities": cavities,
-        "rigid_bodies": rigid, "effectors": tuple(map(_position_of, scene.effectors)),
-    }).with_solver(newton_iterations=_MOST_ITERATIONS)  # fmt: skip
-
-
-def _changed(entries: Iterable, **values) -> tuple:
-    """Entries of a scene with other values of some keys."""
-    return tuple(entry.model_copy(update=values) for entry in entries)
+    return scene.with_deformables({"mass": None}).changed(
+        integration="quasi_static", contact=None, obstacles=(), slides=(), motors=(), markers=(),
+        cables=dict(rate=None, shortening=(-1.0e3, 1.0e3), tension=(0.0, 1.0e9), pulley=None,
+                    friction=0.0, presliding=None),
+        cavities=dict(rate=None, flow=None, pressure=anything, growth=anything,
+                      volume=(0.0, np.inf)),
+        rigid_bodies=dict(motion="guided", speed=None, turn_rate=None), effectors=_position_of,
+        solver=dict(newton_iterations=_MOST_ITERATIONS),
+    )  # fmt: skip
 
 
 def _position_of(effector):
     """An effector without markers whose position alone is judged."""
     directions = effector.directions or ("x", "y", "z")
-    return effector.model_copy(update={
-        "measured_by": (), "orientation": None, "directions": directions,
-    })  # fmt: skip
+    return effector.changed(measured_by=(), orientation=None, directions=directions)
 
 
 def with_element(scene: Scene, element: str) -> Scene:
     """The scene with all deformable bodies of one kind of element, its volumes kept as usual."""
-    return scene.with_deformables(_changed(scene.deformables, element=element, volume=None))
+    return scene.with_deformables({"element": element, "volume": None})
 
 
 def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
@@ -170,17 +158,16 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
     count = sum(body.mesh.cell_count for body in layout.bodies)
     if count > MOST_TETS:
         raise MeshErrorUnknown(f"its {count} tetrahedra are more than {MOST_TETS}")
-    cables = tuple(
-        cable.model_copy(update={
-            "hold_radius": cable.hold_radius or PATCH_SHARE * _size(layout, cable.body)})
-        for cable in scene.cables
-    )  # fmt: skip
     stiffness = max(
         part.young_modulus * body.size**2 for body in layout.bodies for part in body.materials
     )
     weight = sum(body.mass for body in layout.bodies) * np.linalg.norm(scene.gravity)
     tolerance = max(_BALANCED * float(weight), _ROUNDING * stiffness)
-    exact = scene.with_solver(residual_tolerance=tolerance).model_copy(update={"cables": cables})
+    exact = scene.changed(
+        solver={"residual_tolerance": tolerance},
+        cables=lambda cable: cable.changed(
+            hold_radius=cable.hold_radius or PATCH_SHARE * _size(layout, cable.body)),
+    )  # fmt: skip
     return Simulation(exact, now, with_warnings=False)
 
 
@@ -190,7 +177,7 @@ def _size(layout, name: str | None) -> float:
 
 def step_time(scene: Scene, now: Callable[[], float]) -> float:
     """Median time of a step of one linearization at rest, of the scene itself [s]."""
-    simulation = Simulation(scene.with_solver(newton_iterations=1), now, with_warnings=False)
+    simulation = Simulation(scene.changed(solver={"newton_iterations": 1}), now, with_warnings=False)
     before = simulation.state
     times = []
     for _ in range(_TIMED_STEPS):

@@ -29,7 +29,7 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.actuator_entries import Cable, Cavity
+from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
 from softrobot_twin.scene.entry import expanded
 from softrobot_twin.scene.loading import read_yaml, written_out
@@ -108,34 +108,9 @@ def write_scene_copy(
         path.write_text(head + text, encoding="utf-8")
 
 
-def replaced(
-    scene: Scene, *, body: dict | None = None, solver: dict | None = None,
-    cables: Callable[[Cable], dict] | None = None,
-    cavities: Callable[[Cavity], dict] | None = None, **own: object,
-) -> Scene:  # fmt: skip
-    """The same scene with entries replaced.
-
-    Args:
-        scene: The scene.
-        body: Entries of its one body.
-        solver: Entries of its solver.
-        cables: Gives entries of each cable.
-        cavities: Gives entries of each cavity.
-        own: Entries of the scene itself.
-    """
-    for name, entries in (("body", body), ("solver", solver)):
-        if entries is not None:
-            own[name] = getattr(scene, name).model_copy(update=entries)
-    for name, of_each in (("cables", cables), ("cavities", cavities)):
-        if of_each is not None:
-            own[name] = tuple(entry.model_copy(update=of_each(entry))
-                              for entry in getattr(scene, name))
-    return scene.model_copy(update=own)
-
-
 def with_mesh_file(scene: Scene, file: Path) -> Scene:
     """The same scene with another mesh file, placed by the same transformation."""
-    return replaced(scene, body={"mesh": scene.body.mesh.model_copy(update={"file": file})})
+    return scene.changed(body={"mesh": {"file": file}})
 
 
 def _own_level(scene: Scene) -> MeshLevel:
@@ -147,7 +122,7 @@ def _own_level(scene: Scene) -> MeshLevel:
 
 def with_element(scene: Scene, element: str) -> Scene:
     """The same scene with other elements of tetrahedra."""
-    return replaced(scene, body={"element": element})
+    return scene.changed(body={"element": element})
 
 
 def with_law(scene: Scene, law: str) -> Scene:
@@ -155,8 +130,7 @@ def with_law(scene: Scene, law: str) -> Scene:
     material = scene.body.material
     if law == material.law:
         return scene
-    changed = material.model_copy(update=_constants_of(material, law))
-    return replaced(scene, body={"material": changed})
+    return scene.changed(body={"material": _constants_of(material, law)})
 
 
 def _constants_of(material: Material, law: str) -> dict:
@@ -170,12 +144,13 @@ def _constants_of(material: Material, law: str) -> dict:
 
 def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
     """The same scene with a number of linearizations per step and a residual tolerance [N]."""
-    return replaced(scene, solver={"newton_iterations": iterations, "residual_tolerance": tolerance})
+    return scene.changed(solver={"newton_iterations": iterations, "residual_tolerance": tolerance})
 
 
 def with_hold_radius(scene: Scene, radius: float) -> Scene:
     """The same scene; cable forces at points are spread over a radius [m]."""
-    return replaced(scene, cables=lambda cable: {"hold_radius": cable.hold_radius or radius})
+    return scene.changed(
+        cables=lambda cable: cable.changed(hold_radius=cable.hold_radius or radius))  # fmt: skip
 
 
 def unlimited(scene: Scene, efforts: bool = False, displacements: bool = False) -> Scene:
@@ -188,23 +163,23 @@ def unlimited(scene: Scene, efforts: bool = False, displacements: bool = False) 
             prescribed.
     """
 
-    def of_cable(cable: Cable) -> dict:
+    def of_cable(cable: Cable) -> Cable:
         free: dict = {"rate": None}
         if efforts:
             free["tension"] = 0.0, 1e3 * cable.tension[1] or 1e3
-        return free | ({"shortening": (-10.0, 10.0)} if displacements else {})
+        return cable.changed(**free, **({"shortening": (-10.0, 10.0)} if displacements else {}))
 
     of_cavity: dict = {"rate": None, "flow": None, "control": "volume"}
     if efforts:
         of_cavity["pressure"] = -np.inf, np.inf
     if displacements:
         of_cavity |= {"growth": (-np.inf, np.inf), "volume": (0.0, np.inf)}
-    return replaced(scene, cables=of_cable, cavities=lambda _: of_cavity)
+    return scene.changed(cables=of_cable, cavities=of_cavity)
 
 
 def weightless(scene: Scene) -> Scene:
     """The same scene without gravity."""
-    return replaced(scene, gravity=(0.0, 0.0, 0.0))
+    return scene.changed(gravity=(0.0, 0.0, 0.0))
 
 
 def given_words(scene: Scene) -> tuple[str, str]:
@@ -920,7 +895,7 @@ class ReducedModel(NamedTuple):
     @property
     def scene(self) -> Scene:
         """The scene with it."""
-        return replaced(self.level.scene, body={"reduced": Reduced(file=self.path.resolve())})
+        return self.level.scene.changed(body={"reduced": Reduced(file=self.path.resolve())})
 
     @property
     def columns(self) -> dict[str, object]:
@@ -1082,10 +1057,9 @@ def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
         folder.mkdir(parents=True, exist_ok=True)
         write_mesh(file, mesh)
         nodes = tuple(int(node) for node in np.flatnonzero(is_fixed))
-        placed = scene.body.mesh.model_copy(update={
-            "file": file, "box": None, "size": None, "scale": 1.0, "rotation": (0.0,) * 3,
-            "translation": (0.0,) * 3})
-        finer = replaced(scene, body={"mesh": placed, "fixed": (Region(nodes=nodes),)})
+        placed = {"file": file, "box": None, "size": None, "scale": 1.0, "rotation": (0.0,) * 3,
+                  "translation": (0.0,) * 3}
+        finer = scene.changed(body={"mesh": placed, "fixed": (Region(nodes=nodes),)})
         levels.append(_level(file.stem, finer, False))
     return levels
 

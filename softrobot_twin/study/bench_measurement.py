@@ -487,7 +487,7 @@ def full_size(size: SizeMeasurement, sizes: Sequence[SizeMeasurement]) -> SizeMe
 def _bodies(scene: Scene) -> list[tuple]:
     """Mesh, element and material of each body, which a reduced model shares with its full one."""
     return [(body.mesh if body.mesh.file is None else
-             body.mesh.model_copy(update={"file": scene.file_path(body.mesh.file).resolve()}),
+             body.mesh.changed(file=scene.file_path(body.mesh.file).resolve()),
              body.element, body.material) for body in scene.deformables]
 
 
@@ -510,14 +510,11 @@ def robot_cases() -> list[BenchCase]:
     # It touches a cylinder in this interval.
     trunk = case("trunk_cylinders", "the Trunk", path=("trunk_path.csv", 5.6, 8.3))
     small = with_mesh_file(trunk.scene, trunk.scene.mesh_path.with_name("trunk_700.vtk"))
-    small = small.model_copy(update={
-        "obstacles": small.obstacles[:1],
-        "contact": small.contact.model_copy(update={"between": small.contact.between[:1]}),
-    })
+    small = small.changed(
+        obstacles=small.obstacles[:1], contact={"between": small.contact.between[:1]})
     # Published for the Diamond in the C++ framework: 32 modes and hyper-reduction.
     published = Paper(32, 4.6e-3, "the published reduction's", required=0.3e-3)
     reduced = case("diamond_reduced", "the Diamond, reduced", paper=published)
-    body = reduced.scene.body.model_copy(update={"reduced": None})
     best = "its C++ code's best"
     return [
         case("grasper", commands="grasper_lift.csv", paper=Paper(1422, 5.0e-3)),
@@ -537,7 +534,7 @@ def robot_cases() -> list[BenchCase]:
              paper=Paper(912, 4.5e-3, required=0.4e-3)),
         case("stifface", paper=Paper(2285, 30.0e-3, required=3.0e-3)),
         reduced._replace(name="diamond_quadratic", family="the Diamond, quadratic", paper=None,
-                         scene=reduced.scene.model_copy(update={"body": body})),
+                         scene=reduced.scene.changed(body={"reduced": None})),
         reduced,
     ]  # fmt: skip
 

@@ -51,26 +51,17 @@ class SceneEffect(NamedTuple):
     without: Callable[[Scene], Scene]
 
 
-def _with_bodies(scene: Scene, change: Callable) -> Scene:
-    return scene.with_deformables(map(change, scene.deformables))
-
-
 def _without_of_materials(name: str, none: object) -> SceneEffect:
     """An effect that materials have."""
 
-    def materials(body) -> list:
-        return [body.material, *body.materials]
-
-    def changed(body):
-        parts = [part if getattr(part, name) is None else part.model_copy(update={name: none})
-                 for part in body.materials]  # fmt: skip
-        whole = body.material.model_copy(update={name: none})
-        return body.model_copy(update={"material": whole, "materials": tuple(parts)})
-
     return SceneEffect(
         f"{name} of materials",
-        lambda scene: any(getattr(part, name) for body in scene.deformables for part in materials(body)),
-        lambda scene: _with_bodies(scene, changed),
+        lambda scene: any(getattr(part, name) for body in scene.deformables
+                          for part in (body.material, *body.materials)),
+        lambda scene: scene.with_deformables({
+            "material": {name: none},
+            "materials": lambda part: (
+                part if getattr(part, name) is None else part.changed(**{name: none}))}),
     )  # fmt: skip
 
 
@@ -79,8 +70,7 @@ def _without_of_cables(words: str, name: str, none: object) -> SceneEffect:
     return SceneEffect(
         words,
         lambda scene: any(getattr(cable, name) for cable in scene.cables),
-        lambda scene: scene.model_copy(update={"cables": tuple(
-            cable.model_copy(update={name: none, "presliding": None}) for cable in scene.cables)}),
+        lambda scene: scene.changed(cables={name: none, "presliding": None}),
     )  # fmt: skip
 
 
@@ -90,46 +80,37 @@ def _is_self(touching) -> bool:
 
 def _without_self_contact(scene: Scene) -> Scene:
     kept = tuple(one for one in scene.contact.between if not _is_self(one))
-    contact = scene.contact.model_copy(update={"between": kept, "points": ()}) if kept else None
-    return scene.model_copy(update={"contact": contact})
-
-
-def _without_friction(scene: Scene) -> Scene:
-    pairs = tuple(one.model_copy(update={"friction": None}) for one in scene.contact.between)
-    contact = scene.contact.model_copy(update={"between": pairs, "friction": 0.0})
-    return scene.model_copy(update={"contact": contact})
+    return scene.changed(contact={"between": kept, "points": ()} if kept else None)
 
 
 EFFECTS = (
     SceneEffect("contact", lambda scene: scene.contact is not None,
-                lambda scene: scene.model_copy(update={"contact": None})),
+                lambda scene: scene.changed(contact=None)),
     SceneEffect("friction of contact",
                 lambda scene: scene.contact is not None and bool(
                     scene.contact.friction or any(one.friction for one in scene.contact.between)),
-                _without_friction),
+                lambda scene: scene.changed(contact={"between": {"friction": None}, "friction": 0.0})),
     SceneEffect("self-contact",
                 lambda scene: scene.contact is not None and bool(
                     scene.contact.points or any(map(_is_self, scene.contact.between))),
                 _without_self_contact),
     SceneEffect("motion in time", lambda scene: scene.integration != "quasi_static",
-                lambda scene: scene.model_copy(update={"integration": "quasi_static"})),
+                lambda scene: scene.changed(integration="quasi_static")),
     SceneEffect("gravity", lambda scene: any(scene.gravity),
-                lambda scene: scene.model_copy(update={"gravity": (0.0, 0.0, 0.0)})),
+                lambda scene: scene.changed(gravity=(0.0, 0.0, 0.0))),
     _without_of_materials("viscosity", ()),
     _without_of_materials("softening", None),
     SceneEffect("damping",
                 lambda scene: any(body.damping != Damping() for body in scene.deformables),
-                lambda scene: _with_bodies(
-                    scene, lambda body: body.model_copy(update={"damping": Damping()}))),
+                lambda scene: scene.with_deformables({"damping": Damping()})),
     _without_of_cables("stretch of cables", "axial_stiffness", None),
     _without_of_cables("friction along cables", "friction", 0.0),
     SceneEffect("volume patches",
                 lambda scene: any(body.has_patches for body in scene.deformables),
-                lambda scene: _with_bodies(
-                    scene, lambda body: body.model_copy(update={"volume": "per_element"}))),
+                lambda scene: scene.with_deformables({"volume": "per_element"})),
     SceneEffect("strain smoothed over edges",
                 lambda scene: any(body.element == "smoothed" for body in scene.deformables),
-                lambda scene: _with_bodies(scene, _with_linear_elements)),
+                lambda scene: scene.with_deformables(_with_linear_elements)),
 )  # fmt: skip
 """All effects that can be left out, in the order in which they are told."""
 
@@ -143,7 +124,7 @@ def _with_linear_elements(body):
     if body.element != "smoothed":
         return body
     volume = "patches" if body.has_patches else "per_element"
-    return body.model_copy(update={"element": "linear", "volume": volume})
+    return body.changed(element="linear", volume=volume)
 
 
 class EffectCost(NamedTuple):

@@ -161,19 +161,17 @@ def training_scene(scene: Scene, sampling: Sampling) -> Scene:
         scene: The scene.
         sampling: What is sampled.
     """
-    solver = scene.solver.model_copy(update={
-        "newton_iterations": ITERATIONS,
-        "residual_tolerance": 1.0e-3 * scene.solver.residual_tolerance,
-    })  # fmt: skip
     touches = tuple(
         Touch(name=f"load_{index}", body=sampling.body, points=points,
               while_touched="follow_targets")
         for index, points in enumerate(sampling.load_points)
     )  # fmt: skip
-    changed = {"solver": solver, "touches": touches}
-    if sampling.in_contact:
-        changed.update(contact=scene.contact, obstacles=scene.obstacles)
-    return full_scene(scene).model_copy(update=changed)
+    touching = (dict(contact=scene.contact, obstacles=scene.obstacles) if sampling.in_contact else {})
+    return full_scene(scene).changed(
+        touches=touches, **touching,
+        solver=dict(newton_iterations=ITERATIONS,
+                    residual_tolerance=1.0e-3 * scene.solver.residual_tolerance),
+    )  # fmt: skip
 
 
 def spread_points(body: Body, count: int) -> np.ndarray:

@@ -88,20 +88,15 @@ class Accuracy(NamedTuple):
 
 def full_scene(scene: Scene) -> Scene:
     """The scene in statics with all nodes free, without rates and contact, solved exactly."""
-    solver = scene.solver.model_copy(update={
-        "newton_iterations": MOST_ITERATIONS,
-        "residual_tolerance": EXACT * scene.solver.residual_tolerance,
-    })  # fmt: skip
-    freed = {
-        section: tuple(
-            entry.model_copy(update={"rate": None}) if hasattr(entry, "rate") else entry
-            for entry in entries
-        )
-        for section, entries in scene.actuator_entries.items()
-    }
-    return scene.model_copy(update={
-        "integration": "quasi_static", "contact": None, "obstacles": (), "solver": solver, **freed,
-    })  # fmt: skip
+    def freed(entry):
+        return entry.changed(rate=None) if hasattr(entry, "rate") else entry
+
+    return scene.changed(
+        integration="quasi_static", contact=None, obstacles=(),
+        solver=dict(newton_iterations=MOST_ITERATIONS,
+                    residual_tolerance=EXACT * scene.solver.residual_tolerance),
+        **dict.fromkeys(scene.actuator_entries, freed),
+    )  # fmt: skip
 
 
 def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarray:

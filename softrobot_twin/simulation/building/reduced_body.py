@@ -42,18 +42,13 @@ def without_fallback(scene: Scene) -> Scene:
 
 def with_reduced_entries(scene: Scene, changes: dict) -> Scene:
     """The same scene with some keys of `reduced` of its reduced bodies changed."""
-    return with_entries(scene, {
-        body.name: body.reduced.model_copy(update=changes)
-        for body in scene.deformables if body.reduced is not None
-    })  # fmt: skip
+    return scene.with_deformables({"reduced": changes})
 
 
 def with_entries(scene: Scene, reduced: dict) -> Scene:
     """The same scene with other entries `reduced` of some bodies, by their names."""
     return scene.with_deformables(
-        body.model_copy(update={"reduced": reduced[body.name]}) if body.name in reduced else body
-        for body in scene.deformables
-    )
+        lambda body: body.changed(reduced=reduced.get(body.name, body.reduced)))  # fmt: skip
 
 
 class Placed:

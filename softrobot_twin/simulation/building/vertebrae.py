@@ -123,9 +123,7 @@ class Division(NamedTuple):
 
 def without_vertebrae(scene: Scene) -> Scene:
     """The same scene with all nodes of its bodies as unknowns."""
-    return scene.with_deformables(
-        body.model_copy(update={"vertebrae": None}) for body in scene.deformables
-    )
+    return scene.with_deformables({"vertebrae": None})
 
 
 def divide(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> Division:

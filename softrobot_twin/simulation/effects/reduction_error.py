@@ -33,7 +33,7 @@ from softrobot_twin.simulation.step.steppable import Steppable
 def with_spare_modes(scene: Scene) -> Scene:
     """The scene with the spare modes of its reduced bodies in use, and one linearization a step."""
     extended = with_reduced_entries(without_fallback(scene), {"spare_modes": True})
-    return extended.with_solver(newton_iterations=1)
+    return extended.changed(solver={"newton_iterations": 1})
 
 
 def step_held(simulation: Steppable, state: State) -> StepResult:
