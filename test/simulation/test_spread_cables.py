@@ -9,6 +9,7 @@ from softrobot_twin.constraints import cable
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
+from softrobot_twin.simulation.unit_checks import linear_sag
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
@@ -70,3 +71,11 @@ def test_the_tip_yields_as_with_all_blocks(fingers):
     found = [apparent_compliance(simulation) for simulation in fingers]
     np.testing.assert_allclose(found[1].compliance, found[0].compliance, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(found[1].jacobian, found[0].jacobian, rtol=1e-7, atol=1e-9)
+
+
+def test_the_sag_is_that_without_pulls(fingers):
+    blocks, rows = fingers
+    sag = linear_sag(blocks.model)
+    assert linear_sag(rows.model) == pytest.approx(sag, rel=1e-9)
+    rows.step(CommandSetpoints(0.2 * rows.limits.setpoint_range(rows.rest_setpoints)[1], 0.02))
+    assert linear_sag(rows.model) == pytest.approx(sag, rel=1e-9)
