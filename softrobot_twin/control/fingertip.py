@@ -83,10 +83,9 @@ class Fingertip:
             self._origin = np.array(self._simulation.touches.points[self._index])
         course = (share - PAUSE) / (1.0 - PAUSE)
         depth = 0.5 * self._presses.depth * (1.0 - np.cos(2.0 * np.pi * course))
-        shape = (len(self._simulation.touch_names), 3)
-        forces, places = np.full(shape, np.nan), np.full(shape, np.nan)
-        places[self._index] = self._origin + depth * self._direction
-        return Touched(forces, places)
+        touched = Touched.none(len(self._simulation.touch_names))
+        touched.places[self._index] = self._origin + depth * self._direction
+        return touched
 
     def observe(self, result: StepResult) -> None:
         """Lets go where a step's force pulls at the robot."""

@@ -21,13 +21,11 @@ from softrobot_twin.control.arrival import (
     refusal_of_vector,
 )
 from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.simulation.channels import NOT_UNIT
 
 _SMALLEST_COMPONENT = 1.0e-3
 """A quaternion whose components are all smaller than this is not a rotation. A pose message has
 zeros when its sender did not set the rotation."""
-
-_NOT_UNIT = 1.0e-2
-"""A wanted orientation whose quaternion is off unit length by more was not meant as a rotation."""
 
 
 # --- targets -------------------------------------------------------------------------------------
@@ -136,7 +134,7 @@ class TargetInput(Input):
     def _fault_of_pose(self, effector: int, pose: Pose) -> Refusal | None:
         if not self._oriented[effector]:
             return Refusal.WRONG_NAMES
-        is_off = abs(math.hypot(*pose.quaternion.ravel()) - 1.0) > _NOT_UNIT
+        is_off = abs(math.hypot(*pose.quaternion.ravel()) - 1.0) > NOT_UNIT
         return refusal_of_pose(pose) or (Refusal.NO_ROTATION if is_off else None)
 
     def _keep_position(self, effector: int, position: np.ndarray, source: str) -> None:

@@ -44,8 +44,7 @@ class TouchInput(Input):
     def reset(self) -> None:
         """Ends all touches; the counts stay."""
         super().reset()
-        shape = (len(self.names), 3)
-        self._forces, self._places = np.full(shape, np.nan), np.full(shape, np.nan)
+        self._forces, self._places = Touched.none(len(self.names))
         self._heard = np.full(len(self.names), -math.inf)
 
     def accept_force(self, touch: int, force, arrival: Arrival) -> Refusal | None:

@@ -66,6 +66,7 @@ from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.channels import from_outside
 
 if TYPE_CHECKING:
@@ -202,8 +203,7 @@ class ComplianceOutputs:
         self._send(self._compliances, found.compliance, self._FORCES, header())
         actuators = loop.simulation.actuators
         quantities = actuators.driven_quantities(found.is_by_effort)
-        columns = [f"{name}_{quantity.word}_{quantity.unit}"
-                   for name, quantity in zip(actuators.names, quantities, strict=True)]  # fmt: skip
+        columns = list(map(column, actuators.names, quantities))
         self._send(self._jacobians, found.jacobian, columns, header())
         return True
 

@@ -27,8 +27,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.building.pulleys import ANGLE
 from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.channels import WANTED, Channel
-from softrobot_twin.simulation.runs.input_tables import NOT_UNIT
+from softrobot_twin.simulation.channels import NOT_UNIT, WANTED, Channel
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]
@@ -466,7 +465,7 @@ class CommandReader:
                  for word in ("force_N", "displacement_m", "place_m")}
         if not touches:
             return None
-        forces, places = np.full((len(names), 3), np.nan), np.full((len(names), 3), np.nan)
+        touched = Touched.none(len(names))
         for name, value in touches.items():
             if name not in known or before is None:
                 raise unknown(name, "touches:", tuple(known))
@@ -474,17 +473,16 @@ class CommandReader:
             numbers = np.array(finite_numbers(name, value))
             if numbers.shape != (3,):
                 raise CommandError(name, f"must be 3 numbers, not {len(numbers)}")
-            if np.isfinite(forces[index]).any() or np.isfinite(places[index]).any():
+            if np.isfinite([one[index] for one in touched]).any():
                 raise CommandError(name, f"{names[index]} is given twice: give one of force, "
                                    "displacement and place")
             if word == "force_N":
-                forces[index] = numbers
+                touched.forces[index] = numbers
             elif word == "place_m":
-                places[index] = numbers
-            elif numbers.any():  # A displacement of zero is no touch, as in a commands file.
-                origins = before.origins if before.is_touched[index] else before.points
-                places[index] = origins[index] + numbers
-        return Touched(forces, places)
+                touched.places[index] = numbers
+            else:
+                touched.displace(index, numbers, before)
+        return touched
 
 
 def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:

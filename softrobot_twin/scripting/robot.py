@@ -518,8 +518,7 @@ class Robot:
         place, found = self._place(effector), self._yielding()
         actuators = self.simulation.actuators
         quantities = actuators.driven_quantities(found.is_by_effort)
-        columns = tuple(f"{name}_{quantity.word}_{quantity.unit}"
-                        for name, quantity in zip(actuators.names, quantities, strict=True))
+        columns = tuple(map(column, actuators.names, quantities))
         return LabelledMatrix(found.jacobian[place], ("x_m", "y_m", "z_m"), columns,
                               f"motion of {effector} [m] by one unit of each actuator")
 

@@ -28,6 +28,10 @@ from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.simulation import Simulation
 
 
+NOT_UNIT = 1.0e-2
+"""A quaternion that is off unit length by more is not rounded but a mistake."""
+
+
 class Channel(NamedTuple):
     """A quantity of all objects of a kind.
 

@@ -38,6 +38,23 @@ class Touched(NamedTuple):
     forces: np.ndarray
     places: np.ndarray
 
+    @classmethod
+    def none(cls, count: int) -> Touched:
+        """Nothing is measured of so many touches; the arrays may be filled."""
+        return cls(*np.full((2, count, 3), np.nan))
+
+    def displace(self, index: int, displacement: np.ndarray, before: TouchState) -> None:
+        """Fills the place of a touch in; a displacement of zero is no touch.
+
+        Args:
+            index: The touch.
+            displacement: Of its point since its touch began [m], shape (3,).
+            before: The touches before, which may have begun already.
+        """
+        if displacement.any():
+            origins = before.origins if before.is_touched[index] else before.points
+            self.places[index] = origins[index] + displacement
+
     @property
     def is_any(self) -> bool:
         """Whether any point is touched."""

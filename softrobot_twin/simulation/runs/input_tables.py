@@ -47,7 +47,7 @@ from softrobot_twin.simulation.building.table_columns import (
     target_name,
     unit_of,
 )
-from softrobot_twin.simulation.channels import WANTED, Channel
+from softrobot_twin.simulation.channels import NOT_UNIT, WANTED, Channel
 from softrobot_twin.simulation.command import (
     DEFAULT_TIME_STEP,
     Command,
@@ -310,8 +310,6 @@ def open_columns(source: Path | str | Mapping, example: str) -> Columns:
 
 
 _OF_ACTUATORS = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
-NOT_UNIT = 1.0e-2
-"""A quaternion that is off unit length by more is not rounded but a mistake."""
 TARGETS_EXAMPLE = ",".join((TIME, *position_columns("tip")))
 
 
@@ -719,19 +717,15 @@ class CommandTable:
             time: The time [s].
             simulation: Its touches may have begun already.
         """
-        before, names = simulation.touches, simulation.touch_names
-        forces, places = (np.full((len(names), 3), np.nan) for _ in range(2))
+        names = simulation.touch_names
+        touched = Touched.none(len(names))
         for name, columns in self.touches.items():
             index, value = names.index(name), _between(time, self.times, columns.values)
-            if not value.any():
-                continue
             if columns.are_forces:
-                forces[index] = value
+                touched.forces[index] = value if value.any() else np.nan
             else:
-                origins = before.origins if before.is_touched[index] else before.points
-                places[index] = origins[index] + value
-        acts = np.isfinite(forces).any() or np.isfinite(places).any()
-        return Touched(forces, places) if acts else None
+                touched.displace(index, value, simulation.touches)
+        return touched if np.isfinite([*touched]).any() else None
 
     def command(self, time: float, time_step: float) -> Command:
         """Command of the actuators at a time [s], for a step of a duration [s]."""
