@@ -14,7 +14,9 @@ from softrobot_twin.traced_stage import TracedStages, clear
 
 SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
 # Those of which all terms are traceable, and which the driver must therefore run.
-TRACED = {"diamond", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger"}
+TRACED = {
+    "diamond", "diamond_reduced", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger",
+}
 
 
 @njit(**KERNEL)
