@@ -27,6 +27,7 @@ with the rows D of displacements. D is H, except in scenes with friction along c
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.apparent_stiffness import SHARING
-from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+from softrobot_twin.solvers.dense_stiffness import laid_out_alike
 from softrobot_twin.solvers.factorization import Factorization, NodeRows, laid_out_like
 from softrobot_twin.solvers.superlu import SuperLU
 
@@ -132,7 +133,7 @@ class EffectorCompliance:
         # factorization may take no notice.
         self._may_be_definite = not (
             any(part.is_free for part in model.rigid) or model.has_motors_of_hinges
-            or isinstance(model.factorization, DenseStiffness)
+            or not model.actuators.conserves
         )  # fmt: skip
         if self._count:
             nodes = model.nodes
@@ -300,12 +301,13 @@ class EffectorCompliance:
         self._assemble(positions)
         if self._may_be_definite:
             if self._own is None:
-                self._own = laid_out_like(model.factorization, type(model.factorization))
+                self._own = laid_out_alike(model.factorization)
             factorization, places = self._own
             factorization.storage[:] = self._storage[places]
-            if factorization.factor():
-                condensed = _Condensed(factorization, model.nodes.free_node_count)
-                return condensed.solve(positions, rows, holding)
+            with suppress(np.linalg.LinAlgError):
+                if factorization.factor():
+                    condensed = _Condensed(factorization, model.nodes.free_node_count)
+                    return condensed.solve(positions, rows, holding)
         if self._lu is None:
             self._lu = laid_out_like(model.factorization, SuperLU)
         lu, places = self._lu

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
+from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows, laid_out_like
 
 NO_ROWS = NodeRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), 0)
 
@@ -266,3 +266,11 @@ def with_rows_of(term, factorization: Factorization) -> DenseStiffness:
         return DenseStiffness(factorization, [term])
     factorization._terms.append(term)
     return factorization
+
+
+def laid_out_alike(factorization: Factorization) -> tuple[Factorization, np.ndarray]:
+    """A factorization of the same class, pattern and dense rows, and its places; see `laid_out_like`."""
+    if not isinstance(factorization, DenseStiffness):
+        return laid_out_like(factorization, type(factorization))
+    inner, places = laid_out_like(factorization._inner, type(factorization._inner))
+    return DenseStiffness(inner, factorization._terms), places
