@@ -5,6 +5,8 @@ Markers are compared with the model's markers at the time of the measurement.
 
 from __future__ import annotations
 
+from statistics import median
+
 import numpy as np
 
 from softrobot_twin.control.loop_timing import NANOSECONDS
@@ -222,7 +224,7 @@ class MarkerPlausibility:
         learning = max(_NOISE_LEARNING, 1.0 / (1.0 + self._frames))
         # Limited, because one frame or one wrong marker could raise the noise without bound.
         most = max(3.0 * self._noise, _FIRST_NOISE_SHARE * self._size)
-        typical = min(float(np.median(deviations)) / _LENGTH_OF_NOISE, most)
+        typical = min(median(deviations.tolist()) / _LENGTH_OF_NOISE, most)
         self._noise += learning * (typical - self._noise)
 
     def _votes(self, seen: np.ndarray) -> np.ndarray:
