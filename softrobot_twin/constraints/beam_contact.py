@@ -9,7 +9,6 @@ import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact_pairs import NO_NODE, ContactPair
-from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
 from softrobot_twin.geometry.round_axes import (
     RoundAxis,
     axis_distances,
@@ -21,8 +20,6 @@ from softrobot_twin.geometry.round_axes import (
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import row, subtract
 from softrobot_twin.mechanics.barycentric import writable
-
-FIRST_ROOM = 64
 
 
 @njit(**KERNEL)
@@ -145,22 +142,6 @@ class RoundBeam:
         )  # fmt: skip
 
 
-class _GrowingRows:
-    """Rows that grow until all pairs have room."""
-
-    def __init__(self) -> None:
-        """Begin with room for a few pairs."""
-        self._rows = empty_rows(FIRST_ROOM, 0)
-
-    def filled_by(self, pair) -> Proximities:
-        """All pairs that a function writes into integers and reals; it returns their number."""
-        while True:
-            count = pair(self._rows.integers, self._rows.reals)
-            if count <= len(self._rows.reals):
-                return proximities(self._rows, count)
-            self._rows = empty_rows(2 * count, 0)
-
-
 class BeamAndShape(ContactPair):
     """A round beam and an analytic shape on a rigid body or an obstacle."""
 
@@ -185,7 +166,6 @@ class BeamAndShape(ContactPair):
         origin, axes = shape.frame()
         self._origin, self._axes = np.array(origin, float), np.array(axes, float)
         self._placed = np.empty((4, 3))
-        self._rows = _GrowingRows()
         self._excluded = np.zeros(2 * beam.element_count + 1, np.bool_)
         if len(held_nodes):
             self._exclude(set((self.near(rest, 0.0).keys // 2).tolist()), held_nodes)
@@ -199,18 +179,17 @@ class BeamAndShape(ContactPair):
                     self._excluded[max(2 * k - 1, 0) : 2 * k + 2] = True
                     k += way
 
-    def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
+    def write(self, positions, reach, rows, span) -> None:
+        """See `ContactPair.write`."""
         origin, rotation = self.second.pose(positions)
         place_frame(
             self._origin, self._axes, np.array(origin, float), np.array(rotation, float),
             self._placed,
         )  # fmt: skip
         axis = self.first.axis(positions)
-        return self._rows.filled_by(lambda integers, reals: pair_axis_with_shape(
-            axis, self._excluded, self._shape.kind, self._extents, self._placed, float(margin),
-            integers, reals,
-        ))  # fmt: skip
+        pair_axis_with_shape(
+            axis, self._excluded, self._shape.kind, self._extents, self._placed, reach, rows, span
+        )
 
 
 class TwoRoundBeams(ContactPair):
@@ -228,15 +207,11 @@ class TwoRoundBeams(ContactPair):
         """
         super().__init__(first, second, friction, names)
         self._excluded = np.ascontiguousarray(excluded, np.bool_)
-        self._rows = _GrowingRows()
 
-    def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
+    def write(self, positions, reach, rows, span) -> None:
+        """See `ContactPair.write`."""
         first, second = self.first.axis(positions), self.second.axis(positions)
-        return self._rows.filled_by(lambda integers, reals: pair_axes(
-            first, second, self.first is self.second, self._excluded, float(margin), integers,
-            reals,
-        ))  # fmt: skip
+        pair_axes(first, second, self.first is self.second, self._excluded, reach, rows, span)
 
 
 def never_touching(first: RoundBeam, second: RoundBeam, rest: np.ndarray) -> np.ndarray:

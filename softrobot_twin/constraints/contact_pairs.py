@@ -397,19 +397,13 @@ class TwoSurfaces(ContactPair):
         a `SelfDetector`, where both sides are the same.
         """
         super().__init__(first, second, friction, names)
-        self._detector, self.is_traceable = detector, hasattr(detector, "write")
+        self._detector, self.is_traceable = detector, getattr(detector, "is_traceable", False)
         self._sides = (first,) if first is second else (first, second)
-
-    def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
-        return self._detector.detect(*(side.points(positions) for side in self._sides), margin)
 
     def write(self, positions, reach, rows, span) -> None:
         """See `ContactPair.write`."""
-        if self.is_traceable:
-            self._detector.write(self.first.points(positions), reach, rows, span)
-        else:
-            super().write(positions, reach, rows, span)
+        points = [side.points(positions) for side in self._sides]
+        self._detector.write(*points, reach, rows, span)
 
 
 class BallAndShape(ContactPair):

@@ -54,6 +54,7 @@ class CellGrid(NamedTuple):
         items: The item lists of all cells, concatenated, shape (item_capacity,).
         boxes: Lower and upper corner of the box of each item [m], shape (item_count, 6).
         chosen: Items whose box meets the region of the grid, shape (item_count,).
+        near: Items near a point that is looked at, shape (item_count,).
     """
 
     frame: np.ndarray
@@ -62,6 +63,7 @@ class CellGrid(NamedTuple):
     items: np.ndarray
     boxes: np.ndarray
     chosen: np.ndarray
+    near: np.ndarray
 
 
 def empty_grid(item_count: int) -> CellGrid:
@@ -73,6 +75,7 @@ def empty_grid(item_count: int) -> CellGrid:
         items=np.zeros(8 * item_count + 64, dtype=np.int64),
         boxes=np.zeros((item_count, 6)),
         chosen=np.zeros(item_count, dtype=np.int64),
+        near=np.zeros(item_count, dtype=np.int64),
     )
 
 
@@ -242,11 +245,13 @@ def fill_grid(x, corners, width, reach, region, keep, grid):
     return total
 
 
-def with_capacity(grid: CellGrid, needed: int) -> CellGrid:
-    """Returns the grid itself, or one with longer item lists if more are needed."""
-    if needed <= len(grid.items):
-        return grid
-    return grid._replace(items=np.zeros(2 * needed, dtype=np.int64))
+def have_room(grids: list[CellGrid], needed: tuple[int, ...]) -> bool:
+    """Whether the item lists of grids are long enough; those that are not become longer."""
+    short = [place for place, grid in enumerate(grids) if needed[place] > len(grid.items)]
+    for place in short:
+        items = np.zeros(2 * needed[place], dtype=np.int64)
+        grids[place] = grids[place]._replace(items=items)
+    return not short
 
 # Largest number of triangles in a cluster.
 CLUSTER_SIZE = 40

@@ -1,7 +1,6 @@
-"""Pairs of nearest points, the common result of all contact detectors, and their buffer.
+"""Pairs of nearest points, the common result of all contact detectors.
 
-Detectors that may be traced (see `traced_stage.py`) write their pairs into arrays with room for all
-pairs of a scene, and do not return how many there are. There
+Detectors write their pairs into arrays with room for all pairs of a scene. There
 
     rows: `Proximities` with more rows than there are pairs,
     span: first row that a detector may write, and the row behind its last one, shape (2,). The
@@ -81,52 +80,12 @@ def put_pairs(near: Proximities, rows: Proximities, span: np.ndarray) -> None:
             part[first:end] = own
 
 
-class PairRows(NamedTuple):
-    """Buffer into which kernels write pairs.
-
-    Attributes:
-        integers: Points of the first, of the second, key, shape (capacity, 7).
-        reals: Weights and position of the first, of the second, normal, gap, shape (capacity, 16).
-        found: Triangles near a vertex, shape (triangle_capacity,).
-    """
-
-    integers: np.ndarray
-    reals: np.ndarray
-    found: np.ndarray
-
-
-def empty_rows(capacity: int, triangle_count: int) -> PairRows:
-    """Allocates a buffer for a number of pairs."""
-    return PairRows(
-        integers=np.empty((capacity, 7), dtype=np.int64),
-        reals=np.empty((capacity, 16)),
-        found=np.empty(triangle_count, dtype=np.int64),
-    )
-
-
-def proximities(rows: PairRows, count: int) -> Proximities:
-    """Copies the first rows of a buffer."""
-    integers, reals = rows.integers[:count], rows.reals[:count]
-    return Proximities(
-        first_points=integers[:, 0:3].copy(),
-        first_weights=reals[:, 0:3].copy(),
-        second_points=integers[:, 3:6].copy(),
-        second_weights=reals[:, 6:9].copy(),
-        first_positions=reals[:, 3:6].copy(),
-        second_positions=reals[:, 9:12].copy(),
-        normals=reals[:, 12:15].copy(),
-        gaps=reals[:, 15].copy(),
-        keys=integers[:, 6].copy(),
-    )
-
-
 @njit(**INNER)
-def write_row(integers, reals, i, swap, first, second, normal, gap, key):
-    """Write row i if the buffer has that many rows.
+def write_row(rows, i, swap, first, second, normal, gap, key):
+    """Write row i if there is room for it.
 
     Args:
-        integers: See `PairRows`, shape (capacity, 7).
-        reals: See `PairRows`, shape (capacity, 16).
+        rows: See above.
         i: Row.
         swap: Whether `first` belongs to the second surface.
         first: Points, their weights and the position [m] on one surface.
@@ -135,36 +94,12 @@ def write_row(integers, reals, i, swap, first, second, normal, gap, key):
         gap: Signed distance [m].
         key: Key of the pair.
     """
-    if i >= len(integers):
+    if i >= len(rows.gaps):
         return
     a, b, sign = (second, first, -1.0) if swap else (first, second, 1.0)
     for c in range(3):
-        integers[i, c] = a[0][c]
-        integers[i, 3 + c] = b[0][c]
-        reals[i, c] = a[1][c]
-        reals[i, 3 + c] = a[2][c]
-        reals[i, 6 + c] = b[1][c]
-        reals[i, 9 + c] = b[2][c]
-        reals[i, 12 + c] = sign * normal[c]
-    reals[i, 15] = gap
-    integers[i, 6] = key
-
-
-@njit(**INNER)
-def put_rows(integers, reals, count, rows, span):
-    """Write the first pairs of a `PairRows` as rows of `Proximities`."""
-    first = span[0]
-    span[1] = first + count
-    if span[1] > len(rows.gaps):
-        return
-    for i in range(count):
-        r = first + i
-        for k in range(3):
-            rows.first_points[r, k] = integers[i, k]
-            rows.second_points[r, k] = integers[i, 3 + k]
-            rows.first_weights[r, k] = reals[i, k]
-            rows.first_positions[r, k] = reals[i, 3 + k]
-            rows.second_weights[r, k] = reals[i, 6 + k]
-            rows.second_positions[r, k] = reals[i, 9 + k]
-            rows.normals[r, k] = reals[i, 12 + k]
-        rows.gaps[r], rows.keys[r] = reals[i, 15], integers[i, 6]
+        rows.first_points[i, c], rows.second_points[i, c] = a[0][c], b[0][c]
+        rows.first_weights[i, c], rows.second_weights[i, c] = a[1][c], b[1][c]
+        rows.first_positions[i, c], rows.second_positions[i, c] = a[2][c], b[2][c]
+        rows.normals[i, c] = sign * normal[c]
+    rows.gaps[i], rows.keys[i] = gap, key

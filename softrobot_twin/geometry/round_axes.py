@@ -187,7 +187,7 @@ def nearest_share(axis, e, kind, extents, placed):
 
 
 @njit(**INNER)
-def write_shape_pair(axis, e, s, kind, extents, placed, margin, key, integers, reals, count):
+def write_shape_pair(axis, e, s, kind, extents, placed, margin, key, rows, count):
     """Write the pair of x(s) and a shape if it is nearer than the margin; the count after."""
     x = axis_point(axis, e, s)
     distance, g = shape_distance(kind, extents, in_frame(placed, x))
@@ -198,12 +198,12 @@ def write_shape_pair(axis, e, s, kind, extents, placed, margin, key, integers, r
     n = add_scaled(n, row(placed, 3), g[2])
     first = ((e, e, e), (s, 0.0, 0.0), add_scaled(x, n, -axis.radius))
     second = ((-1, -1, -1), (0.0, 0.0, 0.0), add_scaled(x, n, -distance))
-    write_row(integers, reals, count, False, first, second, n, gap, key)
+    write_row(rows, count, False, first, second, n, gap, key)
     return count + 1
 
 
 @njit(**KERNEL)
-def pair_axis_with_shape(axis, excluded, kind, extents, placed, margin, integers, reals):
+def pair_axis_with_shape(axis, excluded, kind, extents, placed, reach, rows, span):
     """Write what is nearer to a shape than the margin: nodes, and places of elements; see `DIP`.
 
     Args:
@@ -212,22 +212,19 @@ def pair_axis_with_shape(axis, excluded, kind, extents, placed, margin, integers
         kind: See `shape_distance`.
         extents: See `shape_distance`.
         placed: Frame of the shape; see `place_frame`.
-        margin: Largest gap of a pair [m].
-        integers: See `PairRows`.
-        reals: See `PairRows`.
-
-    Returns:
-        Number of pairs; those beyond the capacity are not written.
+        reach: See `proximities.py`.
+        rows: See there.
+        span: See there.
     """
-    count, last = 0, len(axis.places) - 1
+    count, last, margin = span[0], len(axis.places) - 1, reach[0]
     for e in range(last + 1):
-        centre, reach = ball_around(axis, e)
+        centre, radius = ball_around(axis, e)
         away, _ = shape_distance(kind, extents, in_frame(placed, centre))
-        if away - reach - axis.radius >= margin:
+        if away - radius - axis.radius >= margin:
             continue
         if not excluded[2 * e]:
             count = write_shape_pair(
-                axis, e, 0.0, kind, extents, placed, margin, 2 * e, integers, reals, count
+                axis, e, 0.0, kind, extents, placed, margin, 2 * e, rows, count
             )
         if not excluded[2 * e + 1]:
             s = nearest_share(axis, e, kind, extents, placed)
@@ -238,20 +235,20 @@ def pair_axis_with_shape(axis, excluded, kind, extents, placed, margin, integers
             )
             if shape_gap(axis, e, s, kind, extents, placed) < ends - dip:
                 count = write_shape_pair(
-                    axis, e, s, kind, extents, placed, margin, 2 * e + 1, integers, reals, count
+                    axis, e, s, kind, extents, placed, margin, 2 * e + 1, rows, count
                 )
         # The end of an element is a node of the next one, which may be too far to be looked at.
         if not excluded[2 * e + 2]:
             next_is_far = True
             if e < last:
-                centre, reach = ball_around(axis, e + 1)
+                centre, radius = ball_around(axis, e + 1)
                 away, _ = shape_distance(kind, extents, in_frame(placed, centre))
-                next_is_far = away - reach - axis.radius >= margin
+                next_is_far = away - radius - axis.radius >= margin
             if next_is_far:
                 count = write_shape_pair(
-                    axis, e, 1.0, kind, extents, placed, margin, 2 * e + 2, integers, reals, count
+                    axis, e, 1.0, kind, extents, placed, margin, 2 * e + 2, rows, count
                 )
-    return count
+    span[1] = count
 
 
 # --- against each other ---------------------------------------------------------------------------
@@ -320,7 +317,7 @@ def nearest_shares(first, e, second, f):
 
 
 @njit(**KERNEL)
-def pair_axes(first, second, is_same, excluded, margin, integers, reals):
+def pair_axes(first, second, is_same, excluded, reach, rows, span):
     """Write what is nearer than the margin between the elements of two axes, or of one.
 
     Each pair of elements has one place, at their ends too: where beams lie along each other, what
@@ -331,15 +328,12 @@ def pair_axes(first, second, is_same, excluded, margin, integers, reals):
         second: Another, or the same.
         is_same: Whether it is the same.
         excluded: Pairs of elements that never count, shape (first_count, second_count).
-        margin: Largest gap of a pair [m].
-        integers: See `PairRows`.
-        reals: See `PairRows`.
-
-    Returns:
-        Number of pairs; those beyond the capacity are not written.
+        reach: See `proximities.py`.
+        rows: See there.
+        span: See there.
     """
-    count, last, others = 0, len(first.places) - 1, len(second.places)
-    thick = first.radius + second.radius
+    count, last, others = span[0], len(first.places) - 1, len(second.places)
+    thick, margin = first.radius + second.radius, reach[0]
     balls, other_balls = np.empty((last + 1, 4)), np.empty((others, 4))
     write_balls(first, balls)
     write_balls(second, other_balls)
@@ -362,12 +356,10 @@ def pair_axes(first, second, is_same, excluded, margin, integers, reals):
                 n = unit(cross(axis_slope(first, e, s), axis_slope(second, f, t)))
             on_first = ((e, e, e), (s, 0.0, 0.0), add_scaled(x, n, -first.radius))
             on_second = ((f, f, f), (t, 0.0, 0.0), add_scaled(y, n, second.radius))
-            write_row(
-                integers, reals, count, False, on_first, on_second, n, distance - thick,
-                e * others + f,
-            )  # fmt: skip
+            key = e * others + f
+            write_row(rows, count, False, on_first, on_second, n, distance - thick, key)
             count += 1
-    return count
+    span[1] = count
 
 
 @njit(**KERNEL)

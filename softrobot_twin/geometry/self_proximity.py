@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid
+from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid, have_room
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
     closed_surface,
@@ -34,16 +34,8 @@ from softrobot_twin.geometry.closed_surface import (
     mean_normal,
 )
 from softrobot_twin.geometry.closest_features import closest_weights
-from softrobot_twin.geometry.proximities import (
-    Proximities,
-    empty_rows,
-    found_by,
-    proximities,
-    put_rows,
-    write_row,
-)
+from softrobot_twin.geometry.proximities import Proximities, found_by, write_row
 from softrobot_twin.geometry.surface import checked_points
-from softrobot_twin.geometry.surface_pairs import GrowingBuffers
 from softrobot_twin.geometry.triangle_pairs import (
     FACING_SINE,
     NEIGHBOUR,
@@ -67,7 +59,6 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
 )
 
-_FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths.
 _DEPTH_IN_EDGES = 0.5
 # Strain may reduce the distance to features behind a triangle by no more than this factor.
@@ -184,26 +175,27 @@ def find_excluded_pairs(
 
 @njit(**KERNEL)
 def pair_surface_with_itself(
-    side, edge_grid, margin, depth, rest, rest_points, rest_normals, near, rows
+    side, edge_grid, reach, depth, rest, rest_points, rest_normals, near, rows, span
 ):  # fmt: skip
     """Find all pairs of one surface with itself.
 
     Args:
         side: The surface, a `SurfaceSide`.
         edge_grid: Grid for its edges.
-        margin: Largest gap of a pair [m].
+        reach: See `proximities.py`.
         depth: Largest depth of a pair [m].
         rest: Excluded pairs.
         rest_points: Points at rest [m].
         rest_normals: Normals at rest.
         near: Distance at rest below which edges must face each other across air [m].
-        rows: Output.
+        rows: See `proximities.py`.
+        span: See there.
 
     Returns:
-        Number of rows, and the capacities that the grids of the triangles and of the edges need. If
-        one of these exceeds what is allocated, the rows are incomplete.
+        The capacities that the grids of the triangles and of the edges need. If one of these
+        exceeds what is allocated, no row is written.
     """
-    x, surface = side.x, side.surface
+    x, surface, margin = side.x, side.surface, reach[0]
     region = bounding_box(x, surface.vertices)
     compute_normals(x, surface.links, side.normals)
     edge_depth = min(depth, find_ridges(x, surface.edges, side.normals, side.ridges))
@@ -214,17 +206,17 @@ def pair_surface_with_itself(
         x, surface.edges, 2, max(margin, edge_depth), region, side.ridges, edge_grid
     )  # fmt: skip
     if need > len(side.grid.items) or need_edges > len(edge_grid.items):
-        return 0, need, need_edges
-    count = pair_vertices(side, side, region, margin, depth, rest, False, 0, rows, 0)
+        return need, need_edges
+    count = pair_vertices(side, side, region, margin, depth, rest, False, 0, rows, span[0])
     key = len(x) * feature_count(side)
-    count = pair_edges(
+    span[1] = pair_edges(
         side, side, edge_grid, margin, edge_depth, rest_points, rest_normals, near, key, rows,
         count,
     )  # fmt: skip
-    return count, need, need_edges
+    return need, need_edges
 
 
-class SelfDetector(GrowingBuffers):
+class SelfDetector:
     """Detects contacts and small overlaps of a surface with itself.
 
     Attributes:
@@ -269,7 +261,6 @@ class SelfDetector(GrowingBuffers):
         self._ridges = np.empty(len(surface.edges), dtype=np.bool_)
         self._no_leaders = np.empty(0, dtype=np.int64)
         self._grids = [empty_grid(len(surface.links)), empty_grid(len(surface.edges))]
-        self._rows = empty_rows(_FIRST_CAPACITY, len(surface.links))
 
     def detect(self, points: np.ndarray, margin: float) -> Proximities:
         """Finds the pairs that are nearer than a margin.
@@ -284,11 +275,23 @@ class SelfDetector(GrowingBuffers):
         Raises:
             MeshError: The points have another shape.
         """
-        x = checked_points(points, len(self._rest_points))
-        return self._grown(lambda: pair_surface_with_itself(
-            self._side(x), self._grids[1], float(margin), float(self.depth), self._rest,
-            self._rest_points, self._rest_normals, self._near, self._rows,
-        ))  # fmt: skip
+        x, reach = checked_points(points, len(self._rest_points)), np.array([float(margin)])
+        return found_by(lambda rows, span: self.write(x, reach, rows, span))
+
+    def write(self, x: np.ndarray, reach: np.ndarray, rows: Proximities, span: np.ndarray) -> None:
+        """Write the pairs that are near.
+
+        Args:
+            x: Current points [m], shape (point_count, 3).
+            reach: See `proximities.py`.
+            rows: See there.
+            span: See there.
+        """
+        while not have_room(self._grids, pair_surface_with_itself(
+            self._side(x), self._grids[1], reach, float(self.depth), self._rest,
+            self._rest_points, self._rest_normals, self._near, rows, span,
+        )):  # fmt: skip
+            pass  # With longer lists.
 
     def _side(self, points: np.ndarray) -> SurfaceSide:
         return SurfaceSide(
@@ -298,7 +301,7 @@ class SelfDetector(GrowingBuffers):
 
 
 @njit(**KERNEL)
-def measure_pairs(x, points, triangles, reach, integers, reals, rows, span):
+def measure_pairs(x, points, triangles, reach, rows, span):
     """Measure all pairs, and write those that are near.
 
     Args:
@@ -306,11 +309,10 @@ def measure_pairs(x, points, triangles, reach, integers, reals, rows, span):
         points: Point of each pair, shape (pair_count,).
         triangles: Corners of the triangle of each pair, shape (pair_count, 3).
         reach: See `proximities.py`.
-        integers: See `PairRows`; written, with room for all pairs, as are the reals.
         rows: See `proximities.py`.
         span: See there.
     """
-    count = 0
+    count = span[0]
     for pair in range(len(points)):
         i, j, k = triangles[pair, 0], triangles[pair, 1], triangles[pair, 2]
         p, a, b, c = row(x, points[pair]), row(x, i), row(x, j), row(x, k)
@@ -323,11 +325,9 @@ def measure_pairs(x, points, triangles, reach, integers, reals, rows, span):
         gap = dot(subtract(p, nearest), normal)
         if gap < reach[0]:
             first = ((points[pair], points[pair], points[pair]), (1.0, 0.0, 0.0), p)
-            write_row(
-                integers, reals, count, False, first, ((i, j, k), w, nearest), normal, gap, pair
-            )
+            write_row(rows, count, False, first, ((i, j, k), w, nearest), normal, gap, pair)
             count += 1
-    put_rows(integers, reals, count, rows, span)
+    span[1] = count
 
 
 class FixedPairs:
@@ -337,6 +337,8 @@ class FixedPairs:
     is negative behind the plane, without a limit on the depth. The force acts on the closest point
     of the triangle, so it never acts outside the triangle.
     """
+
+    is_traceable = True
 
     def __init__(self, point_index: np.ndarray, triangle_points: np.ndarray):
         """Checks the pairs.
@@ -362,7 +364,6 @@ class FixedPairs:
         if len(twice):
             raise MeshError(None, f"predefined pair {twice[0]} refers to a point twice")
         self._points, self._triangles = points, triangles
-        self._rows = empty_rows(len(points), 0)
 
     def detect(self, points: np.ndarray, margin: float) -> Proximities:
         """Finds the pairs that are nearer than a margin.
@@ -387,7 +388,4 @@ class FixedPairs:
             rows: See there.
             span: See there.
         """
-        measure_pairs(
-            x, self._points, self._triangles, reach, self._rows.integers, self._rows.reals, rows,
-            span,
-        )  # fmt: skip
+        measure_pairs(x, self._points, self._triangles, reach, rows, span)

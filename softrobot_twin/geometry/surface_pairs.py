@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.broad_phase import (
-    CellGrid,
     bounding_box,
     empty_grid,
     fill_grid,
+    have_room,
     is_empty,
     shared_box,
-    with_capacity,
 )
 from softrobot_twin.geometry.closed_surface import (
     apply_region_planes,
@@ -23,7 +20,7 @@ from softrobot_twin.geometry.closed_surface import (
     flat_regions,
     mean_edge_length,
 )
-from softrobot_twin.geometry.proximities import PairRows, Proximities, empty_rows, proximities
+from softrobot_twin.geometry.proximities import Proximities, found_by
 from softrobot_twin.geometry.surface import checked_points
 from softrobot_twin.geometry.triangle_pairs import (
     SurfaceSide,
@@ -35,8 +32,6 @@ from softrobot_twin.geometry.triangle_pairs import (
     pair_vertices,
 )
 
-# Initial capacity of the buffer of pairs, which grows as needed.
-_FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths of the coarser surface.
 _DEPTH_IN_EDGES = 2.0
 
@@ -58,31 +53,33 @@ def find_features(side):
 
 
 @njit(**KERNEL)
-def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
+def pair_surfaces(first, second, edge_grid, reach, depth, rest, rows, span):
     """Find all pairs of two different surfaces.
 
     Args:
         first: First surface, a `SurfaceSide`.
         second: Second surface.
         edge_grid: Grid for the edges of the second.
-        margin: Largest gap of a pair [m].
+        reach: See `proximities.py`.
         depth: Largest depth of a pair [m].
         rest: Result of `no_excluded_pairs`.
-        rows: Output.
+        rows: See `proximities.py`.
+        span: See there.
 
     Returns:
-        Number of rows, and the capacities that the grids of the first surface, of the second and
-        of the edges need. If one of these exceeds what is allocated, the rows are incomplete.
+        The capacities that the grids of the first surface, of the second and of the edges need. If
+        one of these exceeds what is allocated, no row is written.
     """
+    margin = reach[0]
     x, a, y, b = first.x, first.surface, second.x, second.surface
     box, other = bounding_box(x, a.vertices), bounding_box(y, b.vertices)
     region, other_region = shared_box(other, box, margin), shared_box(box, other, margin)
     half_edge = min(find_features(first), find_features(second))
-    reach = max(margin, depth)
+    far = max(margin, depth)
     edge_depth = min(depth, half_edge)
     every = first.ridges[:0]
-    need_first = fill_grid(x, a.links, 3, reach, other_region, every, first.grid)
-    need_second = fill_grid(y, b.links, 3, reach, region, every, second.grid)
+    need_first = fill_grid(x, a.links, 3, far, other_region, every, first.grid)
+    need_second = fill_grid(y, b.links, 3, far, region, every, second.grid)
     need_edges = fill_grid(
         y, b.edges, 2, max(margin, edge_depth), region, second.ridges, edge_grid
     )  # fmt: skip
@@ -91,42 +88,20 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
         or need_second > len(second.grid.items)
         or need_edges > len(edge_grid.items)
     ):
-        return 0, need_first, need_second, need_edges
-    count = pair_vertices(first, second, region, margin, depth, rest, False, 0, rows, 0)
+        return need_first, need_second, need_edges
+    count = pair_vertices(first, second, region, margin, depth, rest, False, 0, rows, span[0])
     key = len(x) * feature_count(second)
     count = pair_vertices(
         second, first, other_region, margin, depth, rest, True, key, rows, count
     )  # fmt: skip
     key += len(y) * feature_count(first)
-    count = pair_edges(
+    span[1] = pair_edges(
         first, second, edge_grid, margin, edge_depth, x[:0], first.normals, 0.0, key, rows, count
     )
-    return count, need_first, need_second, need_edges
+    return need_first, need_second, need_edges
 
 
-class GrowingBuffers:
-    """Grids and rows of a detector, which grow as a search needs."""
-
-    _grids: list[CellGrid]
-    _rows: PairRows
-
-    def _grown(self, search: Callable[[], tuple[int, ...]]) -> Proximities:
-        """The pairs of a search, which is repeated until the buffers suffice.
-
-        Args:
-            search: Gives the number of rows, and the capacity that each grid needs.
-        """
-        while True:
-            count, *needed = search()
-            grids = [with_capacity(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
-            if all(new is old for new, old in zip(grids, self._grids, strict=True)):
-                if count <= len(self._rows.reals):
-                    return proximities(self._rows, count)
-                self._rows = empty_rows(2 * count, len(self._rows.found))
-            self._grids = grids
-
-
-class SurfacePairDetector(GrowingBuffers):
+class SurfacePairDetector:
     """Detects contacts between two closed surfaces, deforming or rigid.
 
     Vertices are paired with triangles and edges with edges, each where the distance has a local
@@ -175,7 +150,6 @@ class SurfacePairDetector(GrowingBuffers):
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
         self._has_searched = False
         self._rest = no_excluded_pairs()
-        self._rows = empty_rows(_FIRST_CAPACITY, max(len(s.links) for s in self._surfaces))
 
     def detect(
         self, first_points: np.ndarray, second_points: np.ndarray, margin: float
@@ -195,18 +169,33 @@ class SurfacePairDetector(GrowingBuffers):
         """
         x = checked_points(first_points, self._counts[0])
         y = checked_points(second_points, self._counts[1])
+        reach = np.array([float(margin)])
+        return found_by(lambda rows, span: self.write(x, y, reach, rows, span))
+
+    def write(self, x, y, reach, rows: Proximities, span: np.ndarray) -> None:
+        """Write the pairs that are near.
+
+        Args:
+            x: Points of the first body [m], shape (first_point_count, 3).
+            y: Points of the second body [m], shape (second_point_count, 3).
+            reach: See `proximities.py`.
+            rows: See there.
+            span: See there.
+        """
         a, b = self._surfaces
         if self.depth is None:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
         # The first call searches in any case, so that all kernels are compiled before a contact.
-        if self._has_searched and are_apart(x, a.vertices, y, b.vertices, margin):
-            return proximities(self._rows, 0)
+        if self._has_searched and are_apart(x, a.vertices, y, b.vertices, reach[0]):
+            span[1] = span[0]
+            return
         self._has_searched = True
-        return self._grown(lambda: pair_surfaces(
-            self._side(0, x), self._side(1, y),
-            self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
-        ))  # fmt: skip
+        while not have_room(self._grids, pair_surfaces(
+            self._side(0, x), self._side(1, y), self._grids[2], reach, float(self.depth),
+            self._rest, rows, span,
+        )):  # fmt: skip
+            pass  # With longer lists.
 
     def _side(self, index: int, points: np.ndarray) -> SurfaceSide:
         ridges, leaders, crests = self._features[index]

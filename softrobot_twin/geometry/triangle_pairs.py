@@ -190,12 +190,12 @@ def bearing_points(links, t, w):
 def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
     """Pair a vertex outside b with the features of b near it; returns the rows written.
 
-    `rows.found` lists `near` triangles; for the other arguments see `pair_vertices`.
+    `b.grid.near` lists `near` triangles; for the other arguments see `pair_vertices`.
     """
     same = len(rest.offsets) > 0
     p = row(a.x, v)
     for k in range(near):
-        t = rows.found[k]
+        t = b.grid.near[k]
         kind, feature, w, foot, n, gap = nearest_feature(
             p, b.x, b.surface.links, b.surface.fans, b.normals, t, margin
         )
@@ -215,7 +215,7 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
         one = ((v, v, v), (1.0, 0.0, 0.0), p)
         other = (bearing_points(b.surface.links, t, w), w, foot)
         key = first_key + feature_number(b, kind, feature)
-        write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
+        write_row(rows, count, swap, one, other, n, gap, key)
         count += 1
     return count
 
@@ -226,7 +226,7 @@ def pair_inside(
 ):  # fmt: skip
     """Pair a vertex inside b with the nearest feature to leave through; returns the rows written.
 
-    `rows.found` lists `near` triangles, and positions `first` to `last` - 1 of the grid list the
+    `b.grid.near` lists `near` triangles, and positions `first` to `last` - 1 of the grid list the
     triangles that may lie in between; for the other arguments see `pair_vertices`.
     """
     same = len(rest.offsets) > 0
@@ -236,7 +236,7 @@ def pair_inside(
     best = -1
     inmost = -depth
     for k in range(near):
-        t = rows.found[k]
+        t = b.grid.near[k]
         kind, feature, _, foot, n, gap = nearest_feature(
             p, b.x, b.surface.links, b.surface.fans, b.normals, t, -inmost
         )
@@ -256,7 +256,7 @@ def pair_inside(
     one = ((v, v, v), (1.0, 0.0, 0.0), p)
     other = (bearing_points(b.surface.links, best, w), w, foot)
     key = first_key + feature_number(b, kind, feature)
-    write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
+    write_row(rows, count, swap, one, other, n, gap, key)
     return count + 1
 
 
@@ -277,7 +277,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
         count: Rows written before.
 
     Returns:
-        Rows found; those beyond the capacity of the buffer were not written.
+        End of the rows; those beyond the room were not written.
     """
     same = len(rest.offsets) > 0
     reach = max(margin, depth)
@@ -285,7 +285,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
     items, boxes, starts = b.grid.items, b.grid.boxes, b.grid.starts
     frame, counts = b.grid.frame, b.grid.counts
     own, own_fans, own_normals = a.x, a.surface.fans, a.normals
-    stamps, found, features = rest.stamps, rows.found, feature_count(b)
+    stamps, found, features = rest.stamps, b.grid.near, feature_count(b)
     for v in a.crests:
         p = row(own, v)
         if not holds(region, p):
@@ -460,7 +460,7 @@ def pair_edges(
         count: Rows written before.
 
     Returns:
-        Rows found; those beyond the capacity of the buffer were not written.
+        End of the rows; those beyond the room were not written.
     """
     same = len(rest) > 0
     low = np.empty(3, dtype=np.int64)
@@ -469,7 +469,6 @@ def pair_edges(
     y, others, other_normals = b.x, b.surface.edges, b.normals
     boxes, items, starts = edge_grid.boxes, edge_grid.items, edge_grid.starts
     frame, counts = edge_grid.frame, edge_grid.counts
-    integers, reals = rows.integers, rows.reals
     for e in range(len(edges)):
         if not ridges[e] or not cells_of_edge(x, edges, e, frame, counts, low, high):
             continue
@@ -499,9 +498,7 @@ def pair_edges(
                         if same and not face_across_air(rest, edges, rest_normals, e, f, near):
                             continue
                         key = first_key + e * len(others) + f
-                        write_edges(
-                            x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, count
-                        )  # fmt: skip
+                        write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, count)
                         count += 1
     return count
 
@@ -580,12 +577,10 @@ def overlap(a, b, e, s, f, t):
 
 
 @njit(**INNER)
-def write_edges(
-    x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, place
-):  # fmt: skip
+def write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, place):
     """Write a pair of edges as a row."""
     start, end = edges[e, 0], edges[e, 1]
     first = ((start, end, end), (1.0 - s, s, 0.0), point_at(x, edges, e, s))
     start, end = others[f, 0], others[f, 1]
     second = ((start, end, end), (1.0 - t, t, 0.0), point_at(y, others, f, t))
-    write_row(integers, reals, place, False, first, second, n, gap, key)
+    write_row(rows, place, False, first, second, n, gap, key)

@@ -1,9 +1,11 @@
 """Nearest places on axes of round bodies, against a search over all of them."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.proximities import empty_rows, proximities
+from softrobot_twin.geometry.proximities import found_by
 from softrobot_twin.geometry.round_axes import (
     RoundAxis,
     axis_point,
@@ -104,10 +106,10 @@ def test_a_straight_axis_above_a_plane_touches_with_its_nodes():
     tangents = np.tile([0.1, 0.0, 0.0], (3, 1))
     axis = RoundAxis(np.stack([places[:-1], places[1:]], axis=1),
                      np.stack([tangents, tangents], axis=1), 0.004)  # fmt: skip
-    rows = empty_rows(16, 0)
-    count = pair_axis_with_shape(axis, np.zeros(7, bool), Plane([0, 0, 0], [0, 0, 1]).kind,
-                                 np.zeros(3), AT_WORLD, 0.003, rows.integers, rows.reals)  # fmt: skip
-    found = proximities(rows, count)
+    found = found_by(partial(
+        pair_axis_with_shape, axis, np.zeros(7, bool), Plane([0, 0, 0], [0, 0, 1]).kind,
+        np.zeros(3), AT_WORLD, np.array([0.003]),
+    ))  # fmt: skip
     np.testing.assert_array_equal(found.keys, [0, 2, 4, 6])
     np.testing.assert_allclose(found.gaps, 0.001)
     np.testing.assert_allclose(found.normals, np.tile([0.0, 0.0, 1.0], (4, 1)))
@@ -119,12 +121,10 @@ def test_an_axis_across_a_wire_touches_between_its_nodes():
                      np.tile([0.05, 0.0, 0.0], (1, 2, 1)), 0.004)  # fmt: skip
     wire = Capsule([[0.0, -0.1, 0.0], [0.0, 0.1, 0.0]], 0.001)
     origin, axes = wire.frame()
-    rows = empty_rows(16, 0)
-    count = pair_axis_with_shape(
-        axis, np.zeros(3, bool), wire.kind, np.array(wire.extents()),
-        np.vstack([origin, np.array(axes).T]), 0.003, rows.integers, rows.reals,
-    )  # fmt: skip
-    found = proximities(rows, count)
+    found = found_by(partial(
+        pair_axis_with_shape, axis, np.zeros(3, bool), wire.kind, np.array(wire.extents()),
+        np.vstack([origin, np.array(axes).T]), np.array([0.003]),
+    ))  # fmt: skip
     np.testing.assert_array_equal(found.keys, [1])
     assert found.first_weights[0, 0] == pytest.approx(0.4, abs=1e-3)
     assert found.gaps[0] == pytest.approx(0.001, abs=1e-9)
@@ -135,10 +135,10 @@ def test_axes_that_cross_are_parted_along_the_direction_across_both():
         along = np.array(direction, float)
         return RoundAxis(np.array([[-0.5 * along, 0.5 * along]]), np.tile(along, (1, 2, 1)), 0.004)
 
-    rows = empty_rows(4, 0)
-    count = pair_axes(straight([0.1, 0, 0]), straight([0, 0.1, 0]), False, np.zeros((1, 1), bool),
-                      0.003, rows.integers, rows.reals)  # fmt: skip
-    found = proximities(rows, count)
-    assert count == 1
+    found = found_by(partial(
+        pair_axes, straight([0.1, 0, 0]), straight([0, 0.1, 0]), False, np.zeros((1, 1), bool),
+        np.array([0.003]),
+    ))  # fmt: skip
+    assert len(found.gaps) == 1
     np.testing.assert_allclose(np.abs(found.normals[0]), [0.0, 0.0, 1.0])
     assert found.gaps[0] == pytest.approx(-0.008)
