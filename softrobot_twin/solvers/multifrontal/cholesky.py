@@ -159,7 +159,9 @@ class Multifrontal:
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
         """See `Factorization.condense_low_rank`; the rank is at most that of the reached fronts."""
         columns, k = self._columns, H.row_count
-        self._place(H)
+        if self._place(H):
+            # A trace of `condense` has the sizes of the columns before.
+            self.stages.forget()
         rank = columns.rank
         if k == 0 or rank > LOW_RANK * k:
             return None
@@ -168,8 +170,8 @@ class Multifrontal:
         condensation.gather_factor(columns.trees, columns.rows, self._Y, Yt, free)
         return LowRankCondensed(Yt, free)
 
-    def _place(self, H: NodeRows) -> None:
-        """Assign the rows their columns in Y, and reserve its memory."""
+    def _place(self, H: NodeRows) -> bool:
+        """Assign the rows their columns in Y, and reserve its memory; whether they had others."""
         columns = self._columns
         if len(self._ranks) != len(H.node_index):
             self._ranks = np.empty(len(H.node_index), np.int64)
@@ -177,11 +179,13 @@ class Multifrontal:
             self.elimination_rank, np.asarray(H.node_index, dtype=np.int64), self._ranks
         )
         before = columns.column
-        columns.place(np.ascontiguousarray(H.row_index, dtype=np.int64), self._ranks, H.row_count)
+        rows = np.ascontiguousarray(H.row_index, dtype=np.int64)
+        is_changed = columns.place(rows, self._ranks, H.row_count)
         if columns.column is not before:
             self._forget()
         self._reserve(columns.size, columns.work_size, columns.gram_size)
         self._row_count = H.row_count
+        return is_changed
 
     def _solve_forward(self, H: NodeRows, b: np.ndarray) -> None:
         """Y ← L⁻¹ Hᵀ and y ← L⁻¹ b, for rows that have been placed."""

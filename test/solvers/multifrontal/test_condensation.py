@@ -84,6 +84,26 @@ def test_rows_changed_in_place_are_recomputed(make_system):
     np.testing.assert_allclose(system.solver.condense(H, b).W, expected, rtol=0, atol=1e-12)
 
 
+def test_rows_that_move_to_other_nodes_in_the_same_arrays_are_condensed_there(make_system, drawn_rng):
+    """Where a factor is asked for first, rows have their columns before `condense` looks at them."""
+    system = make_system("slab", seed=3)
+    system.solver.factor()
+    H, b = system.constraint_rows(4), system.rng.standard_normal((system.count, 3))
+    for call in range(80):
+        if call % 4 == 0:
+            # Four calls are enough for the driver to know the last ones.
+            H.node_index[:] = drawn_rng.integers(0, system.count, len(H.node_index))
+        if call % 8 == 0:
+            system.solver.stages.begin_anew()
+        assert system.solver.condense_low_rank(H, b) is None
+        W, free = system.solver.condense(H, b)
+        dense = H.transposed(system.count)
+        expected = dense.T @ np.linalg.solve(system.A, np.column_stack([dense, b.ravel()]))
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(W, expected[:, :-1], rtol=0, atol=1e-12 * size)
+        np.testing.assert_allclose(free, expected[:, -1], rtol=0, atol=1e-12 * size)
+
+
 def test_the_compliance_of_a_row_does_not_depend_on_other_rows(make_system):
     system = make_system("two bodies", seed=4)
     system.solver.factor()
