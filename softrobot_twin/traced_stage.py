@@ -201,7 +201,8 @@ class TracedStages:
     """Stages that the driver runs while they do the same as before.
 
     What terms remember beside their arrays follows from what kernels returned. One stage may read
-    what another one left there: so where one does something else, none is taken for known.
+    what another one left there: so where one does something else, none is taken for known. One that
+    does not run any more hinders the others no longer; when it runs again, all are learned anew.
     """
 
     def __init__(self, is_traceable: bool, *stages: Callable):
@@ -212,7 +213,7 @@ class TracedStages:
             stages: Each is called with the same arrays in most steps.
         """
         self._stages = [_Known(stage) for stage in stages]
-        self._is_traceable, self._are_known = is_traceable, False
+        self._is_traceable, self._are_known, self._runs = is_traceable, False, 0
         self.begin_anew()
 
     def run(self, place: int, *arguments):
@@ -227,7 +228,10 @@ class TracedStages:
         """
         known = self._stages[place]
         is_same = all(map(is_, arguments, known.arguments))
-        if self._are_known and is_same and run_calls(*known.table) == len(known.table[0]):
+        if (
+            self._are_known and known.is_known and is_same
+            and run_calls(*known.table) == len(known.table[0])
+        ):  # fmt: skip
             self._driven += 1
             return known.trace.result
         if self._are_known or not is_same:
@@ -255,6 +259,9 @@ class TracedStages:
 
     def _trace(self, known: _Known, arguments: tuple):
         """Run a stage in Python, and learn what it did; the second of two equal traces counts."""
+        was_known, last_run = known.is_known, known.last_run
+        self._runs += 1
+        known.last_run, known.is_used = self._runs, True
         new = Trace(known.stage, arguments)
         if new.words is None:
             self._is_traceable, self._wait = False, NEVER
@@ -265,7 +272,11 @@ class TracedStages:
                 self._is_traceable, self._wait = False, NEVER
                 return new.result
             known.is_known = True
-            self._are_known = all(one.is_known for one in self._stages)
+            for one in self._stages:
+                # It did not run since this one was known.
+                if was_known and not one.is_known and one.last_run < last_run:
+                    one.is_used = False
+            self._are_known = all(one.is_known or not one.is_used for one in self._stages)
         else:
             known.trace, known.table, known.is_known = new, None, False
             self._changes = max(0, self._changes - self._driven // PAYING_RUNS) + 1
@@ -281,6 +292,7 @@ class _Known:
 
     def __init__(self, stage: Callable):
         self.stage, self.arguments, self.is_known = stage, (), False
+        self.is_used, self.last_run = False, 0
         self.trace: Trace | None = None
         self.table: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 

@@ -129,6 +129,35 @@ def test_where_one_stage_does_something_else_none_is_run_by_the_driver(monkeypat
     assert stages.run(1)
 
 
+def test_a_stage_that_runs_no_more_keeps_no_other_one_in_python(monkeypatch):
+    """It ran beside others that changed, so it is not known; in the next steps it does not run."""
+    driven, vectors, noted = count_driven(monkeypatch), np.ones((5, 3)), [False]
+
+    def first():
+        noted.append(has_negative(vectors))
+
+    def now_and_then():
+        noted.append(are_same(vectors, vectors))
+
+    def third():
+        return bool(noted[-1]) and are_same(vectors, vectors)
+
+    stages = TracedStages(True, first, now_and_then, third)
+    stages.run(0)
+    stages.run(1)
+    stages.run(2)
+    for _ in range(6):
+        stages.run(0)
+        assert not stages.run(2)
+    assert driven[0] >= 6
+    # Where it runs again, the others are learned anew: what it leaves counts.
+    stages.run(0)
+    stages.run(1)
+    assert stages.run(2)
+    stages.run(0)
+    assert not stages.run(2)
+
+
 def test_other_arguments_tell_all_stages_that_something_changed_before_they_are_known():
     rows = np.zeros((2, 5, 3))
 

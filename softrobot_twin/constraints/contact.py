@@ -285,7 +285,14 @@ def recall(pairs, keys, row_starts, before, tables, known, values):
 
 @njit(**KERNEL)
 def fill_tables(row_starts, multipliers, at_start, tables):
-    """Write the first two tables of `recall`, zeros before, from values of its rows."""
+    """Write the first two tables of `recall`, zeros before, from values of its rows.
+
+    Args:
+        row_starts: First row of each contact, and the number of rows, shape (count + 1,).
+        multipliers: λ of each row [N], shape (row_count,).
+        at_start: λ where the step began [N], same shape.
+        tables: Takes both, shape (3, count, width).
+    """
     for c in range(len(row_starts) - 1):
         for row in range(row_starts[c], row_starts[c + 1]):
             tables[0, c, row - row_starts[c]] = multipliers[row]

@@ -90,7 +90,7 @@ def write_row(rows, i, swap, first, second, normal, gap, key):
         swap: Whether `first` belongs to the second surface.
         first: Points, their weights and the position [m] on one surface.
         second: The same on the other surface.
-        normal: Unit vector from `second` to `first`.
+        normal: Unit vector from `second` to `first`, shape (3,).
         gap: Signed distance [m].
         key: Key of the pair.
     """

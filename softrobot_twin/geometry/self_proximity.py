@@ -14,7 +14,7 @@ of a vertex and a triangle, or of two edges, permanently if in the rest shape
 Arguments of the kernels here:
     marked: Reason for excluding a pair, 0 for none, shape (vertex_count, triangle_count).
     rows, columns: Vertex and triangle of each excluded pair, shape (pair_count,).
-Those of a surface are as in `closed_surface`.
+Those of a surface are as in `closed_surface`, those of pairs are as in `proximities`.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ Arguments of the kernels here:
     p: A point, three numbers [m].
     ridges: Indices of the edges that are ridges, shape (ridge_count,).
     vertices: Points that a triangle uses, ascending, shape (vertex_count,).
-Those of a surface are as in `closed_surface`.
+Those of a surface are as in `closed_surface`, those of pairs are as in `proximities`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Detector of contacts between two closed triangle surfaces that move and deform."""
+"""Detector of contacts between two closed triangle surfaces that move and deform.
+
+Arguments of the kernels here that tell of pairs are as in `proximities`.
+"""
 
 from __future__ import annotations
 

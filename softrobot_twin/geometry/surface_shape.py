@@ -45,7 +45,7 @@ Arguments of the kernels here:
     triangles: Points of all triangles, shape (triangle_count, 3).
     vertices: Points that a triangle uses, ascending, shape (vertex_count,).
     x: Vertices in the frame of the shape [m], shape (vertex_count, 3).
-Those of a surface are as in `closed_surface`.
+Those of a surface are as in `closed_surface`, those of pairs are as in `proximities`.
 """
 
 from __future__ import annotations

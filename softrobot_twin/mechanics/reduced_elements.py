@@ -354,7 +354,13 @@ def are_known(positions, nodes, coordinates):
 
 @njit(**KERNEL)
 def take_coordinates(positions, nodes, coordinates):
-    """Write the coordinates of a state; see `are_known`."""
+    """Write the coordinates of a state.
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3).
+        nodes: Nodes whose positions are the coordinates, shape (count,).
+        coordinates: Takes the coordinates [m], shape (3 count or more,).
+    """
     for n in range(len(nodes)):
         for i in range(3):
             coordinates[3 * n + i] = positions[nodes[n], i]

@@ -155,7 +155,7 @@ class DenseStiffness:
         """
         self._inner, self.name, self._terms = inner, inner.name, list(terms)
         self.elimination_rank, self.storage = inner.elimination_rank, inner.storage
-        self.slots, self.blocks, self.clear = inner.slots, inner.blocks, inner.clear
+        self.slots, self.clear = inner.slots, inner.clear
         self.is_traceable = getattr(inner, "is_traceable", False)
         self._place, self._compliance, self._below = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64)
         self._positive_count = self._entry_count = 0
@@ -163,6 +163,10 @@ class DenseStiffness:
         # The rows h, then H, in the same arrays as long as there are as many; loads of both.
         self._joined, self._loads = NO_ROWS, np.empty(0)
         self._eliminated: Condensed | None = None
+
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `Factorization.blocks`."""
+        return self._inner.blocks()
 
     def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
         """See `Factorization.prepare_rows`."""

@@ -109,7 +109,7 @@ class Newton:
         self._linear: Linearized | None = None
         self._actuation: Actuation | None = None
         self._stays_upright = any(term.stays_upright for term in model.forces)
-        self._condensed_forces, self._untold_forces = self.forces, np.empty_like(self.forces)
+        self._condensed_forces, self._loaded_forces = self.forces, np.empty_like(self.forces)
         self._effector_columns = None
         if model.slides is not None:
             self._effector_columns = model.slides.effector_columns(model.effectors)
@@ -458,7 +458,7 @@ class Newton:
         if not self.is_augmented:
             forces = self.forces
             if rows.told is not None:
-                forces = self._untold_forces
+                forces = self._loaded_forces
                 copy_vectors(self.forces, forces)
                 rows.add_forces(np.zeros(rows.row_count), forces)
             self._condensed_forces = forces
@@ -467,7 +467,8 @@ class Newton:
                 multipliers=multipliers,
             )  # fmt: skip
         augmentation = self._augmented.augmentation(self._held)
-        forces, shift = self.forces.copy(), np.zeros(rows.row_count)
+        forces, shift = self._loaded_forces, np.zeros(rows.row_count)
+        copy_vectors(self.forces, forces)
         a = rows.groups.actuators
         shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
         if augmentation.share is not None:
