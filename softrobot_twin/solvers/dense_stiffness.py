@@ -276,5 +276,11 @@ def laid_out_alike(factorization: Factorization) -> tuple[Factorization, np.ndar
     """A factorization of the same class, pattern and dense rows, and its places; see `laid_out_like`."""
     if not isinstance(factorization, DenseStiffness):
         return laid_out_like(factorization, type(factorization))
-    inner, places = laid_out_like(factorization._inner, type(factorization._inner))
+    inner = without_rows(factorization)
+    inner, places = laid_out_like(inner, type(inner))
     return DenseStiffness(inner, factorization._terms), places
+
+
+def without_rows(factorization: Factorization) -> Factorization:
+    """The factorization of what is assembled, without dense rows."""
+    return factorization._inner if isinstance(factorization, DenseStiffness) else factorization

@@ -43,6 +43,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
+from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
@@ -702,7 +703,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         calls = _calls_in_a_step(simulation, commands)
         kernel_share = _share_of_kernels(simulation, commands)
         beside = _time_beside_steps(simulation, commands)
-    factorization = model.factorization
+    factorization = without_rows(model.factorization)
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     reports = [step.report for step in record.steps]
     return SizeMeasurement(
@@ -770,7 +771,7 @@ def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) ->
     dense.measure()
     samples = _SUPERLU_SAMPLES
     if with_superlu:
-        yardstick = SuperLUReference(simulation.model.factorization)
+        yardstick = SuperLUReference(without_rows(simulation.model.factorization))
         first, _ = yardstick.factorize()
         samples = int(np.clip(_SUPERLU_SECONDS / first, _FEWEST_SAMPLES, _SUPERLU_SAMPLES))
     interval = max(1, steps // samples)
