@@ -1,6 +1,7 @@
 """Round beams that touch: the balls along their axes carry contacts, on the frames of both ends.
 
-See `geometry/round_axes.py` for the places, and `contact_pairs.py` for what a pair is.
+See `geometry/round_axes.py` for the places, and `contact_pairs.py` for what a pair is. Arguments of the
+kernels here that are not told are as in `contact_pairs`.
 """
 
 from __future__ import annotations
@@ -61,12 +62,6 @@ def carry_by_axis(
         local_tangents: Tangents there times the element's length, in these frames [m], same shape.
         elements: Element of each place in the first column, shape (capacity, 3).
         shares: Share along this element in the first column, shape (capacity, 3).
-        places: See `contact_pairs.py`, as all that follow.
-        sign: See there.
-        column: See there.
-        span: See there.
-        nodes: See there.
-        coefficients: See there.
     """
     for c in range(span[0], min(span[1], len(nodes))):
         e, s = elements[c, 0], shares[c, 0]

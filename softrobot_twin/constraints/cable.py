@@ -15,6 +15,14 @@ Newton's method would move the two points past each other and back without end. 
 smoothed below a length ρ, a tenth of the segment's length at rest, as by a guide of finite width:
 the segment's length counts as (‖r‖²/ρ + ρ)/2, with d = r/ρ and ∂²L/∂x_a∂x_b = Σ c_a c_b 1/ρ; and no
 step reverses the direction of a longer segment.
+
+Arguments of the kernels here:
+    coefficients: c of the nodes of each segment, shape (segment_count, width).
+    constants: r_0 of each segment [m], shape (segment_count, 3).
+    least: A segment that is not longer has no direction [m].
+    nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
+    rounding: ρ of each segment [m], shape (segment_count,).
+    x: Node positions [m], shape (node_count, 3).
 """
 
 from __future__ import annotations
@@ -44,7 +52,7 @@ from softrobot_twin.mechanics.kinematics import (
     size_of_points,
 )
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
-from softrobot_twin.mechanics.stencil import add_block, bind_stencils
+from softrobot_twin.mechanics.stencil import add_block, add_weighted_matrices, bind_stencils
 from softrobot_twin.traced_stage import clear
 
 # Two segments whose directions have a smaller cosine fold back on each other.
@@ -98,12 +106,6 @@ def evaluate_kernel(
     """Lengths of all cables and the entries -c_a d of their rows.
 
     Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
-        coefficients: c of these nodes, same shape.
-        constants: r_0 of each segment [m], shape (segment_count, 3).
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ of each segment [m], shape (segment_count,).
         cable: Cable of each segment, shape (segment_count,).
         entry: Entry of H of each node, -1 where fixed, shape (segment_count, width).
         blocks: Takes the entries of H, shape (entry_count, 3).
@@ -131,7 +133,6 @@ def turning_stiffness(r, tension, least, rounding):
     Args:
         r: The segment [m], three numbers.
         tension: λ [N].
-        least: A segment that is not longer has no direction [m].
         rounding: ρ [m].
     """
     length, d, k = norm(r), (0.0, 0.0, 0.0), 0.0
@@ -149,12 +150,6 @@ def add_stiffness_kernel(
     """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every segment of a taut cable; 1/ρ where it is smoothed.
 
     Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
-        coefficients: c of these nodes, same shape.
-        constants: r_0 of each segment [m], shape (segment_count, 3).
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ of each segment [m], shape (segment_count,).
         cable: Place of each segment's tension in `tensions`, shape (segment_count,).
         tensions: λ [N], of shape (cable_count,) where a cable has one tension.
         offsets: Place of each pair's block, -1 for none, shape (segment_count, pair_count).
@@ -185,12 +180,6 @@ def write_matrices(
     """λ (1 - d dᵀ)/‖r‖ of every segment of a taut cable, 1/ρ where it is smoothed; else zero.
 
     Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
-        coefficients: c of these nodes, same shape.
-        constants: r_0 of each segment [m], shape (segment_count, 3).
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ of each segment [m], shape (segment_count,).
         cable: Place of each segment's tension in `tensions`, shape (segment_count,).
         tensions: λ [N], of shape (cable_count,) where a cable has one tension.
         matrices: Takes the matrices [N/m], shape (segment_count, 3, 3).
@@ -201,71 +190,22 @@ def write_matrices(
         set_rows(matrices[s], scaled_matrix(*stiffness))
 
 
-@njit(**INLINED)
-def direction(r, least, rounding):
-    """d of one segment r [m], zero where it has none.
-
-    Args:
-        r: Three numbers.
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ [m].
-    """
-    length = norm(r)
-    scale = 1.0 / length if length > least else 0.0
-    if length < rounding:
-        scale = 1.0 / rounding
-    return scaled(r, scale)
-
-
 @njit(**KERNEL)
 def write_squares(x, nodes, coefficients, constants, least, rounding, stiffness, matrices):
     """k d dᵀ of every segment.
 
     Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
-        coefficients: c of these nodes, same shape.
-        constants: r_0 of each segment [m], shape (segment_count, 3).
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ of each segment [m], shape (segment_count,).
         stiffness: k of each segment [N/m], shape (segment_count,).
         matrices: Takes the matrices [N/m], shape (segment_count, 3, 3).
     """
     for s in range(len(nodes)):
-        d = direction(segment_vector(x, nodes[s], coefficients[s], constants[s]), least, rounding[s])
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        length = norm(r)
+        scale = 1.0 / length if length > least else 0.0
+        if length < rounding[s]:
+            scale = 1.0 / rounding[s]
+        d = scaled(r, scale)
         set_rows(matrices[s], add_outer(ZERO, scaled(d, max(stiffness[s], 0.0)), d))
-
-
-@njit(**KERNEL)
-def add_row_stiffness_kernel(
-    x, nodes, coefficients, constants, least, rounding, stiffness, offsets, strides, storage
-):
-    """Add k h hᵀ of the row h_a = -c_a d of every segment.
-
-    Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
-        coefficients: c of these nodes, same shape.
-        constants: r_0 of each segment [m], shape (segment_count, 3).
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ of each segment [m], shape (segment_count,).
-        stiffness: k of each segment [N/m], shape (segment_count,).
-        offsets: Place of each pair's block, -1 for none, shape (segment_count, pair_count).
-        strides: Distance between two columns of that block, same shape.
-        storage: The factorization's storage [N/m]; added to.
-    """
-    width = nodes.shape[1]
-    for s in range(len(nodes)):
-        if stiffness[s] <= 0.0:
-            continue
-        d = direction(segment_vector(x, nodes[s], coefficients[s], constants[s]), least, rounding[s])
-        pair = 0
-        for b in range(width):
-            for a in range(b, width):
-                k = stiffness[s] * coefficients[s, a] * coefficients[s, b]
-                block = add_outer(ZERO, scaled(d, k), d)
-                add_block(block, offsets[s, pair], strides[s, pair], storage)
-                pair += 1
 
 
 @njit(**KERNEL)
@@ -273,12 +213,6 @@ def share_kernel(x, nodes, coefficients, constants, least, rounding, free, move)
     """Largest share of a move, at most one, that reverses no segment that is not smoothed.
 
     Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
-        coefficients: c of these nodes, same shape.
-        constants: r_0 of each segment [m], shape (segment_count, 3).
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ of each segment [m], shape (segment_count,).
         free: Row of `move` of each node, -1 where fixed, shape (segment_count, width).
         move: Displacement of unknowns, then of carried points [m], shape (row_count, 3).
     """
@@ -398,6 +332,11 @@ class Cables(ConstraintTerm):
         """
         return None if self._spread is None else self._spread.dense_rows
 
+    def clear_dense_rows(self) -> None:
+        """See `ConstraintTerm.clear_dense_rows`."""
+        if self._spread is not None:
+            self._spread.clear_dense_rows()
+
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the geometric stiffness in the storage, and sort the segments' nodes.
         """
@@ -477,15 +416,17 @@ class Cables(ConstraintTerm):
         of = self.cable_of_stretch
         counts = np.bincount(of, minlength=self.row_count)
         squares = (stiffness * counts)[of]
-        segments = (
+        matrices = np.empty((len(of), 3, 3))
+        write_squares(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, squares,
+            self._rounding, squares, matrices,
         )  # fmt: skip
         if self._spread is None:
-            add_row_stiffness_kernel(*segments, self._bound.offsets, self._bound.strides, storage)
+            add_weighted_matrices(
+                matrices, self._coefficients, self._bound.offsets, self._bound.strides, storage
+            )
         else:
-            write_squares(*segments, self._matrices)
-            self._spread.add(self._matrices, storage, is_more=True)
+            self._spread.add(matrices, storage, is_more=True)
         blocks, values = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
         self._evaluate(positions, blocks, values)
         rows = np.concatenate([self.entry_rows, self.row_count + self.stretch_of_entry])

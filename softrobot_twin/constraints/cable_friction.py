@@ -34,6 +34,8 @@ in the forces, but not in the tangent.
 
 The rows of forces, t_s h_s with t = ∂T/∂λ, differ from the rows of shortenings, e_s h_s: friction has
 no potential. `Linearized` makes the condensed system symmetric, and exact at its own state.
+
+Arguments of the kernels here that tell of a path are as in `cable`.
 """
 
 from __future__ import annotations
@@ -71,12 +73,6 @@ def write_turns(x, nodes, coefficients, constants, least, rounding, cable, lengt
     after.
 
     Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of each segment, -1 where there is none, shape (segment_count, width).
-        coefficients: c of these nodes, same shape.
-        constants: r_0 of each segment [m], shape (segment_count, 3).
-        least: A segment that is not longer has no direction [m].
-        rounding: ρ of each segment [m], shape (segment_count,).
         cable: Cable of each segment, ascending, shape (segment_count,).
         lengths: Takes the lengths [m], shape (segment_count,).
         angles: Takes the angles β [rad], zero where a cable begins, same shape.

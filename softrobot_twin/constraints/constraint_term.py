@@ -117,6 +117,9 @@ class ConstraintTerm(Protocol):
             projected: True for a part of it that is never negative.
         """
 
+    def clear_dense_rows(self) -> None:
+        """Have no dense rows until stiffness is added again; see `ForceTerm.clear_dense_rows`."""
+
     def add_row_stiffness(
         self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
     ) -> DenseRows | None:

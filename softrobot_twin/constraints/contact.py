@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.constraints.constraint_term import VaryingTerm
 from softrobot_twin.constraints.contact_pairs import NO_NODE, RigidSurface
 from softrobot_twin.geometry.proximities import empty_proximities
 from softrobot_twin.mechanics.barycentric import writable
@@ -358,7 +359,7 @@ class ContactMemory:
         fill_tables(self._row_starts, multipliers, self._start, self._tables)
 
 
-class Contacts:
+class Contacts(VaryingTerm):
     """Constraint term of all that may touch. Its rows differ from step to step.
 
     A contact of a pair with friction has three rows, the normal and two tangents; others have one.
@@ -385,7 +386,6 @@ class Contacts:
     group = "contacts"
     varies = True
     curvature = None
-    dense_rows = None
 
     def __init__(
         self, pairs: tuple, free_index: np.ndarray, longest: Callable,
@@ -423,7 +423,7 @@ class Contacts:
         self._width = max([4, *(side.width for side in sides)])
         nodes = np.unique(np.concatenate([np.empty(0, np.int64), *(s.nodes for s in sides)]))
         reached = free_index[nodes]
-        self.reached_nodes = reached[reached >= 0]
+        self._reached = reached[reached >= 0]
         self._allocate(FIRST_ROOM)
 
     def _allocate(self, capacity: int) -> None:
@@ -447,6 +447,11 @@ class Contacts:
     def is_traceable(self) -> bool:
         """See `ConstraintTerm`: rows keep their arrays while there are as many contacts."""
         return self.curvature is None
+
+    @property
+    def reached_nodes(self) -> np.ndarray:
+        """See `ConstraintTerm`; of all sides."""
+        return self._reached
 
     @property
     def entry_capacity(self) -> int:
@@ -582,10 +587,6 @@ class Contacts:
             self._free_index, self.nodes, self.coefficients, self.directions, self.row_starts,
             blocks,
         )  # fmt: skip
-
-    def stencils(self) -> np.ndarray:
-        """Without lines: the elastic terms couple the nodes of a facet already."""
-        return np.empty((0, 1), np.int64)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Look up where the stiffness by curvature goes; see `ConstraintTerm.bind`."""

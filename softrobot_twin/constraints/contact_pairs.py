@@ -69,13 +69,6 @@ def carry_by_vertices(point_nodes, points, weights, sign, column, span, nodes, c
 
     Args:
         point_nodes: Node of each surface point, shape (point_count,).
-        points: See above, as all that follow.
-        weights: See above.
-        sign: See above.
-        column: See above.
-        span: See above.
-        nodes: See above.
-        coefficients: See above.
     """
     for c in range(span[0], min(span[1], len(nodes))):
         for k in range(3):
@@ -93,13 +86,6 @@ def carry_by_mapping(
     Args:
         point_nodes: Nodes that carry each surface point, shape (point_count, width).
         point_weights: Their weights, same shape.
-        points: See above, as all that follow.
-        weights: See above.
-        sign: See above.
-        column: See above.
-        span: See above.
-        nodes: See above.
-        coefficients: See above.
     """
     for c in range(span[0], min(span[1], len(nodes))):
         count = 0
@@ -126,14 +112,7 @@ def carry_by_frame(x, frame, places, sign, column, span, nodes, coefficients):
     """Places on a rigid body: its four frame nodes carry them.
 
     Args:
-        x: See above.
         frame: First frame node of the body.
-        places: See above, as all that follow.
-        sign: See above.
-        column: See above.
-        span: See above.
-        nodes: See above.
-        coefficients: See above.
     """
     for c in range(span[0], min(span[1], len(nodes))):
         rest = 1.0
@@ -324,9 +303,9 @@ class ContactPair:
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            reach: See above, as all that follow.
-            rows: See above.
-            span: See above.
+            reach: See `geometry/proximities.py`, as all that follow.
+            rows: See there.
+            span: See there.
         """
         put_pairs(self.near(positions, reach[0]), rows, span)
 

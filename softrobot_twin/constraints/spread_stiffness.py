@@ -20,7 +20,8 @@ import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.mechanics.force_term import DenseRows
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils
+from softrobot_twin.traced_stage import clear
 
 # Segments that couple more nodes are spread. At 38 it takes as long either way.
 MOST_COUPLED = 40
@@ -97,29 +98,6 @@ def write_roots(matrices, free, c, heavy_free, heavy_c, rows, nodes, blocks, sig
     sizes[0], sizes[1] = row, entry
 
 
-@njit(**KERNEL)
-def add_lumped(matrices, c, offsets, strides, storage):
-    """Add ĉ ĉᵀ ⊗ M of every segment.
-
-    Args:
-        matrices: M of each segment [N/m], shape (segment_count, 3, 3).
-        c: ĉ of both ends, shape (segment_count, width).
-        offsets: Place of each pair's block, -1 for none, shape (segment_count, pair_count).
-        strides: Distance between two columns of that block, same shape.
-        storage: The factorization's storage [N/m]; added to.
-    """
-    for s in range(len(matrices)):
-        pair = 0
-        for b in range(c.shape[1]):
-            for a in range(b, c.shape[1]):
-                if offsets[s, pair] >= 0:
-                    for j in range(3):
-                        for i in range(3):
-                            place = offsets[s, pair] + j * strides[s, pair] + i
-                            storage[place] += c[s, a] * c[s, b] * matrices[s, i, j]
-                pair += 1
-
-
 class SpreadStiffness:
     """Adds the stiffness of segments, as few blocks and dense rows."""
 
@@ -164,10 +142,16 @@ class SpreadStiffness:
             storage: The factorization's storage [N/m]; added to.
             is_more: Whether the rows of what was added before stay.
         """
-        add_lumped(matrices, self._heavy_c, self._bound.offsets, self._bound.strides, storage)
+        add_weighted_matrices(
+            matrices, self._heavy_c, self._bound.offsets, self._bound.strides, storage
+        )
         write_roots(
             matrices, self._free, self._c, self._heavy, self._heavy_c, *self._written, is_more
         )
+
+    def clear_dense_rows(self) -> None:
+        """See `ConstraintTerm.clear_dense_rows`."""
+        clear(self._written[-1])
 
     @property
     def dense_rows(self) -> DenseRows:

@@ -156,6 +156,11 @@ class ForceTerm(Protocol):
         """
         ...
 
+    def clear_dense_rows(self) -> None:
+        """Where dense rows do not follow from the state evaluated last: have none until stiffness is
+        added again; by a kernel, if the term is traceable.
+        """
+
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
         """How much of a move may be made before the term's forces are not defined any more.
 

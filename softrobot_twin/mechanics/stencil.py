@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, njit
-from softrobot_twin.geometry.matrix3 import rows
+from softrobot_twin.compilation import INLINED, KERNEL, njit
+from softrobot_twin.geometry.matrix3 import rows, scaled_matrix
 
 Slots = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -124,6 +124,26 @@ def add_stencil_matrix(order, offsets, strides, matrix, storage):
             block = rows(matrix[a : a + 3, b : b + 3])
             add_block(block, offsets[pair], strides[pair], storage)
             pair += 1
+
+
+@njit(**KERNEL)
+def add_weighted_matrices(matrices, weights, offsets, strides, storage):
+    """Add c_a c_b M to the storage for all pairs of free nodes a, b of every stencil.
+
+    Args:
+        matrices: M of each stencil, symmetric [N/m], shape (stencil_count, 3, 3).
+        weights: c of its nodes in elimination order, shape (stencil_count, width).
+        offsets: Place of each pair's block, -1 for none; see `BoundStencils`.
+        strides: Distance between two columns of that block, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
+    for s in range(len(matrices)):
+        matrix, pair = rows(matrices[s]), 0
+        for b in range(weights.shape[1]):
+            for a in range(b, weights.shape[1]):
+                block = scaled_matrix(matrix, weights[s, a] * weights[s, b])
+                add_block(block, offsets[s, pair], strides[s, pair], storage)
+                pair += 1
 
 
 def stencil_pairs(

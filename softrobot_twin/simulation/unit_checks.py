@@ -209,9 +209,6 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
     nodes, factorization = model.nodes, model.factorization
     _forget_motion(model)
     positions = nodes.rest_positions.copy()
-    # No actuator pulls: dense rows of earlier efforts go.
-    none = np.zeros(model.rows.row_count)
-    model.rows.add_stiffness(positions, none, factorization.storage, False)
     forces = np.zeros((nodes.free_node_count, 3))
     # A single solve is the linear solution and is not limited; several are kept from overshooting.
     longest_move = np.inf if most_solves == 1 else LONGEST_MOVE * nodes.size

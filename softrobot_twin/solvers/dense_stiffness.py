@@ -151,11 +151,11 @@ class DenseStiffness:
 
         Args:
             inner: It.
-            terms: All that have `dense_rows`, see `DenseRows`.
+            terms: All that have `dense_rows`, see `DenseRows`, and `clear_dense_rows`.
         """
         self._inner, self.name, self._terms = inner, inner.name, list(terms)
         self.elimination_rank, self.storage = inner.elimination_rank, inner.storage
-        self.slots, self.clear = inner.slots, inner.clear
+        self.slots = inner.slots
         self.is_traceable = getattr(inner, "is_traceable", False)
         self._place, self._compliance, self._below = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64)
         self._positive_count = self._entry_count = 0
@@ -163,6 +163,12 @@ class DenseStiffness:
         # The rows h, then H, in the same arrays as long as there are as many; loads of both.
         self._joined, self._loads = NO_ROWS, np.empty(0)
         self._eliminated: Condensed | None = None
+
+    def clear(self) -> None:
+        """See `Factorization.clear`; no rows are left either."""
+        self._inner.clear()
+        for term in self._terms:
+            term.clear_dense_rows()
 
     def blocks(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Factorization.blocks`."""
@@ -263,7 +269,7 @@ def with_rows_of(term, factorization: Factorization) -> DenseStiffness:
     """A factorization that takes the dense rows of one more term.
 
     Args:
-        term: Has `dense_rows`, see `DenseRows`.
+        term: Has `dense_rows` and `clear_dense_rows`, see `DenseStiffness`.
         factorization: That of the others, which is changed if it takes dense rows already.
     """
     if not isinstance(factorization, DenseStiffness):

@@ -9,6 +9,7 @@ from softrobot_twin.constraints import cable
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
+from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale
 from softrobot_twin.simulation.unit_checks import linear_sag
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 
@@ -79,3 +80,13 @@ def test_the_sag_is_that_without_pulls(fingers):
     assert linear_sag(rows.model) == pytest.approx(sag, rel=1e-9)
     rows.step(CommandSetpoints(0.2 * rows.limits.setpoint_range(rows.rest_setpoints)[1], 0.02))
     assert linear_sag(rows.model) == pytest.approx(sag, rel=1e-9)
+
+
+def test_what_is_assembled_after_steps_has_no_rows_of_their_efforts(fingers):
+    _, rows = fingers
+    model = rows.model
+    expected = efforts_at_scale(model, model.actuators.terms[0])
+    for _ in range(4):
+        rows.step(CommandSetpoints(rows.rest_setpoints - [0.01, 0.004], 0.05))
+    assert len(model.rows.terms[0].dense_rows.stiffness) > 0
+    np.testing.assert_array_equal(efforts_at_scale(model, model.actuators.terms[0]), expected)

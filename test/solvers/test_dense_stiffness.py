@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.force_term import DenseRows
+from softrobot_twin.mechanics.force_term import NO_DENSE_ROWS, DenseRows
 from softrobot_twin.solvers.dense_stiffness import NO_ROWS, DenseStiffness
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.multifrontal import Multifrontal
@@ -36,6 +36,9 @@ class Part:
             np.repeat(np.arange(count), n), np.tile(np.arange(n), count),
             scale * random.standard_normal((count * n, 3)), np.array(stiffness),
         )  # fmt: skip
+
+    def clear_dense_rows(self):
+        self.dense_rows = NO_DENSE_ROWS
 
     def dense(self, n):
         rows = self.dense_rows

@@ -221,6 +221,9 @@ class AugmentedTangent:
         self.dense_rows = NO_DENSE_ROWS
         return is_definite
 
+    def clear_dense_rows(self) -> None:
+        """Nothing: there are some only while it is factorized."""
+
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
         """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
 

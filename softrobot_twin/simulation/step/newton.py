@@ -30,7 +30,7 @@ from softrobot_twin.simulation.step.linearized import (
 from softrobot_twin.simulation.step.merit import Merit
 from softrobot_twin.simulation.step.move import Move
 from softrobot_twin.simulation.step.time_budget import StageClock
-from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+from softrobot_twin.solvers.dense_stiffness import DenseStiffness, without_rows
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.traced_stage import TracedStages, clear
 
@@ -158,8 +158,9 @@ class Newton:
         self._stages = TracedStages(are_traceable, *stages[: None if self._makes_whole else MOVE])
         self._row_stages = TracedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
         self._traced = [self._stages, self._row_stages]
-        if hasattr(factorization, "stages"):
-            self._traced.append(factorization.stages)
+        assembled = without_rows(factorization)
+        if hasattr(assembled, "stages"):
+            self._traced.append(assembled.stages)
         self.forget()
         self.gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self.forces, axis=1).sum())
