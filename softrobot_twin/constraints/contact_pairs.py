@@ -28,23 +28,10 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.proximities import Proximities, found_by, put_pairs
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
 from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
+from softrobot_twin.geometry.vector_arrays import gather_vectors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable, write_points
 
 NO_NODE = -1
-
-
-@njit(**KERNEL)
-def gather_points(x, nodes, out):
-    """Copy the positions of some nodes.
-
-    Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: The nodes, shape (point_count,).
-        out: Takes their positions [m], shape (point_count, 3).
-    """
-    for p in range(len(nodes)):
-        for i in range(3):
-            out[p, i] = x[nodes[p], i]
 
 
 @njit(**KERNEL)
@@ -153,7 +140,7 @@ class DeformableSurface:
 
     def points(self, positions: np.ndarray) -> np.ndarray:
         """Where its points are [m], shape (point_count, 3); the next call overwrites them."""
-        gather_points(writable(positions), self.point_nodes, self._points)
+        gather_vectors(writable(positions), self.point_nodes, self._points)
         return self._points
 
     def carry(self, positions, points, weights, places, *where) -> None:

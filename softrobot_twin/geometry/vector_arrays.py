@@ -58,6 +58,14 @@ def copy_vectors(vectors, copies):
 
 
 @njit(**KERNEL)
+def gather_vectors(vectors, places, gathered):
+    """Copy the vectors at some places, shape (place_count,), to an array of shape (place_count, 3)."""
+    for k in range(len(places)):
+        for i in range(3):
+            gathered[k, i] = vectors[places[k], i]
+
+
+@njit(**KERNEL)
 def multiply_transposed(left, right, product):
     """Write leftᵀ right, shape (n, n), of matrices of shape (row_count, n)."""
     np.dot(left.T, right, product)

@@ -37,7 +37,7 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product
-from softrobot_twin.geometry.vector_arrays import multiply_transposed
+from softrobot_twin.geometry.vector_arrays import gather_vectors, multiply_transposed
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
     fill_derivatives,
@@ -353,20 +353,6 @@ def are_known(positions, nodes, coordinates):
 
 
 @njit(**KERNEL)
-def take_coordinates(positions, nodes, coordinates):
-    """Write the coordinates of a state.
-
-    Args:
-        positions: Node positions [m], shape (node_count, 3).
-        nodes: Nodes whose positions are the coordinates, shape (count,).
-        coordinates: Takes the coordinates [m], shape (3 count or more,).
-    """
-    for n in range(len(nodes)):
-        for i in range(3):
-            coordinates[3 * n + i] = positions[nodes[n], i]
-
-
-@njit(**KERNEL)
 def subtract_forces(own, unknowns, forces):
     """Subtract forces on coordinates from those on unknowns.
 
@@ -500,6 +486,7 @@ class ReducedElements(ForceTerm):
         self._assembly = reduced_assembly_of(type(law))
         self._coordinates, self._forces = np.zeros(self._width), np.empty(self._width)
         self._coordinates[:modes] = np.nan
+        self._at_nodes = self._coordinates[: 3 * len(self._nodes)].reshape(-1, 3)
         self._stiffness = np.zeros((self._width, self._width), precision)
         self._inverted_count, self._bound = 0, None
         if isinstance(law, Corotational):
@@ -535,7 +522,7 @@ class ReducedElements(ForceTerm):
         positions = writable(positions)
         if are_known(positions, self._nodes, self._coordinates):
             return
-        take_coordinates(positions, self._nodes, self._coordinates)
+        gather_vectors(positions, self._nodes, self._at_nodes)
         deform_points(self._rows, self._coordinates, self._deformations.reshape(-1))
         self._inverted_count = self._assembly.find_stresses(
             self.law, self._deformations, self._weights, self._rotations, self._uprights,

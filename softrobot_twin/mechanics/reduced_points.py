@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.geometry.vector_arrays import gather_vectors
 from softrobot_twin.mechanics.kinematics import longest_row
 
 # Numbers that stay in the nearest cache while all coordinates are added.
@@ -56,9 +57,7 @@ def place_points(positions, coordinate_nodes, modes, rest, first_point, coordina
         coordinates: Takes q [m], shape (mode_count,).
         moved: Takes Φ q [m], shape (3 point_count,).
     """
-    for n in range(len(coordinate_nodes)):
-        for i in range(3):
-            coordinates[3 * n + i] = positions[coordinate_nodes[n], i]
+    gather_vectors(positions, coordinate_nodes, coordinates.reshape(-1, 3))
     write_displacements(modes, coordinates, moved)
     for p in range(len(rest)):
         for i in range(3):

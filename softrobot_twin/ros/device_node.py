@@ -135,41 +135,40 @@ class DeviceNode(TickingNode):
         """What is published of each measurement."""
         device, names = self.device, self.device.actuator_names
         yield Output(TOPICS["<twin>/measured_cables"], [""], partial(cables_message, names),
-                     (), lambda seen: [(seen.setpoints, seen.efforts)])
+                     lambda seen: [(seen.setpoints, seen.efforts)])
         wound = device.pulleys if isinstance(device, WoundDevice) else None
         if wound is not None and wound.count:
             yield Output(
                 TOPICS["<twin>/measured_angles"], [""], partial(cables_message, wound.names),
-                (), lambda seen: [(wound.angles(seen.setpoints), wound.torques(seen.efforts))])
+                lambda seen: [(wound.angles(seen.setpoints), wound.torques(seen.efforts))])
         if isinstance(device, PressurisedDevice):
             places = [names.index(name) for name in device.cavity_names]
             yield Output(
                 TOPICS["<twin>/measured_pressures/<cavity>"], device.cavity_names,
                 lambda *made: pressure_message(*made, device.pressure_variance),
-                (), lambda seen: rows_of(self._ambient_pressure + seen.efforts[places]))
+                lambda seen: rows_of(self._ambient_pressure + seen.efforts[places]))
         yield Output(TOPICS["<twin>/markers"], [""], markers_message,
-                     (), lambda seen: [(seen.marker_ids, seen.marker_positions)])
+                     lambda seen: [(seen.marker_ids, seen.marker_positions)])
         yield Output(TOPICS["~/effectors/<effector>"], device.effector_names, point_message,
-                     (), lambda seen: rows_of(seen.effector_positions))
+                     lambda seen: rows_of(seen.effector_positions))
         if isinstance(device, TouchedDevice):
             yield from self._touch_outputs(device)
         if self._carried is not None:
             yield Output(TOPICS["~/bodies/<rigid body>"], self._carried.rigid_names, pose_message,
-                         (), lambda seen: rows_of(*self._carried.rigid_poses()))
+                         lambda seen: rows_of(*self._carried.rigid_poses()))
 
     def _touch_outputs(self, device: TouchedDevice) -> Iterator[Output]:
         """What sensors say of touches, and for the twin one of both: a force of zero, or a NaN as
         place, without a touch."""
         yield Output(TOPICS["~/touch/<touch>"], device.touch_names, partial(cables_message, "xyz"),
-                     (), lambda seen: rows_of(
-                         device.touches().displacements, device.touches().forces))  # fmt: skip
+                     lambda _: rows_of(self._touches.displacements, self._touches.forces))
         if self._sends_force:
             yield Output(TOPICS["<twin>/touch_force/<touch>"], device.touch_names, wrench_message,
-                         (), lambda seen: rows_of(device.touches().forces))
+                         lambda _: rows_of(self._touches.forces))
         else:
             yield Output(TOPICS["<twin>/touch_position/<touch>"], device.touch_names, point_message,
-                         (), lambda seen: rows_of(np.where(
-                             device.touches().is_touched[:, None], device.touches().points, np.nan)))
+                         lambda _: rows_of(np.where(
+                             self._touches.is_touched[:, None], self._touches.points, np.nan)))
 
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
         arrival = self.arrival(message.header)
@@ -195,6 +194,9 @@ class DeviceNode(TickingNode):
         stamp = stamp_of(self.stamp)
         reading = self.device.read(now)
         header = Header(stamp=stamp, frame_id=self._frame)
+        if isinstance(self.device, TouchedDevice) and self.device.touch_names:
+            # Once a tick: all that is told of touches is of the same moment.
+            self._touches = self.device.touches()
         for output, publishers in self._outputs:
             rows = output.read(reading)
             for index, publisher in publishers.items():

@@ -18,9 +18,9 @@ class Output(NamedTuple):
         topic: The topic.
         names: Names of the objects; nothing is opened without any.
         make: Makes a message of the values of an object and a header.
+        read: Gives what a tick tells: the values of each object; nothing where it tells none.
         counts: How many numbers each value has, where a message tells nothing else; none where it
             must be made anew.
-        read: Gives what a tick tells: the values of each object; nothing where it tells none.
         has_it: Whether each object has it; None where all have.
         is_costly: Nothing is read where nobody receives it, also where the run is recorded.
     """
@@ -28,8 +28,8 @@ class Output(NamedTuple):
     topic: Topic
     names: Sequence[str]
     make: Callable[..., object]
-    counts: Sequence[int]
     read: Callable[[Any], Sequence[tuple]]
+    counts: Sequence[int] = ()
     has_it: Sequence[bool] | None = None
     is_costly: bool = False
 

@@ -142,32 +142,33 @@ def outputs_of(simulation: Simulation) -> Iterator[Output]:
     """
     effectors, scene = simulation.effector_names, simulation.scene
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
-    yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message, (3,),
-                 lambda tick: rows_of(tick.result.effector_positions))
-    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, (3, 4), lambda tick: rows_of(
+    yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message,
+                 lambda tick: rows_of(tick.result.effector_positions), (3,))
+    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, lambda tick: rows_of(
         tick.result.effector_positions, tick.result.effector_orientations),
-        simulation.oriented_effectors)  # fmt: skip
-    yield Output(TOPICS["~/stiffness/<effector>"], effectors, vector_message, (3,),
-                 lambda tick: rows_of(tick.result.effector_stiffness), simulation.stiff_effectors)
+        (3, 4), simulation.oriented_effectors)  # fmt: skip
+    yield Output(TOPICS["~/stiffness/<effector>"], effectors, vector_message,
+                 lambda tick: rows_of(tick.result.effector_stiffness), (3,), simulation.stiff_effectors)
     yield Output(TOPICS["~/touch/<touch>"], simulation.touch_names, partial(cables_message, "xyz"),
-                 (3, 3), lambda tick: rows_of(tick.result.touches.displacements, tick.result.touches.forces))
+                 lambda tick: rows_of(tick.result.touches.displacements, tick.result.touches.forces),
+                 (3, 3))
     yield Output(TOPICS["~/predicted_markers"], [""] * bool(len(simulation.marker_ids)),
-                 markers_message, (), lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
+                 markers_message, lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
                  is_costly=True)
-    yield Output(TOPICS["~/bodies/<rigid body>"], simulation.rigid_names, pose_message, (3, 4),
-                 lambda tick: rows_of(*simulation.rigid_poses()), is_costly=True)
+    yield Output(TOPICS["~/bodies/<rigid body>"], simulation.rigid_names, pose_message,
+                 lambda tick: rows_of(*simulation.rigid_poses()), (3, 4), is_costly=True)
     yield Output(TOPICS["~/contacts"], [""] * (scene.contact is not None),
                  lambda contacts, header: contacts_message(
-                     contacts.positions, contacts.forces, header), (),
+                     contacts.positions, contacts.forces, header),
                  lambda tick: [(found,)] if (found := tick.result.contacts) is not None else [])
-    yield Output(TOPICS["~/cable_paths"], [""] * has_cables, cables_message, (),
+    yield Output(TOPICS["~/cable_paths"], [""] * has_cables, cables_message,
                  lambda tick: _paths(simulation, tick.result.state.positions), is_costly=True)
     for channel in from_outside():
         yield Output(channel_topic(channel), channel.names(simulation),
-                     partial(cables_message, channel.parts), (len(channel.parts), 0),
+                     partial(cables_message, channel.parts),
                      lambda tick, read=channel.read: [
                          (*row, ()) for row in rows_of(read(tick.result))],
-                     channel.are_asked(simulation))  # fmt: skip
+                     (len(channel.parts), 0), channel.are_asked(simulation))  # fmt: skip
 
 
 class ComplianceOutputs:
