@@ -76,6 +76,25 @@ def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch):
     assert driven[0] == 0
 
 
+@pytest.mark.parametrize("name, time_step", [("diamond_reduced", 0.001), ("diamond", 0.002)])
+def test_targets_that_move_do_not_send_stages_back_to_python(name, time_step, monkeypatch):
+    traces = []
+    trace = traced_stage.Trace
+    monkeypatch.setattr(
+        traced_stage, "Trace", lambda *given: traces.append(given[0]) or trace(*given)
+    )
+    simulation = Simulation.from_scene_file(SCENES / f"{name}.yaml")
+    here = simulation.effector_positions()
+    for k in range(500):
+        if k == 200:
+            traces.clear()
+        # As a teleop does it: a new target in each 20 ms.
+        at = 0.02 * (k * time_step // 0.02)
+        simulation.step(FollowTargets(here + [0.01 * np.sin(at), 0.0, 0.0], time_step), budget=1.0)
+    # To learn a stage takes as long as several steps.
+    assert len(traces) <= 10
+
+
 def test_the_second_of_two_equal_traces_is_run_by_the_driver(monkeypatch):
     driven, runs = count_driven(monkeypatch), [0]
     vectors, sums = np.ones((5, 3)), np.zeros((5, 3))

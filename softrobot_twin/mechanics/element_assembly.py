@@ -508,29 +508,22 @@ def add_forces(
 
 
 def add_stiffness(
-    law, moves, cells, free, gradients, weights, barrier_stiffness, projected, are_known,
-    deformations, rotations, uprights, offsets, strides, are_contiguous, forces, storage,
+    law, cells, gradients, weights, projected, deformations, rotations, uprights, offsets, strides,
+    are_contiguous, storage,
 ):  # fmt: skip
-    """Add the stiffness of all elements; forces too, those of the barrier included, unless they are
-    known. The stiffness of the barrier is not added.
+    """Add the stiffness of all elements at the state where `add_forces` was called last, but not
+    that of the barrier.
 
     Args:
-        law, moves, cells, free, gradients, weights, barrier_stiffness: See `add_forces`.
+        law, cells, gradients, weights: See `add_forces`.
         projected: True for a positive semidefinite stiffness.
-        are_known: Whether `add_forces` was called at the same state: what it left is then used.
-        deformations, rotations, uprights, forces: See `add_forces`.
+        deformations, rotations, uprights: What `add_forces` left.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
         strides: Distance of its columns, same shape.
         are_contiguous: Whether all blocks are contiguous.
         storage: The factorization's storage [N/m]; added to.
-
-    Returns:
-        Number of points on which the barrier acts; zero where forces are known.
     """
     point_count, width = weights.shape[1], gradients.shape[2]
-    U, P = np.empty(width), np.empty(width)
-    S = scratch(9)
-    least_volumes, nearly_flat_count = no_volumes_yet(), 0
     # What each point keeps until the blocks are summed.
     g = np.empty((point_count, width))
     L = np.empty((point_count, 3 * len(linearized_rows(law)) * BATCH))
@@ -540,18 +533,9 @@ def add_stiffness(
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
     for k in range(len(cells)):
         count = node_count_of(cells[k])
-        if not are_known:
-            gather(moves, cells[k, :count], U)
-            P[:] = 0.0
         by_matrix = False
         for q in range(point_count):
             F, G = deformations[k, q], of_nodes(gradients[k, q], count)
-            if not are_known:
-                deform(U, G, F)
-                find_state(law, F, rotations[k, q], uprights[k, q])
-                take_least_volumes(F, uprights[k, q], least_volumes)
-                weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
-                add_stress_to_nodes(S, G, P)
             see_gradients(law, G, rotations[k, q], g[q])
             linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
             if is_tested:
@@ -560,8 +544,6 @@ def add_stiffness(
                 by_matrix |= project_all(
                     law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
                 )
-        if not are_known:
-            subtract_forces(free[k, :count], P, forces)
         pair = 0
         for b in range(count):
             for q in range(point_count):
@@ -577,11 +559,6 @@ def add_stiffness(
                 else:
                     add_blocks(offsets[k, pair], strides[k, pair], K, storage)
                 pair += 1
-    if barrier_stiffness > 0.0 and not are_known and barrier_acts(least_volumes):
-        nearly_flat_count = add_barrier_forces(
-            barrier_stiffness, free, gradients, weights, deformations, forces
-        )
-    return nearly_flat_count
 
 
 @njit(**INNER)

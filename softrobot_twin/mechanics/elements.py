@@ -158,7 +158,7 @@ class Elements(ForceTerm):
         storage = np.zeros(last + 1)
         forces = np.zeros((self._free_index.max() + 1, 3))
         self.add_forces(self._reference, forces)
-        self._add_stiffness(self._reference, storage, projected=False, is_known=True)
+        self._add_stiffness(storage, False)
         self._forget()
         return storage
 
@@ -168,13 +168,7 @@ class Elements(ForceTerm):
         Returns:
             Number of elements that are flat or inside out.
         """
-        self._begin_state(positions, forces)
-        inverted_count, self._nearly_flat_points = self._assembly.add_forces(
-            self.law, self._moved(positions), self._cells, self._free,
-            self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
-            self._deformations, self._rotations, self._uprights, self._forces,
-        )  # fmt: skip
-        self._add_fold_forces()
+        inverted_count = self._take_state(positions, forces.shape)
         add_vectors(self._forces, forces)
         if len(self._corners.edges):
             return count_folded(
@@ -182,12 +176,24 @@ class Elements(ForceTerm):
             )
         return max(inverted_count, self._folded_count)
 
-    def _begin_state(self, positions: np.ndarray, forces: np.ndarray) -> None:
-        """Note the state whose forces are taken now, and set them to zero."""
-        if self._forces.shape != forces.shape or self._known_at.shape != positions.shape:
-            self._forces, self._known_at = np.empty(forces.shape), np.empty(positions.shape)
+    def _take_state(self, positions: np.ndarray, shape: tuple[int, int]) -> int:
+        """Find -F(q) [N] and the states of all points, and count those inverted.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            shape: That of the forces, (free_node_count, 3).
+        """
+        if self._forces.shape != shape or self._known_at.shape != positions.shape:
+            self._forces, self._known_at = np.empty(shape), np.empty(positions.shape)
         clear(self._forces.reshape(-1))
         copy_vectors(positions, self._known_at)
+        inverted_count, self._nearly_flat_points = self._assembly.add_forces(
+            self.law, self._moved(positions), self._cells, self._free,
+            self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
+            self._deformations, self._rotations, self._uprights, self._forces,
+        )  # fmt: skip
+        self._add_fold_forces()
+        return inverted_count
 
     def _moved(self, positions: np.ndarray) -> np.ndarray:
         """Displacements from the reference [m], shape (node_count, 3); overwritten by the next call.
@@ -195,7 +201,11 @@ class Elements(ForceTerm):
         write_differences(writable(positions), self._reference, self._moves)
         return self._moves
 
-    def _knows(self, positions: np.ndarray) -> bool:
+    def knows(self, positions: np.ndarray) -> bool:
+        """Whether the forces at node positions [m] are stored; see `ForceTerm.knows`."""
+        return self._is_stored(positions)
+
+    def _is_stored(self, positions: np.ndarray) -> bool:
         """Whether the stored state is that at node positions [m], to the bit."""
         return are_same(writable(positions), self._known_at)
 
@@ -205,7 +215,7 @@ class Elements(ForceTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        if self._knows(positions):
+        if self._is_stored(positions):
             return self._deformations
         deformations = np.empty_like(self._deformations)
         deform_all(positions - self._reference, self._cells, self._gradients, deformations)
@@ -220,20 +230,13 @@ class Elements(ForceTerm):
             storage: The factorization's storage [N/m]; added to.
             projected: True for the positive semidefinite tangent, projected point by point.
         """
-        is_known = self._knows(positions)
+        if not self._is_stored(positions):
+            self._take_state(positions, forces.shape)
+        add_vectors(self._forces, forces)
         if self._constant_stiffness is not None:
-            if is_known:
-                add_vectors(self._forces, forces)
-            else:
-                self.add_forces(positions, forces)
             add_numbers(self._constant_stiffness, storage)
             return
-        if not is_known:
-            self._begin_state(positions, forces)
-        nearly_flat_count = self._add_stiffness(positions, storage, projected, is_known)
-        if not is_known:
-            self._nearly_flat_points = nearly_flat_count
-            self._add_fold_forces()
+        self._add_stiffness(storage, projected)
         if self._nearly_flat_points:
             add_barrier_stiffness(
                 self._barrier_stiffness, self._cells, self._gradients, self._weights,
@@ -241,14 +244,12 @@ class Elements(ForceTerm):
             )  # fmt: skip
         if self._fold_barrier is not None and self._fold_barrier.acting_count:
             self._fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
-        add_vectors(self._forces, forces)
 
-    def _add_stiffness(self, positions, storage, projected: bool, is_known: bool) -> int:
-        return self._assembly.add_stiffness(
-            self.law, self._moved(positions), self._cells, self._free,
-            self._gradients, self._weights, self._barrier_stiffness, projected, is_known,
+    def _add_stiffness(self, storage, projected: bool) -> None:
+        self._assembly.add_stiffness(
+            self.law, self._cells, self._gradients, self._weights, projected,
             self._deformations, self._rotations, self._uprights,
-            self._offsets, self._strides, self._are_contiguous, self._forces, storage,
+            self._offsets, self._strides, self._are_contiguous, storage,
         )  # fmt: skip
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:

@@ -141,6 +141,14 @@ class ForceTerm(Protocol):
         """
         ...
 
+    def knows(self, positions: np.ndarray) -> bool:
+        """Whether `add` takes the forces of a state as they were found last.
+
+        Args:
+            positions: Node positions of the state [m], shape (node_count, 3).
+        """
+        return True
+
     def add(
         self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool
     ) -> None:

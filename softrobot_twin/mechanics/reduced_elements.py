@@ -519,10 +519,7 @@ class ReducedElements(ForceTerm):
 
     def _evaluate(self, positions: np.ndarray) -> None:
         """Forces, stresses and states of all points at a state."""
-        positions = writable(positions)
-        if are_known(positions, self._nodes, self._coordinates):
-            return
-        gather_vectors(positions, self._nodes, self._at_nodes)
+        gather_vectors(writable(positions), self._nodes, self._at_nodes)
         deform_points(self._rows, self._coordinates, self._deformations.reshape(-1))
         self._inverted_count = self._assembly.find_stresses(
             self.law, self._deformations, self._weights, self._rotations, self._uprights,
@@ -540,9 +537,15 @@ class ReducedElements(ForceTerm):
         subtract_forces(self._forces, self._unknowns, forces)
         return self._inverted_count
 
+    def knows(self, positions: np.ndarray) -> bool:
+        """Whether the coordinates are the same as those of the stored state, to the bit."""
+        return are_known(writable(positions), self._nodes, self._coordinates)
+
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add the forces, and the stiffness to the system matrix; see `ForceTerm.add`."""
-        self.add_forces(positions, forces)
+        if not self.knows(positions):
+            self._evaluate(positions)
+        subtract_forces(self._forces, self._unknowns, forces)
         add_to_storage(*self._bound, self._padded_stiffness(projected), storage)
 
     def stiffness(self, projected: bool) -> np.ndarray:
@@ -598,7 +601,8 @@ class ReducedElements(ForceTerm):
     ) -> tuple[float, float]:
         """Squares of the least and greatest principal stretch of the sampled points beyond given
         ones; see `Elements.extreme_squares`."""
-        self._evaluate(positions)
+        if not self.knows(positions):
+            self._evaluate(positions)
         deformations, weights = self._deformations[:, None], self._weights[:, None]
         return extreme_squares(deformations, weights, least, greatest)
 

@@ -173,11 +173,14 @@ class StrainRateDamping(Elements):
             return
         self._forget()
         self._at_start.add_stiffness(
-            self._law_at_start, self._reference, self._cells, self._free, self._gradients,
-            self._weights, self._barrier_stiffness, projected, True, self._deformations,
-            self._no_rotations, self._uprights, self._offsets, self._strides,
-            self._are_contiguous, self._forces, storage,
+            self._law_at_start, self._cells, self._gradients, self._weights, projected,
+            self._deformations, self._no_rotations, self._uprights, self._offsets, self._strides,
+            self._are_contiguous, storage,
         )  # fmt: skip
+
+    def knows(self, positions: np.ndarray) -> bool:
+        """See `ForceTerm.knows`; where the step begins nothing has to be known."""
+        return are_same(writable(positions), self._reference) or super().knows(positions)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -V R σ g_a [N] to the forces on the unknowns.

@@ -928,6 +928,9 @@ class Newton:
         """
         model = self._model
         self._rows.tell_efforts(multipliers)
+        if not all([term.knows(positions) for term in model.forces]):
+            # Terms that find it out themselves would do something else than in most steps.
+            self._stages.run(GATHER, positions)
         if projected:
             self._stages.forget()
             self._assemble(positions, multipliers, True)
