@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +52,28 @@ _UNITS = {
 _ABOVE_ZERO = (
     "rate", "velocity_timeout", "speed_limit", "marker_timeout", "device_timeout", "touch_timeout",
 )  # fmt: skip
+
+
+def check_numbers(
+    settings: object, units: Mapping[str, str], above_zero: Collection[str], prefix: str = ""
+) -> None:
+    """Checks that numbers of settings are finite and not negative, and some of them above zero.
+
+    Args:
+        settings: What has them as attributes.
+        units: Their units, by name.
+        above_zero: Names of those that must not be zero.
+        prefix: Begin of the names of their parameters.
+
+    Raises:
+        ParameterError: One of them is not.
+    """
+    for name, unit in units.items():
+        value = getattr(settings, name)
+        if not math.isfinite(value) or value < 0.0:
+            raise ParameterError(prefix + name, value, unit, "must be finite and not negative")
+        if name in above_zero and value == 0.0:
+            raise ParameterError(prefix + name, value, unit, "must be above zero")
 
 
 @dataclass(frozen=True)
@@ -106,12 +130,7 @@ class LoopSettings:
     touch_timeout: float = 0.2
 
     def __post_init__(self) -> None:
-        for name, unit in _UNITS.items():
-            value = getattr(self, name)
-            if not math.isfinite(value) or value < 0.0:
-                raise ParameterError(name, value, unit, "must be finite and not negative")
-            if name in _ABOVE_ZERO and value == 0.0:
-                raise ParameterError(name, value, unit, "must be above zero")
+        check_numbers(self, _UNITS, _ABOVE_ZERO)
         if self.deadline > self.period:
             raise ParameterError(
                 "deadline", self.deadline, "s",
@@ -153,6 +172,22 @@ class LoopSettings:
 
 
 SETTING_NAMES = tuple(field.name for field in fields(LoopSettings))
+
+
+def settings_of(values: Mapping[str, Any]) -> LoopSettings:
+    """Settings of plain values, as parameters and files give them.
+
+    Args:
+        values: Values by name: words for enumerations, lists for tuples.
+
+    Raises:
+        ParameterError: A value cannot be used.
+        TypeError: A setting is unknown.
+    """
+    lost = ("on_lost_markers", "on_lost_device")
+    return LoopSettings(**{
+        name: WhenLost(value) if name in lost else tuple(value) if isinstance(value, list) else value
+        for name, value in values.items()})  # fmt: skip
 
 
 def check_mode(mode: Mode, simulation: Simulation) -> None:

@@ -11,7 +11,7 @@ from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.fingertip import Fingertip, Presses
 from softrobot_twin.control.inputs import Pose, is_pose
-from softrobot_twin.errors import ParameterError
+from softrobot_twin.control.loop_settings import check_numbers
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
 from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale
 from softrobot_twin.simulation.effects.touches import TouchState
@@ -50,19 +50,9 @@ class DeviceFlaws:
     angle_rate: float = 6.0
 
     def __post_init__(self) -> None:
-        for name, unit in (
-            ("delay", "s"), ("servo_rate", "m/s"), ("marker_noise", "m"), ("valve_lag", "s"),
-            ("flow_limit", "m³/s"), ("pressure_noise", "Pa"), ("angle_rate", "rad/s"),
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not np.isfinite(value) or value < 0.0:
-                raise ParameterError(
-                    f"device_{name}", value, unit, "must be finite and not negative"
-                )
-        limits = (("servo_rate", "m/s"), ("flow_limit", "m³/s"), ("angle_rate", "rad/s"))
-        for name, unit in limits:
-            if getattr(self, name) == 0.0:
-                raise ParameterError(f"device_{name}", 0.0, unit, "must be above zero")
+        units = {"delay": "s", "servo_rate": "m/s", "marker_noise": "m", "valve_lag": "s",
+                 "flow_limit": "m³/s", "pressure_noise": "Pa", "angle_rate": "rad/s"}  # fmt: skip
+        check_numbers(self, units, ("servo_rate", "flow_limit", "angle_rate"), "device_")
 
 
 class Valves:

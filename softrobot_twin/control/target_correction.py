@@ -22,22 +22,6 @@ rare. The markers show the effect of a command that was sent about one measureme
 this delay an integrator oscillates when a measurement adds the whole error, and it settles fastest
 when a measurement adds a quarter of it."""
 
-# During a limited move, at a limit or after a failure, the remaining distance is not the model's
-# error. It is not integrated, because the correction would have to decrease again later
-# (anti-windup).
-_NOT_INTEGRATED = frozenset(
-    {
-        Status.RATE_LIMITED,
-        Status.SATURATED,
-        Status.UNREACHABLE,
-        Status.NOT_CONVERGED,
-        Status.INVERTED,
-        Status.REFUSED,
-        Status.UNSOLVED,
-        Status.DIVERGED,
-    }
-)
-
 
 def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarray:
     """The points nearest to the aims that are within reach of the positions.
@@ -107,11 +91,8 @@ class EffectorMeasurement:
     def __init__(self, simulation: Simulation):
         self._markers = simulation.effector_markers
         self._controlled = np.array(
-            [
-                [axis in effector.directions for axis in "xyz"]
-                for effector in simulation.scene.effectors
-            ],
-            dtype=bool,
+            [axis in effector.directions for effector in simulation.scene.effectors for axis in "xyz"],
+            bool,
         ).reshape(-1, 3)
 
     def is_complete(self, measured: np.ndarray) -> bool:
@@ -120,11 +101,8 @@ class EffectorMeasurement:
         Args:
             measured: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
         """
-        return all(
-            np.isfinite(measured[indices]).all(axis=1).any()
-            for indices in self._markers
-            if len(indices)
-        )
+        return all(np.isfinite(measured[indices]).all(axis=1).any()
+                   for indices in self._markers if len(indices))  # fmt: skip
 
     def effectors(self, predicted: np.ndarray, misfit: Misfit) -> np.ndarray:
         """Measured effectors [m], shape (effector_count, 3); NaN where no marker is visible.
@@ -222,7 +200,10 @@ class TargetCorrection:
             length = float(np.linalg.norm(candidate))
             if length > limit:
                 candidate *= limit / length
-            if status in _NOT_INTEGRATED and np.linalg.norm(candidate) >= np.linalg.norm(offset):
+            # During a limited move, at a limit or after a failure, the remaining distance is not
+            # the model's error: its integral would have to decrease again later (anti-windup).
+            grows = np.linalg.norm(candidate) >= np.linalg.norm(offset)
+            if grows and not status.is_success:
                 continue
             offset[:] = candidate
 

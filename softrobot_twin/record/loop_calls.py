@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import fields
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.control.arrival import Arrival, Refusal
-from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
+from softrobot_twin.control.loop_settings import LoopSettings, settings_of
 from softrobot_twin.control.twin_loop import CALLS, TwinLoop, owner_of
 from softrobot_twin.record.run_values import number, numbers, plain
 
@@ -20,22 +19,6 @@ def settings_to_json(settings: LoopSettings) -> dict[str, object]:
     return {field.name: plain(getattr(settings, field.name)) for field in fields(settings)}
 
 
-def settings_from_json(values: dict[str, object]) -> LoopSettings:
-    """The settings of `settings_to_json`.
-
-    Raises:
-        ParameterError: A value cannot be used.
-        TypeError: A setting is unknown.
-    """
-    known, default = {}, LoopSettings()
-    for name, value in values.items():
-        kind = getattr(default, name, None)
-        if isinstance(kind, Enum):
-            value = WhenLost(value)
-        known[name] = tuple(value) if isinstance(kind, tuple) else value
-    return LoopSettings(**known)
-
-
 def _arrival(value: list) -> Arrival:
     frame_id, stamp, ros_time, time = value
     return Arrival(frame_id, stamp, ros_time, number(time))
@@ -43,7 +26,7 @@ def _arrival(value: list) -> Arrival:
 
 READERS: dict[str, Callable] = {
     "key": lambda value: value, "number": number, "numbers": numbers, "arrival": _arrival,
-    "settings": settings_from_json, "ids": lambda value: np.array(value, dtype=np.uint32),
+    "settings": settings_of, "ids": lambda value: np.array(value, dtype=np.uint32),
     # An empty list has no second dimension.
     "points": lambda value: numbers(value) if value else np.empty((0, 3)),
 }  # fmt: skip

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from softrobot_twin.control.loop_settings import Mode
+from softrobot_twin.control.loop_settings import Mode, settings_of
 from softrobot_twin.control.twin_loop import CALLS, TickOutcome, TwinLoop
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.record.loop_calls import repeat, settings_from_json
+from softrobot_twin.record.loop_calls import repeat
 from softrobot_twin.record.run_clock import PlayedClock
 from softrobot_twin.record.run_description import (
     RunDescription,
@@ -368,7 +368,7 @@ class Replay:
         velocity_effector = parameters["velocity_effector"]
         _check_names(run, simulation)
         self.loop = TwinLoop(
-            simulation, settings_from_json(run.description.settings), Mode(parameters["mode"]),
+            simulation, settings_of(run.description.settings), Mode(parameters["mode"]),
             bool(parameters["use_device"]),
             list(simulation.effector_names).index(velocity_effector)
             if velocity_effector else 0,

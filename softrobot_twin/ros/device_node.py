@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from functools import partial
 
 import numpy as np
@@ -93,16 +94,7 @@ class DeviceNode(TickingNode):
         Raises:
             SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
         """
-        flaws = DeviceFlaws(
-            delay=values["device_delay"],
-            servo_rate=values["device_servo_rate"],
-            marker_noise=values["device_marker_noise"],
-            seed=values["device_seed"],
-            valve_lag=values["device_valve_lag"],
-            flow_limit=values["device_flow_limit"],
-            pressure_noise=values["device_pressure_noise"],
-            angle_rate=values["device_angle_rate"],
-        )
+        flaws = DeviceFlaws(**{one.name: values[f"device_{one.name}"] for one in fields(DeviceFlaws)})
         path = find_scene_file(str(values["device_scene_file"]), "device_scene_file")
         simulation = Simulation.from_scene_file(path)
         for note in simulation.notes:

@@ -187,14 +187,6 @@ def matrix_message(
     )
 
 
-def read_matrix(message: Float64MultiArray) -> tuple[np.ndarray, Time]:
-    """The matrix of `matrix_message`, and its stamp."""
-    layout, data = message.layout, message.data
-    shape = [dimension.size for dimension in layout.dim]
-    matrix = np.array(data[layout.data_offset :]).reshape(shape)
-    return matrix, Time(sec=int(data[0]), nanosec=int(data[1]))
-
-
 def _cloud(points: np.ndarray, header: Header, is_dense: bool) -> PointCloud2:
     """A structured array of points as a message; each column becomes a field."""
     kinds = points.dtype.fields

@@ -13,7 +13,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
-from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, Mode, WhenLost
+from softrobot_twin.control.loop_settings import (
+    SETTING_NAMES,
+    LoopSettings,
+    Mode,
+    WhenLost,
+    settings_of,
+)
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.thread_priority import Priority
 
@@ -345,7 +351,4 @@ def loop_settings(values: Mapping[str, object]) -> LoopSettings:
     Raises:
         ParameterError: A value cannot be used.
     """
-    settings = {name: values[name] for name in SETTING_NAMES}
-    for name in ("on_lost_markers", "on_lost_device"):
-        settings[name] = WhenLost(settings[name])
-    return LoopSettings(**settings)
+    return settings_of({name: values[name] for name in SETTING_NAMES})

@@ -36,7 +36,6 @@ NOTHING: Mapping[str, Numbers] = MappingProxyType({})
 
 # Names in a message, at most.
 _MOST_NAMES = 16
-_AXES = ("x", "y", "z")
 # Ends of the names that targets take for an effector: all numbers at once, and one by one.
 _PARTS = {channel.python_name: channel for channel in WANTED}
 

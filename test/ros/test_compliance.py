@@ -2,14 +2,23 @@
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
 from softrobot_twin.ros.audience import PERIOD
-from softrobot_twin.ros.messages import matrix_message, read_matrix, stamp_of
+from softrobot_twin.ros.messages import matrix_message, stamp_of
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
 
 CABLES = ["north", "west", "south", "east"]
+
+
+def read_matrix(message):
+    """The matrix of `matrix_message`, and its stamp."""
+    layout, data = message.layout, message.data
+    shape = [dimension.size for dimension in layout.dim]
+    matrix = np.array(data[layout.data_offset :]).reshape(shape)
+    return matrix, Time(sec=int(data[0]), nanosec=int(data[1]))
 
 
 @pytest.fixture
