@@ -116,27 +116,14 @@ class HeaderCheck:
 
     Args:
         frame_id: The only accepted frame, or None for messages without a frame.
-        message_timeout: Oldest accepted stamp [s]; 0 accepts any age.
-        future_tolerance: How far in the future a stamp may be [s], because clocks of two machines
-            differ slightly.
+        settings: How old a stamp may be, and how far in the future, because clocks of two machines
+            differ slightly; they may be replaced.
     """
 
-    def __init__(
-        self,
-        frame_id: str | None,
-        message_timeout: float = 0.0,
-        future_tolerance: float = 0.0,
-    ):
-        self.frame_id = frame_id
-        self.message_timeout = message_timeout
-        self.future_tolerance = future_tolerance
+    def __init__(self, frame_id: str | None, settings: LoopSettings):
+        self.frame_id, self.settings = frame_id, settings
         self._clock = ClockWatch()
         self.forget()
-
-    def apply(self, settings: LoopSettings) -> None:
-        """Uses changed timeouts from now on."""
-        self.message_timeout = settings.message_timeout
-        self.future_tolerance = settings.future_tolerance
 
     def refusal(self, arrival: Arrival) -> Refusal | None:
         """The reason to refuse a message, or None. A stamp of zero counts as the present time."""
@@ -144,9 +131,9 @@ class HeaderCheck:
             self.forget()
         if self.frame_id is not None and arrival.frame_id != self.frame_id:
             return Refusal.WRONG_FRAME
-        if self.message_timeout > 0.0 and arrival.age > self.message_timeout:
+        if 0.0 < self.settings.message_timeout < arrival.age:
             return Refusal.STALE
-        if arrival.age < -self.future_tolerance:
+        if arrival.age < -self.settings.future_tolerance:
             return Refusal.FROM_THE_FUTURE
         if 0 < arrival.stamp < self._newest_stamp and not self._was_set_back(arrival):
             return Refusal.OUT_OF_ORDER
@@ -204,7 +191,7 @@ class Input:
         refusals: RefusalCounts | None = None,
     ):  # fmt: skip
         self.refusals = RefusalCounts() if refusals is None else refusals
-        self._headers = {key: HeaderCheck(frame_id) for key in keys}
+        self._headers = {key: HeaderCheck(frame_id, settings) for key in keys}
         self.apply(settings)
         self.reset()
 
@@ -212,7 +199,7 @@ class Input:
         """Uses changed limits and timeouts from now on."""
         self.settings = settings
         for header in self._headers.values():
-            header.apply(settings)
+            header.settings = settings
 
     def reset(self) -> None:
         """Forgets what was received; the counts stay."""

@@ -61,9 +61,7 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
     Args:
         limits: Limits of the actuators.
     """
-    travel = limits.drive_max - limits.drive_min
-    has_travel = np.isfinite(travel) & (travel > 0.0)
-    travel = np.where(has_travel, travel, limits.drive_scale)
+    travel = limits.travel(limits.drive_scale)
     return Tolerances(SETPOINT_SHARE * travel, EFFORT_SHARE * limits.effort_scale)
 
 

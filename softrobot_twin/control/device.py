@@ -192,10 +192,8 @@ class MeasuredSetpoints(ActuatorInput):
         by_pressure = [name for name, own in zip(actuator_names, self._by_effort) if own]
         names = ActuatorNames(actuator_names, by_position=by_position, by_pressure=by_pressure,
                               by_angle=by_angle)  # fmt: skip
-        travel = limits.drive_max - limits.drive_min
-        known = np.where(np.isfinite(travel), travel, 0.0)
         whole = np.where(self._by_effort, limits.effort_scale, np.abs(rest_setpoints))
-        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * whole)
+        beyond = np.maximum(OUTSIDE_SHARE * limits.travel(0.0), OUTSIDE_SHARE_OF_REST * whole)
         low, high = limits.setpoint_range(rest_setpoints)
         # Positions of slides and angles may be negative, lengths and volumes not.
         is_angle = np.array([unit == "rad" for unit in units] or [False] * len(low), bool)

@@ -69,10 +69,8 @@ class Engagement:
         self.gate = CommandGate(
             simulation.actuator_names, simulation.rest_setpoints, simulation.limits
         )
-        travel = simulation.limits.drive_max - simulation.limits.drive_min
         self._near = np.maximum(
-            RESYNCHRONISED_SHARE * np.where(np.isfinite(travel), travel, 0.0),
-            self.gate.tolerances.setpoints,
+            RESYNCHRONISED_SHARE * simulation.limits.travel(0.0), self.gate.tolerances.setpoints
         )
         self._must_return = self.is_without_model = False
         self._failing, self._led = 0.0, (None, None)

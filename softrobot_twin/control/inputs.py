@@ -554,19 +554,14 @@ class Pose(NamedTuple):
     quaternion: np.ndarray
 
 
-def is_pose(pose: Pose) -> bool:
-    """True when the numbers are finite and the quaternion is a rotation."""
-    finite = np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()
-    return bool(finite and np.abs(pose.quaternion).max() >= _SMALLEST_COMPONENT)
-
-
 def refusal_of_pose(pose: Pose) -> Refusal | None:
     """The reason to refuse the numbers of a pose, or None."""
     if (pose.position.shape, pose.quaternion.shape) != ((3,), (4,)):
         return Refusal.WRONG_SIZE
     if not (np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()):
         return Refusal.NOT_FINITE
-    return None if is_pose(pose) else Refusal.NO_ROTATION
+    is_rotation = np.abs(pose.quaternion).max() >= _SMALLEST_COMPONENT
+    return None if is_rotation else Refusal.NO_ROTATION
 
 
 class PoseInput(Input):

@@ -1,7 +1,7 @@
 """The discretisation error of a running twin, estimated by a process of lowest priority.
 
 The solution of a state with elements of higher order takes longer than a tick; see
-`idle_process.py`. `MeshErrorWatch` runs in the twin; `main` is the program of the other process.
+`idle_process.py`. `MeshErrorWatch` runs in the twin; `serve` answers in the other process.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 REST = "rest"
 """Kind of the first reply: the mesh at rest."""
-PROGRAM = "from softrobot_twin.control.mesh_error_watch import main; main({})"
+PROGRAM = "from softrobot_twin.control.mesh_error_watch import run, serve; run(serve, {})"
 
 
 class MeshErrorWatch(IdleWatch):
@@ -47,11 +47,6 @@ class MeshErrorWatch(IdleWatch):
         self.at_rest: MeshError | None = None
         self.newest = float("nan")
         super().__init__(PROGRAM.format(yields), simulation.scene)
-
-    @property
-    def estimates(self) -> int:
-        """Number of estimated states."""
-        return self.answers
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
         """What the actuators prescribe; see `IdleWatch`."""
@@ -98,8 +93,3 @@ def serve(requests: Requests, reply: Replies) -> None:
             reply(STATE, estimator.at(asked), perf_counter() - begin)
     except MeshErrorUnknown as unknown:
         reply(UNKNOWN, unknown.reason)
-
-
-def main(yields: bool = True) -> None:
-    """The other process; see `run`."""
-    run(serve, yields)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 READY = "ready"
 """Kind of the first reply: the models are built."""
-PROGRAM = "from softrobot_twin.control.reduction_error_watch import main; main({})"
+PROGRAM = "from softrobot_twin.control.reduction_error_watch import run, serve; run(serve, {})"
 
 
 class ReductionErrorWatch(IdleWatch):
@@ -91,8 +91,3 @@ def serve(requests: Requests, reply: Replies) -> None:
         simulation.restore(state)
         states, errors = simulation.reduction_state(), judge.errors(state)
         reply(STATE, states, errors, judge.linearizations, perf_counter() - begin)
-
-
-def main(yields: bool = True) -> None:
-    """The other process; see `run`."""
-    run(serve, yields)

@@ -10,7 +10,7 @@ import numpy as np
 from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.fingertip import Fingertip, Presses
-from softrobot_twin.control.inputs import Pose, is_pose
+from softrobot_twin.control.inputs import Pose, refusal_of_pose
 from softrobot_twin.control.loop_settings import check_numbers
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
 from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale
@@ -216,7 +216,7 @@ class SimulatedDevice:
     ) -> None:
         """Takes the newest pose of a guided body; see `CarriedDevice`. The delay starts now."""
         pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
-        if name not in self.guided_names or not is_pose(pose):
+        if name not in self.guided_names or refusal_of_pose(pose):
             self.refused += 1
             return
         self._poses.append((now + self._flaws.delay, name, pose))

@@ -147,12 +147,9 @@ class AlternatingPaths:
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
-        number = int(time // self.duration)
-        since = time - number * self.duration
-        path = self.paths[number % len(self.paths)]
-        if number == 0:
+        path, before, since = self._at(time)
+        if before is None:
             return path.position(since)
-        before = self.paths[(number - 1) % len(self.paths)]
         # The previous path continues during the transition, so that the velocity has no jump.
         left = before.position(since + self.duration)
         return _blend(left, path.position(since), since, self.ramp_time)
@@ -162,14 +159,18 @@ class AlternatingPaths:
 
         A path without orientations leaves the last one as it is.
         """
-        number = int(time // self.duration)
-        since = time - number * self.duration
-        now = orientation_at(self.paths[number % len(self.paths)], since)
-        if number == 0:
+        path, before, since = self._at(time)
+        now = orientation_at(path, since)
+        if before is None:
             return now
-        before = self.paths[(number - 1) % len(self.paths)]
         left = orientation_at(before, since + self.duration)
         return left if now is None else _blend_turns(left, now, since, self.ramp_time)
+
+    def _at(self, time: float) -> tuple[TargetPath, TargetPath | None, float]:
+        """The path at a time [s], the one before it, and the time since it began [s]."""
+        number = int(time // self.duration)
+        before = self.paths[(number - 1) % len(self.paths)] if number else None
+        return self.paths[number % len(self.paths)], before, time - number * self.duration
 
 
 @dataclass(frozen=True)

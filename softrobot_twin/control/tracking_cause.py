@@ -167,20 +167,15 @@ def tracking_signs(loop: TwinLoop, window: DiagnosticsWindow, late: int) -> Trac
 def _difference(loop: TwinLoop, commanded: np.ndarray) -> tuple[float, str]:
     """How far the device is from its command: `device_lag` and `device_off` of `TrackingSigns`."""
     measured, actuators = loop.device.setpoints, loop.simulation.actuators
+    limits = actuators.limits
     if measured is None or not len(commanded):
         return float("nan"), ""
     apart = np.abs(measured - commanded)
     is_length = np.array([kind.setpoint.unit == "m" for kind in actuators.kinds])
     lag = float(apart[is_length].max(initial=0.0)) if is_length.any() else float("nan")
-    shares = np.where(is_length, 0.0, apart / _scales(actuators.limits))
+    shares = np.where(is_length, 0.0, apart / limits.travel(limits.drive_scale))
     worst = int(shares.argmax())
     if not shares[worst] > FAR_OFF:
         return lag, ""
     unit = actuators.kinds[worst].setpoint.unit
     return lag, f"{actuators.names[worst]} by {apart[worst]:.3g} {unit}"
-
-
-def _scales(limits) -> np.ndarray:
-    """Range of each setpoint, or its natural scale where that has no limit."""
-    travel = limits.drive_max - limits.drive_min
-    return np.where(np.isfinite(travel) & (travel > 0.0), travel, limits.drive_scale)

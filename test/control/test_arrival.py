@@ -5,6 +5,7 @@ import random
 import pytest
 
 from softrobot_twin.control.arrival import SENDER_ACCEPT_AFTER, Arrival, HeaderCheck, Refusal
+from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
 NOW = 1_700_000_000 * NANOSECONDS
@@ -15,9 +16,14 @@ def arrived(age=0.0, frame_id="base_link", stamp=None):
     return Arrival(frame_id, stamp, NOW, 12.0)
 
 
+def header_check(frame_id, message_timeout):
+    settings = LoopSettings(message_timeout=message_timeout, future_tolerance=0.1)
+    return HeaderCheck(frame_id, settings)
+
+
 @pytest.fixture
 def check():
-    return HeaderCheck("base_link", message_timeout=0.5, future_tolerance=0.1)
+    return header_check("base_link", 0.5)
 
 
 @pytest.mark.parametrize(
@@ -51,11 +57,11 @@ def test_a_message_without_a_stamp_is_stamped_on_arrival(check):
 
 
 def test_no_message_is_stale_without_a_timeout():
-    assert HeaderCheck("base_link", 0.0, 0.1).refusal(arrived(age=1e6)) is None
+    assert header_check("base_link", 0.0).refusal(arrived(age=1e6)) is None
 
 
 def test_a_message_that_needs_no_frame_may_state_any_frame():
-    assert HeaderCheck(None, 0.5, 0.1).refusal(arrived(frame_id="map")) is None
+    assert header_check(None, 0.5).refusal(arrived(frame_id="map")) is None
 
 
 SEEDS = [0, 1, 2]
@@ -79,14 +85,14 @@ def ticks(start, end, step=0.02):
 
 @pytest.mark.parametrize("seconds", [-3600.0, -5.0, -0.2, 60.0])
 def test_the_message_order_restarts_when_all_clocks_are_set(seconds):
-    check = HeaderCheck("base_link", 0.5, 0.1)
+    check = header_check("base_link", 0.5)
     assert not any(stream(check, ticks(0.0, 1.0), 0.0))
     assert not any(stream(check, ticks(1.0, 3.0), seconds, own=seconds))
 
 
 @pytest.mark.parametrize("timeout", [0.0, 20.0])
 def test_a_sender_whose_clock_was_set_back_is_accepted_after_a_while(timeout):
-    check = HeaderCheck("base_link", timeout, 0.1)
+    check = header_check("base_link", timeout)
     stream(check, ticks(0.0, 1.0), 0.0)
     times = ticks(1.0, 3.0)
     refusals = stream(check, times, -10.0)
@@ -99,7 +105,7 @@ def test_a_sender_whose_clock_was_set_back_is_accepted_after_a_while(timeout):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_late_messages_among_newer_ones_stay_refused(seed):
     draw = random.Random(seed)
-    check = HeaderCheck("base_link", 20.0, 0.1)
+    check = header_check("base_link", 20.0)
     stream(check, [0.0], 0.0)
     for time in ticks(0.02, 5.0):
         assert stream(check, [time], 0.0) == [None]

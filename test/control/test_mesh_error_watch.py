@@ -65,7 +65,7 @@ def test_the_process_estimates_the_error_that_the_simulation_does_then_tells_wha
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
     watch = watch_of(simulation)
-    offer_until(watch, simulation, lambda: watch.estimates == 1)
+    offer_until(watch, simulation, lambda: watch.answers == 1)
     assert watch.cause == ""
     assert 0.0 < watch.at_rest.own.lengths < watch.at_rest.own.forces
     assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
@@ -133,19 +133,19 @@ def resident(process) -> int:
 def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
     diamond, watch_of, monkeypatch
 ):
-    program = mesh_error_watch.PROGRAM.replace("main({})", "idle_process.LINGER = 0.2; main({})")
+    program = mesh_error_watch.PROGRAM.replace("run(", "idle_process.LINGER = 0.2; run(")
     monkeypatch.setattr(
         mesh_error_watch, "PROGRAM", "from softrobot_twin.control import idle_process; " + program
     )
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
     watch = watch_of(simulation)
-    offer_until(watch, simulation, lambda: watch.estimates == 1)
+    offer_until(watch, simulation, lambda: watch.answers == 1)
     at_rest = watch.at_rest
     offer_until(watch, simulation, lambda: resident(watch.process) < 40)
-    assert watch.estimates == 1 and not watch.cause
+    assert watch.answers == 1 and not watch.cause
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.009, 0.003, 0.0, 0.0], 1.0))
-    offer_until(watch, simulation, lambda: watch.estimates == 2)
+    offer_until(watch, simulation, lambda: watch.answers == 2)
     assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
     assert watch.at_rest is at_rest
 
@@ -153,7 +153,7 @@ def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
 def test_a_large_request_does_not_block_the_sender(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)
-    offer_until(watch, simulation, lambda: watch.estimates == 1)
+    offer_until(watch, simulation, lambda: watch.answers == 1)
     asked, large = [], bytes(4_000_000)  # more than any pipe takes
     watch.request_of = lambda *_: asked.append(1) or large
     os.kill(watch.process.pid, signal.SIGSTOP)

@@ -137,6 +137,11 @@ class ActuatorLimits:
         """A large displacement, or a large effort of what is effort-driven, same shape."""
         return np.where(self.is_effort_driven, self.effort_scale, self.displacement_scale)
 
+    def travel(self, otherwise: np.ndarray | float) -> np.ndarray:
+        """Range of what each setpoint holds, another number where it has none, same shape."""
+        travel = self.drive_max - self.drive_min
+        return np.where(np.isfinite(travel) & (travel > 0.0), travel, otherwise)
+
     @cached_property
     def drive_words(self) -> tuple[str, ...]:
         """Name of what the setpoint of each holds, in names of limits."""
