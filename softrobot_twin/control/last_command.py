@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +23,10 @@ from softrobot_twin.simulation import Simulation
 
 LONGEST_WRITE = 1.0
 """A write that takes longer [s] counts as failed for who reads."""
+WRITE_PAUSE = 0.005
+"""Time from write to write [s]. At more than 200 Hz the thread would take the interpreter from the
+ticks in each of them; a process that is killed loses what it sent within this time.
+"""
 
 
 class StoredCommand(NamedTuple):
@@ -121,6 +126,7 @@ class LastCommand:
             while (newest := self._take()) is not None:
                 # One call writes the whole line: a process that dies leaves the old or the new.
                 os.pwrite(file, _line(*newest), 0)
+                time.sleep(WRITE_PAUSE)
         except OSError as error:
             self._fail(error)
         finally:
