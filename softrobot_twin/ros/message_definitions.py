@@ -10,6 +10,8 @@ from sensor_msgs.msg import PointField
 from std_msgs.msg import ColorRGBA, MultiArrayDimension
 from visualization_msgs.msg import Marker, UVCoordinate
 
+from softrobot_twin.ros import topics
+
 _SEPARATOR = "=" * 80
 _SIMPLE = {"float": "float32", "double": "float64", "boolean": "bool", "octet": "byte"}
 _SEQUENCE = re.compile(r"sequence<(?P<item>[^,>]+(?:<\d+>)?)(?:, *(?P<most>\d+))?>")
@@ -23,14 +25,9 @@ def type_name(kind: type) -> str:
     return f"{package}/{folder}/{kind.__name__}"
 
 
-def _short_name(kind: type) -> str:
-    """The name within definitions, such as ``sensor_msgs/JointState``."""
-    return type_name(kind).replace("/msg/", "/")
-
-
 # A class of messages tells the name of a sequence's items, and does not hold their class.
 _ITEMS = {
-    _short_name(kind): kind
+    topics.type_name(kind): kind
     for kind in (
         ColorRGBA, DiagnosticStatus, KeyValue, Marker, MultiArrayDimension, Point, PointField,
         TransformStamped, UVCoordinate,
@@ -55,7 +52,7 @@ def definition(kind: type) -> str:
 
 
 def _collect(kind: type, texts: dict[str, str]) -> None:
-    key = _short_name(kind)
+    key = topics.type_name(kind)
     if key in texts:
         return
     texts[key] = ""

@@ -28,6 +28,7 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.pulleys import ANGLE
 from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.channels import NOT_UNIT, WANTED, Channel
+from softrobot_twin.simulation.runs.input_tables import driving_columns
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]
@@ -513,22 +514,12 @@ def one_number(name: str, numbers: Numbers) -> float:
 def _handles(simulation: Simulation) -> Iterator[tuple[str, Handle]]:
     """Names of actuators, motors and pulleys, as in the columns of commands files."""
     actuators = simulation.actuators
-    names = list(actuators.names)
-    for place, (name, kind) in enumerate(actuators.kind_of.items()):
-        own = (place,)
-        if kind.is_effort_driven:
-            quantity = kind.setpoint
-            yield column(name, quantity), Handle(own, "drive", 1.0, quantity.unit)
-            continue
-        meanings = {kind.displacement: "displacement", kind.setpoint: "setpoint"}
-        if kind.takes_efforts:
-            meanings[kind.effort] = "effort"
-        for quantity, meaning in meanings.items():
-            yield column(name, quantity), Handle(own, meaning, 1.0, quantity.unit)
-    for motor, cables in simulation.motors.items():
-        places = tuple(names.index(cable) for cable in cables)
-        quantity = actuators.kinds[places[0]].displacement
-        yield column(motor, quantity), Handle(places, "displacement", 1.0, quantity.unit)
+    for own, quantity, actuated, kind in driving_columns(simulation):
+        meaning = ("drive" if kind.is_effort_driven else "setpoint" if quantity == kind.setpoint
+                   else "effort" if quantity == kind.effort else "displacement")  # fmt: skip
+        if meaning != "effort" or kind.takes_efforts:
+            places = tuple(map(actuators.names.index, actuated))
+            yield own, Handle(places, meaning, 1.0, quantity.unit)
     pulleys = actuators.pulleys
     for name, driven, wound in zip(pulleys.names, pulleys.driven, pulleys.wound, strict=True):
         places = tuple(map(int, driven))

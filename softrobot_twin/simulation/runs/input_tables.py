@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from pathlib import Path
@@ -921,13 +921,20 @@ def _known(simulation: Simulation) -> str:
             f"_qw (guided bodies: {', '.join(guided) or 'none'}){_known_touches(simulation)}")
 
 
+def driving_columns(
+    simulation: Simulation,
+) -> Iterator[tuple[str, Quantity, tuple[str, ...], ActuatorKind]]:
+    """Each column of an actuator or a motor: its name, its quantity, what it drives, and its kind."""
+    for name, driven, kind in _drives(simulation):
+        is_motor = name not in simulation.actuators.kind_of
+        for quantity in (kind.displacement,) if is_motor else _commandable(kind):
+            yield column(name, quantity), quantity, driven, kind
+
+
 def _columns_of_actuators(simulation: Simulation) -> list[str]:
     """All columns that drive actuators, motors or pulleys of a scene."""
-    actuators = simulation.actuators
-    own = [column(name, quantity) for name, kind in actuators.kind_of.items()
-           for quantity in _commandable(kind)]
-    own += [f"{motor.name}_shortening_m" for motor in simulation.scene.motors]
-    return own + [column(name, ANGLE) for name in actuators.pulleys.names]
+    return [*(own for own, *_ in driving_columns(simulation)),
+            *(column(name, ANGLE) for name in simulation.actuators.pulleys.names)]
 
 
 def _known_actuators(simulation: Simulation) -> str:
