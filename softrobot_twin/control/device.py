@@ -16,8 +16,7 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.inputs import ActuatorInput, replaced
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.voices import LAG_RATE, LAG_SHARE, LAG_TIME, PlaceWatch
-from softrobot_twin.simulation.building.limits import ActuatorLimits
-from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 from softrobot_twin.simulation.effects.touches import TouchState
 
 OUTSIDE_SHARE = 0.1

@@ -9,7 +9,7 @@ import numpy as np
 from softrobot_twin.control.arrival import Arrival, Input, Refusal
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.building.limits import Pulleys
 
 
 class AngleInput(Input):

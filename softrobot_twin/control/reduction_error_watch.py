@@ -3,7 +3,7 @@
 The process holds the scene with the modes in use, with the spare ones too, and with all nodes. It
 gets states of the twin, and answers both estimates: by the spare modes (`simulation/
 reduction_error.py`), and by the full model, whose nodes it places by the coordinates of the bodies
-(`simulation/full_model_error.py`). The tick computes none of this; see `idle_process.py`.
+(`simulation/effects/reduction_error.py`). The tick computes none of this; see `idle_process.py`.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Requests, run
+from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Requests
 
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.full_model_error import FullError
+    from softrobot_twin.simulation.effects.reduction_error import FullError
     from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState
 
 READY = "ready"
@@ -77,8 +77,8 @@ def serve(requests: Requests, reply: Replies) -> None:
             duration [s])`` for each state; errors and linearizations are those of the full model.
     """
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.full_model_error import FullModelError
     from softrobot_twin.simulation.building.reduced_body import without_fallback
+    from softrobot_twin.simulation.effects.reduction_error import FullModelError
 
     scene = requests.read()
     if scene is None:

@@ -13,7 +13,7 @@ from softrobot_twin.control.fingertip import Fingertip, Presses
 from softrobot_twin.control.inputs import Pose, refusal_of_pose
 from softrobot_twin.control.loop_settings import check_numbers
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
-from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale
+from softrobot_twin.simulation.building.limits import efforts_at_scale
 from softrobot_twin.simulation.effects.touches import TouchState
 
 _QUEUE_LENGTH = 1024

@@ -25,7 +25,7 @@ from softrobot_twin.simulation import (
     Simulation,
     Touched,
 )
-from softrobot_twin.simulation.building.pulleys import ANGLE
+from softrobot_twin.simulation.building.limits import ANGLE
 from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.channels import NOT_UNIT, WANTED, Channel
 from softrobot_twin.simulation.runs.input_tables import driving_columns

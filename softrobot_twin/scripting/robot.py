@@ -66,7 +66,7 @@ from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.scene_picture import draw_snapshots, figure_of, take_snapshot
 
 if TYPE_CHECKING:
-    from softrobot_twin.simulation.contact_forces import ContactForces
+    from softrobot_twin.simulation.result import ContactForces
 
 MOST_STEPS = 1000
 """Steps in which `Robot.settle` waits for rest, by default."""

@@ -15,7 +15,7 @@ from softrobot_twin.simulation.building.table_columns import STEP
 from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS, RunColumns
 
 if TYPE_CHECKING:
-    from softrobot_twin.simulation.contact_forces import ContactForces
+    from softrobot_twin.simulation.result import ContactForces
 
 # Actuators that a short text names, at most.
 _MOST_SHOWN = 4

@@ -16,8 +16,7 @@ from softrobot_twin.simulation.building.force_building import force_terms
 from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
-from softrobot_twin.simulation.building.scene_warnings import scene_warnings
-from softrobot_twin.simulation.unit_checks import unit_slips
+from softrobot_twin.simulation.scene_warnings import scene_warnings, unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
-from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.step_part import Steppable
 
 # All cables are wound in by these shares of what they may be, one after the other, and the body comes
 # near rest at each: before that its stiffness is another.

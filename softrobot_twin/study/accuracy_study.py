@@ -42,8 +42,7 @@ from softrobot_twin.simulation import (
     State,
 )
 from softrobot_twin.simulation.building.actuators import build_groups
-from softrobot_twin.simulation.building.body_materials import law_at_rest
-from softrobot_twin.simulation.building.deformable_body import Body, build_body
+from softrobot_twin.simulation.building.deformable_body import Body, build_body, law_at_rest
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.simulation.mesh_error import (
     LEFT_OUT,

@@ -28,13 +28,14 @@ from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Reduced
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.body_reduction import (
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     reduction_fingerprints,
+    with_entries,
+    without_reductions,
     write_body_reduction,
 )
-from softrobot_twin.simulation.building.deformable_body import Body
-from softrobot_twin.simulation.building.reduced_body import with_entries, without_reductions
 from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.reduction_basis import (
@@ -75,8 +76,8 @@ from softrobot_twin.study.sample_workers import (
 )
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.study.training_options import (
-    SNAPSHOTS,
     FIRST_SNAPSHOTS,
+    SNAPSHOTS,
     TrainingOptions,
 )
 from softrobot_twin.study.workspace import Axis, sampled_axes

@@ -23,13 +23,13 @@ from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
-from softrobot_twin.simulation.building.body_materials import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.building.cavity_actuator import wall_details
+from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.building.scene_layout import build_shape
-from softrobot_twin.simulation.full_model_error import FullModelError
+from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
+from softrobot_twin.simulation.scene_warnings import are_held, expected_sag
 from softrobot_twin.simulation.step.generalized_alpha import DEFAULT_RADIUS
-from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot

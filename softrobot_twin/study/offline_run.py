@@ -18,7 +18,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.runs.input_tables import TargetTable, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
-from softrobot_twin.simulation.unit_checks import unlikely_commands
+from softrobot_twin.simulation.scene_warnings import unlikely_commands
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.run_summary import BAD_END, RunSummary

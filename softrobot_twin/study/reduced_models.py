@@ -19,13 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.building.body_reduction import (
+from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
+from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     read_body_reduction,
     reduction_fingerprints,
     write_body_reduction,
 )
-from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
 from softrobot_twin.study.accuracy_study import (
     POSE_SHARES,
     AccuracyError,

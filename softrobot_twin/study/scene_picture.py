@@ -30,7 +30,7 @@ from softrobot_twin.study.terminal import by_key
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.contact_forces import ContactForces
+    from softrobot_twin.simulation.result import ContactForces
 
 
 _SIDES = 8

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.device import MeasuredSetpoints
@@ -10,8 +9,7 @@ from softrobot_twin.control.inputs import ActuatorInput, SelectedActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.pulley_angles import AngleInput
 from softrobot_twin.scene.actuator_entries import Pulley
-from softrobot_twin.simulation.building.limits import ActuatorLimits
-from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 
 NAMES = ("a", "b", "c", "d")
 REST = np.array([0.2, 0.3, 0.25, 0.1])

@@ -4,11 +4,10 @@ import os
 import time
 
 import pytest
-
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.full_model_error import FullModelError
+from softrobot_twin.simulation.effects.reduction_error import FullModelError
 
 PATIENCE = 120.0
 

@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 
 import pytest
-
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.twin_loop import DEVICE_LOST
@@ -13,7 +12,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.building.actuator_kinds import actuator_kinds
-from softrobot_twin.simulation.building.pulleys import ANGLE
+from softrobot_twin.simulation.building.limits import ANGLE
 from softrobot_twin.simulation.effects.fallback import ENRICH, FULL_MODEL
 from softrobot_twin.simulation.result import RATE, SAMPLED, STRAINED, UNSTABLE
 from softrobot_twin.simulation.step.actuation import INVERSION

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
-
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import LoopSettings
@@ -17,7 +16,7 @@ from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.full_model_error import FullError
+from softrobot_twin.simulation.effects.reduction_error import FullError
 
 ROOT = Path(__file__).resolve().parents[2]
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

@@ -1,11 +1,10 @@
 """Constants of laws in scenes: what each law takes, and what is refused by name and unit."""
 
 import pytest
-
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation.building.body_materials import law_at_rest
+from softrobot_twin.simulation.building.deformable_body import law_at_rest
 
 MOONEY = {"law": "mooney_rivlin", "constants": {"c10": 40e3, "c01": 10e3}}
 OGDEN = {"law": "ogden", "constants": {"shear_moduli": [40e3, 1e3], "exponents": [1.5, 6.0]}}

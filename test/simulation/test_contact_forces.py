@@ -1,8 +1,7 @@
 """Forces of a pair of bodies as a whole."""
 
 import numpy as np
-
-from softrobot_twin.simulation.contact_forces import ContactForces
+from softrobot_twin.simulation.result import ContactForces
 
 
 def contact_forces(forces, pairs, names):

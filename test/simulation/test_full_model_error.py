@@ -5,13 +5,12 @@ import copy
 import numpy as np
 import pytest
 import yaml
-
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
 from softrobot_twin.simulation.building.reduced_body import without_reductions
+from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.effects.touches import Touched
-from softrobot_twin.simulation.full_model_error import FullModelError
 
 ANY_TIME = 1.0e3
 TRAINED = 0.011

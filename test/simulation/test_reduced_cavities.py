@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.constraints.reduced_cavities import ReducedCavities
 from softrobot_twin.errors import SceneError
@@ -10,12 +9,12 @@ from softrobot_twin.mechanics.reduced_elements import SampledPoints, all_points
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Status
 from softrobot_twin.simulation.appearance import CavityDisplay
-from softrobot_twin.simulation.building.body_reduction import (
+from softrobot_twin.simulation.building.cavity_walls import check_walls_of_reduced
+from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     reduction_fingerprints,
     write_body_reduction,
 )
-from softrobot_twin.simulation.building.cavity_walls import check_walls_of_reduced
 
 STEP = 0.02
 BLOCK = {"size": (0.03, 0.03, 0.03), "cells": (3, 3, 3), "hole": ((1, 2), (1, 2), (1, 2))}

@@ -4,15 +4,14 @@ pressed hard, sliding along a rod, released, on a slide and with friction."""
 import meshio
 import numpy as np
 import pytest
-
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
-from softrobot_twin.simulation.building.body_reduction import (
+from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     reduction_fingerprints,
     write_body_reduction,
 )
-from softrobot_twin.simulation.full_model_error import FullModelError
+from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.study.body_training import reduced_scene
 
 from .building.test_reduced_body import every_point, spanning_basis

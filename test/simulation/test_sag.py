@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
-from softrobot_twin.simulation.unit_checks import (
+from softrobot_twin.simulation.scene_warnings import (
     LINEAR_SHARE,
     equilibrium_sag,
     are_held,

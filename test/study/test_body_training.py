@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 import yaml
-
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.building.body_reduction import read_body_reduction
+from softrobot_twin.simulation.building.reduced_body import read_body_reduction
 from softrobot_twin.study import body_training, sample_workers
 from softrobot_twin.study.sample_workers import LocalWorkers
 

@@ -7,12 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-
 from softrobot_twin.geometry.cad_meshing import CadMesh, write_msh
 from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.body_reduction import (
+from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     reduction_fingerprints,
     write_body_reduction,

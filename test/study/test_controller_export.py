@@ -6,20 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-
 from softrobot_twin.__main__ import main
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, all_points
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
-from softrobot_twin.simulation.building.body_reduction import (
+from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     read_body_reduction,
     reduction_fingerprints,
+    without_reductions,
     write_body_reduction,
 )
-from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.study.controller_export import controller_arrays, export_controller
 

@@ -4,9 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from softrobot_twin.simulation.building.cable_actuator import CableActuator
-from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.building.limits import Pulleys
 from softrobot_twin.simulation.command import (
     DEFAULT_TIME_STEP,
     CommandEfforts,

@@ -17,8 +17,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
 from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.building.hinge_motor_actuator import HingeMotorActuator
-from softrobot_twin.simulation.building.limits import ActuatorLimits
-from softrobot_twin.simulation.building.pulleys import Pulleys
+from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.building.slide_actuator import SlideActuator
 

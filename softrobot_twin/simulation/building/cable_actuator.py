@@ -15,9 +15,14 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable, Pulley
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
-from softrobot_twin.simulation.building.pulleys import pulley_of_cable, shortenings_of_angles
+from softrobot_twin.simulation.building.limits import (
+    efforts_at_scale,
+    pulley_of_cable,
+    rows_at,
+    shortenings_of_angles,
+    unlikely,
+)
 from softrobot_twin.simulation.building.scene_layout import Layout
-from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale, rows_at, unlikely
 
 # Limits outside these shares of a cable's natural scales are reported: a wrong unit is a factor of
 # a thousand.

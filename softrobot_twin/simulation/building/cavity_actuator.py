@@ -22,9 +22,9 @@ from softrobot_twin.simulation.building.cavity_walls import (
     joined_walls,
 )
 from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.building.reduced_body import Placed
 from softrobot_twin.simulation.building.scene_layout import Layout, whole_layout
-from softrobot_twin.simulation.building.unlikely_limits import efforts_at_scale, unlikely
 
 # Limits outside these shares of a cavity's natural scales are reported: a wrong unit is a factor of
 # a thousand or more.

@@ -36,8 +36,7 @@ from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.building.beam_bodies import BeamBody
-from softrobot_twin.simulation.building.beam_surface import swept_surface
+from softrobot_twin.simulation.building.beam_bodies import BeamBody, swept_surface
 from softrobot_twin.simulation.building.deformable_body import Body, carry_surface
 from softrobot_twin.simulation.building.scene_layout import Layout, build_shape, triangulated
 

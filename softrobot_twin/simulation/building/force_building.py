@@ -45,9 +45,13 @@ from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.building.beam_bodies import all_elements
-from softrobot_twin.simulation.building.body_materials import MaterialPart
 from softrobot_twin.simulation.building.cavity_walls import cavity_surface
-from softrobot_twin.simulation.building.deformable_body import Body, part_named, single_nodes
+from softrobot_twin.simulation.building.deformable_body import (
+    Body,
+    MaterialPart,
+    part_named,
+    single_nodes,
+)
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 # The end of a spring on a mass-spring body must be this near to one of its points, as a share of

@@ -11,8 +11,8 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.actuator_entries import HingeMotor
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
+from softrobot_twin.simulation.building.limits import unlikely
 from softrobot_twin.simulation.building.scene_layout import Layout
-from softrobot_twin.simulation.building.unlikely_limits import unlikely
 
 # Limits outside these shares of their natural scales are reported: degrees are a factor of 57, and
 # N mm one of 1000.

@@ -2,7 +2,8 @@
 
 A file may have been cut short on its way, or written by another program. Each array is checked when
 it is taken: that it is there, its shape, that its numbers are finite and within bounds. What is
-wrong is said by one error that names the file and the array.
+wrong is said by one error that names the file and the array. That all files exist which a scene
+names is checked before it is built.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import SceneError, SoftRobotTwinError
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.entry import values_below
 
 # Most bytes that a file may unpack to: a basis of 70 000 nodes and 120 modes. Reading it takes three
 # times as much memory.
@@ -154,3 +157,26 @@ def _arrays_of(path: Path):
             if stream.read(1):
                 raise ValueError(f"{member.filename} is longer than its array")
             yield member.filename.removesuffix(".npy"), array
+
+
+def check_files(scene: Scene) -> None:
+    """Refuse missing files, including those of bodies without contact.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        SceneError: A file is missing; the error names its key and the searched place.
+    """
+    for key, name, file in values_below(scene):
+        if name != "file" or file is None:
+            continue
+        path = file
+        try:
+            path = scene.file_path(file)
+            if path.is_file():
+                continue
+            reason = "is a folder, not a file" if path.is_dir() else "there is no such file"
+        except (OSError, ValueError) as error:  # a name too long, or with a null character
+            reason = getattr(error, "strerror", None) or str(error)
+        raise SceneError(scene.path, key, str(file), "", f"{reason} ({path})")

@@ -38,8 +38,8 @@ from softrobot_twin.simulation.building.deformable_body import (
     placed_in_world,
 )
 from softrobot_twin.simulation.building.frame_part import FramePart
+from softrobot_twin.simulation.building.model_file import check_files
 from softrobot_twin.simulation.building.reduced_body import ReducedNodes, on_platform, reduced_nodes
-from softrobot_twin.simulation.building.scene_files import check_files
 from softrobot_twin.simulation.building.vertebrae import reduced_body
 
 # Length of the facets of a triangulated round shape, as a share of its radius.

@@ -23,8 +23,7 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import StepPart
-from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.step_part import Steppable, StepPart
 from softrobot_twin.simulation.step.target_trust import CALM, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock
 

@@ -29,8 +29,7 @@ from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import largest_on_each_body, step_held
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import PartReport, StepPart
-from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.step_part import PartReport, Steppable, StepPart
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 # Steps between two looks at the other model, each of which takes the time of one of its steps.

@@ -9,8 +9,7 @@ import numpy as np
 from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import StepPart
-from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.step_part import Steppable, StepPart
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 # Parts of the move of guided bodies, and halvings of a part that would fold elements, at most.

@@ -28,7 +28,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene.refusal_messages import nearest
 from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
-from softrobot_twin.simulation.building.pulleys import ANGLE, Pulleys
+from softrobot_twin.simulation.building.limits import ANGLE, Pulleys
 from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
     EFFORTS,

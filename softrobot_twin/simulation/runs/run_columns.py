@@ -16,7 +16,7 @@ import numpy as np
 from softrobot_twin.simulation import appearance
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.building.pulleys import ANGLE, TORQUE
+from softrobot_twin.simulation.building.limits import ANGLE, TORQUE
 from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
     STATUS,

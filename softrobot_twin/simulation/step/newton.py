@@ -27,8 +27,7 @@ from softrobot_twin.simulation.step.linearized import (
     PrescribedMoves,
     expected_to_press,
 )
-from softrobot_twin.simulation.step.merit import Merit
-from softrobot_twin.simulation.step.move import Move
+from softrobot_twin.simulation.step.merit import Merit, Move
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness, without_rows
 from softrobot_twin.solvers.factorization import Factorization

@@ -3,21 +3,26 @@
 A force or a row is a term, inside of the step. What else a scene may name is a part: it may remember
 something from step to step, replace the command, tell of loads, and report. `Simulation.step` asks
 all parts in turn and knows none of them; `effects.py` lists them.
+
+A `Steppable` is what other models of a scene, which judge or replace a simulation, use of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.building.limits import ActuatorLimits
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
 from softrobot_twin.simulation.step.linearized import LinearizedState
-from softrobot_twin.simulation.step.steppable import Steppable
+from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 
@@ -280,3 +285,48 @@ def memories_of_terms(model: Model) -> Iterator[StepPart]:
         if term.memory_name:
             number = names[term.memory_name] = names.get(term.memory_name, -1) + 1
             yield TermMemory(term, f"{term.memory_name}_{number}")
+
+
+class Steppable(Protocol):
+    """A `Simulation`; see there."""
+
+    model: Model
+    parts: tuple
+    newton: Newton
+    inverse: InverseActuation | None
+    state: State
+    now: Callable[[], float]
+    kept: NamedTuple | None
+    is_balanced: bool
+
+    def __init__(self, scene: Scene, now: Callable[[], float] = ..., *, with_warnings: bool): ...
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def limits(self) -> ActuatorLimits: ...
+
+    def step(
+        self, command: Command, budget: float | None = None, measured: object | None = None
+    ) -> StepResult: ...
+
+    def stay_by(self, command: Command, rest: StepResult) -> StepResult: ...
+
+    def asks_as(self, before: Command, command: Command) -> bool: ...
+
+    def come_near(
+        self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
+    ) -> np.ndarray | None: ...
+
+    def take_parts(self, parts: tuple) -> None: ...
+
+    def forget_solvers(self) -> None: ...
+
+    def reset(self) -> None: ...
+
+    def restore(self, state: State) -> None: ...
+
+    def warm_up(self) -> None: ...
+
+    def effector_positions(self) -> np.ndarray: ...

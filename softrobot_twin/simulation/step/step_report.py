@@ -16,13 +16,14 @@ from softrobot_twin.simulation.command import (
     FollowTargets,
     Hold,
 )
-from softrobot_twin.simulation.contact_forces import ContactForces, contact_forces
 from softrobot_twin.simulation.result import (
     RATE,
     UNSTABLE,
+    ContactForces,
     Status,
     StepReport,
     StepResult,
+    contact_forces,
 )
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, NO_EFFORT, Actuation, ContactLoads

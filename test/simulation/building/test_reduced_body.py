@@ -4,7 +4,6 @@ import copy
 
 import numpy as np
 import pytest
-
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import ReducedElements, SampledPoints, all_points
 from softrobot_twin.scene import scene_from_mapping
@@ -16,12 +15,12 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
-from softrobot_twin.simulation.building.body_reduction import (
+from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     reduction_fingerprints,
+    without_reductions,
     write_body_reduction,
 )
-from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.simulation.step.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.step.time_budget import StageClock
