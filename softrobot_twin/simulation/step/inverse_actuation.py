@@ -1006,13 +1006,15 @@ class InverseActuation:
                 found.append(f"{names}.force_limit{exceeded}")
         return tuple(found)
 
-    def errors_by_energy(
-        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
-    ) -> tuple[float, float] | None:
-        """What the weight of the energy costs: errors with it and with next to none.
+    def is_held_by_energy(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        tolerance: float,
+    ) -> bool:  # fmt: skip
+        """Whether the weight of the energy keeps effectors from their targets.
 
-        Both are those of one linearization, within the same bounds, and of targets that are not
-        further away than it holds. Contacts that press when the actuators stay go on pressing.
+        Errors with the scene's weight and with next to none are compared: those of one
+        linearization, within the same bounds, and of targets that are not further away than it
+        holds. Contacts that press when the actuators stay go on pressing.
 
         Args:
             linear: The condensed system.
@@ -1020,15 +1022,15 @@ class InverseActuation:
                 shape (effector_row_count,).
             held: What the actuators do when they stay.
             bounds: Bounds of this step.
+            tolerance: Least difference of the largest errors of an effector that counts [m].
 
         Returns:
-            Largest error of an effector with the scene's weight and with the least [m]; None where
-            the weight is the least, or there is no answer.
+            False also where the weight is the least, or there is no answer.
         """
         # Where slides are is not what the energy decides.
         count = linear.groups.actuators.stop - linear.move_count
         if count == 0 or self._energy_weight <= LEAST_ENERGY_WEIGHT:
-            return None
+            return False
         W, free = _with_contacts_closed(linear, held.contact.multipliers)
         now, efforts, e = linear.effectors_now, held.efforts[:count], linear.groups.effectors
         asked, weights = self._steps.asked(target_rows, now)
@@ -1042,11 +1044,11 @@ class InverseActuation:
             np.maximum(bounds.displacement_max[:count], path),
             bounds.effort_min[:count], bounds.effort_max[:count],
         )  # fmt: skip
-        errors = [
-            self._largest_error(linear, system, weights, weight, within)
-            for weight in (energy_weight, LEAST_ENERGY_WEIGHT)
-        ]
-        return None if None in errors else (errors[0], errors[1])
+        most = self._largest_error(linear, system, weights, energy_weight, within)
+        if most is None or most <= tolerance:
+            return False
+        least = self._largest_error(linear, system, weights, LEAST_ENERGY_WEIGHT, within)
+        return least is not None and most - least > tolerance
 
     def _largest_error(
         self, linear: Linearized, system: InverseSystem, weights: np.ndarray,

@@ -240,13 +240,10 @@ class StepResults:
         tolerance = self._model.scene.solver.reach_tolerance
         if np.fmax.reduce(before, initial=0.0) - np.fmax.reduce(after, initial=0.0) > tolerance:
             return (REACH,)
-        errors = self._inverse.errors_by_energy(
-            outcome.linear, asked.wanted, outcome.held, asked.bounds
+        is_held = self._inverse.is_held_by_energy(
+            outcome.linear, asked.wanted, outcome.held, asked.bounds, tolerance
         )
-        if errors is None:
-            return ()
-        with_weight, with_the_least = errors
-        return (ENERGY,) if with_weight - with_the_least > tolerance else ()
+        return (ENERGY,) if is_held else ()
 
 
 def _of_contacts(loads: ContactLoads, touching: ContactForces | None) -> dict:
