@@ -76,7 +76,9 @@ def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch):
     assert driven[0] == 0
 
 
-@pytest.mark.parametrize("name, time_step", [("diamond_reduced", 0.001), ("diamond", 0.002)])
+@pytest.mark.parametrize(
+    "name, time_step", [("diamond_reduced", 0.001), ("diamond", 0.002), ("flexo", 0.01)]
+)
 def test_targets_that_move_do_not_send_stages_back_to_python(name, time_step, monkeypatch):
     traces = []
     trace = traced_stage.Trace
@@ -90,7 +92,8 @@ def test_targets_that_move_do_not_send_stages_back_to_python(name, time_step, mo
             traces.clear()
         # As a teleop does it: a new target in each 20 ms.
         at = 0.02 * (k * time_step // 0.02)
-        simulation.step(FollowTargets(here + [0.01 * np.sin(at), 0.0, 0.0], time_step), budget=1.0)
+        move = [0.05 * simulation.model.nodes.size * np.sin(at), 0.0, 0.0]
+        simulation.step(FollowTargets(here + move, time_step), budget=1.0)
     # To learn a stage takes as long as several steps.
     assert len(traces) <= 10
 

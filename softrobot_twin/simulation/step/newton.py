@@ -65,7 +65,7 @@ LESS_PROJECTION, LEAST_PROJECTION, MORE_PROJECTION = 8.0, 2.0**-16, 2.0
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
 # Places of the traced stages.
-GATHER, ASSEMBLE, MOVE, LOAD = range(4)
+GATHER, ASSEMBLE, ASSEMBLE_LATER, MOVE, LOAD = range(5)
 EVALUATE, ADD_STIFFNESS = 0, 1
 # Halvings of a move that still folds an element.
 MOST_UNFOLDINGS = 40
@@ -153,7 +153,12 @@ class Newton:
             and all(getattr(kind, "is_traceable", False) for kind in model.nodes.kinds)
         )  # fmt: skip
         self._longest, self._work, self._limit, self._largest = np.zeros((4, 1))
-        stages = (self._gather, self._assemble, self._make_whole, self._load_rows)
+        # Terms that remember where a step began do something else there than later in it.
+        self._starts_apart = any(term.remembers_start for term in model.forces)
+        self._is_at_start = True
+        stages = (
+            self._gather, self._assemble, self._assemble, self._make_whole, self._load_rows
+        )  # fmt: skip
         self._stages = TracedStages(are_traceable, *stages[: None if self._makes_whole else MOVE])
         self._row_stages = TracedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
         self._traced = [self._stages, self._row_stages]
@@ -259,11 +264,12 @@ class Newton:
         self._forget_stages()
 
     def expect(self, time_step: float) -> None:
-        """Run the next stages in Python where steps are longer or shorter than before.
+        """Let a step begin; its stages run in Python where it is longer or shorter than before.
 
         Args:
-            time_step: Their duration [s].
+            time_step: Its duration [s].
         """
+        self._is_at_start = True
         if time_step != self._time_step:
             self._time_step = time_step
             self._forget_stages()
@@ -934,7 +940,9 @@ class Newton:
             self._stages.forget()
             self._assemble(positions, multipliers, True)
         else:
-            self._stages.run(ASSEMBLE, positions, multipliers)
+            is_later = self._starts_apart and not self._is_at_start
+            self._stages.run(ASSEMBLE_LATER if is_later else ASSEMBLE, positions, multipliers)
+        self._is_at_start = False
         if self._has_rows_apart:
             storage = model.factorization.storage
             self._row_stages.run(ADD_STIFFNESS, positions, multipliers, storage, projected)
