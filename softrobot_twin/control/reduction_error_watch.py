@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 READY = "ready"
 """Kind of the first reply: the models are built."""
-PROGRAM = "from softrobot_twin.control.reduction_error_watch import run, serve; run(serve, {})"
+PROGRAM = (
+    "from softrobot_twin.control.idle_process import run; "
+    "from softrobot_twin.control.reduction_error_watch import serve; run(serve, {})"
+)
 
 
 class ReductionErrorWatch(IdleWatch):

@@ -18,6 +18,7 @@ import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector_arrays import copy_vectors, write_product
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators, augmented_tangent_of
@@ -153,6 +154,9 @@ class Newton:
             and all(getattr(kind, "is_traceable", False) for kind in model.nodes.kinds)
         )  # fmt: skip
         self._longest, self._work, self._limit, self._largest = np.zeros((4, 1))
+        self._knowing = [
+            term for term in model.forces if type(term).knows is not ForceTerm.knows
+        ]  # fmt: skip
         # Terms that remember where a step began do something else there than later in it.
         self._starts_apart = any(term.remembers_start for term in model.forces)
         self._is_at_start = True
@@ -933,7 +937,7 @@ class Newton:
         """
         model = self._model
         self._rows.tell_efforts(multipliers)
-        if not all([term.knows(positions) for term in model.forces]):
+        if not all([term.knows(positions) for term in self._knowing]):
             # Terms that find it out themselves would do something else than in most steps.
             self._stages.run(GATHER, positions)
         if projected:
