@@ -46,6 +46,12 @@ def framed(content: object) -> bytes:
 # --- in the twin ---------------------------------------------------------------------------------
 
 
+def program_of(module: str) -> str:
+    """Source of a process that answers by `serve` of a module; `format` it with `yields` of `run`."""
+    return (f"from softrobot_twin.control.idle_process import run; from {module} import serve; "
+            "run(serve, {})")  # fmt: skip
+
+
 class IdleWatch:
     """Requests answers and takes the newest; a kind of watch says what is asked and answered.
 

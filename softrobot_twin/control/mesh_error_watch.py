@@ -15,7 +15,7 @@ from softrobot_twin.control.idle_process import (
     IdleWatch,
     Replies,
     Requests,
-    run,
+    program_of,
 )
 
 # The other process lowers its priority before numpy is imported.
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 REST = "rest"
 """Kind of the first reply: the mesh at rest."""
-PROGRAM = "from softrobot_twin.control.mesh_error_watch import run, serve; run(serve, {})"
+PROGRAM = program_of(__name__)
 
 
 class MeshErrorWatch(IdleWatch):

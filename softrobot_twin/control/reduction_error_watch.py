@@ -12,7 +12,7 @@ from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Requests
+from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Requests, program_of
 
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 READY = "ready"
 """Kind of the first reply: the models are built."""
-PROGRAM = (
-    "from softrobot_twin.control.idle_process import run; "
-    "from softrobot_twin.control.reduction_error_watch import serve; run(serve, {})"
-)
+PROGRAM = program_of(__name__)
 
 
 class ReductionErrorWatch(IdleWatch):
