@@ -10,8 +10,9 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-import softrobot_twin  # noqa: F401  chooses threads; before numpy
 from compile_kernels import compile_each_kernel_once
+
+import softrobot_twin  # noqa: F401  chooses threads; before numpy
 
 # Tests start hundreds of processes, each of which would compile all sources anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -408,6 +409,7 @@ def block() -> Callable:
     """Makes a box of cells, six tetrahedra each, with its inner nodes moved about."""
 
     import numpy as np
+
     from softrobot_twin.geometry.tet_mesh import TetMesh
 
     def make(size=(0.2, 0.3, 0.4), cells=(2, 3, 4), shake=0.2) -> TetMesh:
@@ -481,6 +483,7 @@ def air_scene(block, tmp_path_factory) -> dict:
     """
     import meshio
     import numpy as np
+
     from softrobot_twin.geometry.surface import boundary_triangles
 
     folder = tmp_path_factory.mktemp("air")
@@ -534,6 +537,7 @@ def half_trained(tmp_path_factory) -> Path:
     """
     import numpy as np
     import yaml
+
     from softrobot_twin.scene import load_scene
     from softrobot_twin.scene.loading import written_out
     from softrobot_twin.simulation.building.reduced_body import (

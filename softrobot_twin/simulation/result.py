@@ -20,6 +20,17 @@ from softrobot_twin.simulation.state import State
 
 # Contacts that carry less than this share of all loads are omitted.
 CARRIES = 1.0e-9
+# Ending of the name of a limit that only delays a motion.
+RATE = ".rate"
+# Ending of the name that tells that a reduced body is out of the range in which its superelements
+# were sampled, or its basis was trained, such as ``fetch.sampled_range``.
+SAMPLED = "sampled_range"
+# Ending of the name that tells that a body is strained beyond the range of its law, such as
+# ``finger.strain_range``.
+STRAINED = "strain_range"
+# Tells that the state is unstable where the commanded efforts are held, as hardware without a position
+# loop would: a little more effort leads far away.
+UNSTABLE = "unstable_at_efforts"
 
 
 @njit(**KERNEL)
@@ -123,19 +134,6 @@ def contact_forces(
         contacts.positions[carrying], forces, contacts.gaps(positions)[carrying],
         contacts.pair[carrying], contacts.pair_names,
     )  # fmt: skip
-
-
-# Ending of the name of a limit that only delays a motion.
-RATE = ".rate"
-# Ending of the name that tells that a reduced body is out of the range in which its superelements
-# were sampled, or its basis was trained, such as ``fetch.sampled_range``.
-SAMPLED = "sampled_range"
-# Ending of the name that tells that a body is strained beyond the range of its law, such as
-# ``finger.strain_range``.
-STRAINED = "strain_range"
-# Tells that the state is unstable where the commanded efforts are held, as hardware without a position
-# loop would: a little more effort leads far away.
-UNSTABLE = "unstable_at_efforts"
 
 
 class Status(Enum):

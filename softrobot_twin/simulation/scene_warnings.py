@@ -19,6 +19,35 @@ from softrobot_twin.simulation.step.merit import OVERSHOOT
 
 # A slide's travel of more than this number of sizes of the largest body is reported.
 MOST_SIZES = 20.0
+SIZE_RANGE = (0.002, 5.0)
+"""Usual range of the size of soft robots [m]."""
+DENSITY_RANGE = (20.0, 10_000.0)
+"""Range from foam to steel [kg/m³]."""
+YOUNG_RANGE = (1.0e3, 3.0e11)
+"""Range from jelly to steel [Pa]."""
+THICK_SHARE = 1.0
+"""A beam that is more across than this share of its length is none."""
+LOCKING_RATIO = 0.47
+"""Above this Poisson ratio linear tetrahedra lock."""
+SAG_SHARE = 0.5
+"""A sag by more than this share of the size is reported as unlikely."""
+LINEAR_SHARE = 0.02
+"""A sag below this share of the size is linear in the weight."""
+MOST_SOLVES = 100
+"""Largest number of linearizations to an equilibrium under gravity; thin rubber took up to 88."""
+MOST_NODES_SOLVED = 600_000
+"""Largest product of linearizations and free nodes: a large mesh with a wrong unit has no equilibrium,
+and its start must not wait for a long search."""
+FEWEST_SOLVES = 20
+"""Linearizations that are tried on the largest meshes too."""
+MOST_HALVINGS = 12
+"""Largest number of halvings of a move that went too far."""
+LONGEST_MOVE = 0.1
+"""Largest displacement of a node in one of them, as a share of the size."""
+TOLERANCE = 1.0e-4
+"""An equilibrium is found when no node moves by more than this share of the size."""
+UNLIKELY_SHARE = 10.0
+"""A setpoint or effort of more than this many times a large one is reported as unlikely."""
 
 
 def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
@@ -86,38 +115,6 @@ def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
         if length > most:
             yield (f"{key} = {length:g} m is very large: the largest body is {size:.4g} m large; "
                    "is it in metres?")  # fmt: skip
-
-
-SIZE_RANGE = (0.002, 5.0)
-"""Usual range of the size of soft robots [m]."""
-DENSITY_RANGE = (20.0, 10_000.0)
-"""Range from foam to steel [kg/m³]."""
-YOUNG_RANGE = (1.0e3, 3.0e11)
-"""Range from jelly to steel [Pa]."""
-THICK_SHARE = 1.0
-"""A beam that is more across than this share of its length is none."""
-LOCKING_RATIO = 0.47
-"""Above this Poisson ratio linear tetrahedra lock."""
-SAG_SHARE = 0.5
-"""A sag by more than this share of the size is reported as unlikely."""
-LINEAR_SHARE = 0.02
-"""A sag below this share of the size is linear in the weight."""
-MOST_SOLVES = 100
-"""Largest number of linearizations to an equilibrium under gravity; thin rubber took up to 88."""
-MOST_NODES_SOLVED = 600_000
-"""Largest product of linearizations and free nodes: a large mesh with a wrong unit has no equilibrium,
-and its start must not wait for a long search."""
-FEWEST_SOLVES = 20
-"""Linearizations that are tried on the largest meshes too."""
-MOST_HALVINGS = 12
-"""Largest number of halvings of a move that went too far."""
-LONGEST_MOVE = 0.1
-"""Largest displacement of a node in one of them, as a share of the size."""
-TOLERANCE = 1.0e-4
-"""An equilibrium is found when no node moves by more than this share of the size."""
-
-UNLIKELY_SHARE = 10.0
-"""A setpoint or effort of more than this many times a large one is reported as unlikely."""
 
 
 def unlikely_commands(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.device import MeasuredSetpoints

@@ -4,6 +4,7 @@ import os
 import time
 
 import pytest
+
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.twin_loop import DEVICE_LOST

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
+
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import LoopSettings

@@ -1,6 +1,7 @@
 """Constants of laws in scenes: what each law takes, and what is refused by name and unit."""
 
 import pytest
+
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.scene import scene_from_mapping

@@ -1,6 +1,7 @@
 """Forces of a pair of bodies as a whole."""
 
 import numpy as np
+
 from softrobot_twin.simulation.result import ContactForces
 
 

@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 import yaml
+
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.constraints.reduced_cavities import ReducedCavities
 from softrobot_twin.errors import SceneError

@@ -4,6 +4,7 @@ pressed hard, sliding along a rod, released, on a slide and with friction."""
 import meshio
 import numpy as np
 import pytest
+
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.building.reduced_body import (

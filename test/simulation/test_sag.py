@@ -6,8 +6,8 @@ import pytest
 from softrobot_twin.simulation import Hold, Status
 from softrobot_twin.simulation.scene_warnings import (
     LINEAR_SHARE,
-    equilibrium_sag,
     are_held,
+    equilibrium_sag,
     expected_sag,
     linear_sag,
 )

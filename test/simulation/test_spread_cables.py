@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from softrobot_twin.constraints import cable
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation

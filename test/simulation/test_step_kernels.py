@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from softrobot_twin.simulation.building.limits import find_limits, write_bounds
 from softrobot_twin.simulation.result import find_carrying
 from softrobot_twin.simulation.step.inverse_actuation import keep_within, narrow, write_steps

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.reduced_body import read_body_reduction
 from softrobot_twin.study import body_training, sample_workers

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+
 from softrobot_twin.geometry.cad_meshing import CadMesh, write_msh
 from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import load_scene

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+
 from softrobot_twin.__main__ import main
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, all_points

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
 from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.simulation.building.limits import Pulleys
 from softrobot_twin.simulation.command import (

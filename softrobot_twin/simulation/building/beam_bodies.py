@@ -44,6 +44,9 @@ LEAST_SINE = 1.0e-3
 WORLD = "world"
 # Places at which a smooth curve is measured, for each element.
 SUBDIVISION = 16
+# At a corner of the axis the outline is moved to the plane between both sides, along the axis by
+# no more than this many radii.
+MOST_MITRE = 3.0
 
 
 class Carriers(NamedTuple):
@@ -745,11 +748,6 @@ class BeamNet:
 def _noun(pivot: Pivot) -> str:
     """What a pivot is called in messages."""
     return "hinge" if pivot.joint.by == "hinge" else "ball joint"
-
-
-# At a corner of the axis the outline is moved to the plane between both sides, along the axis by
-# no more than this many radii.
-MOST_MITRE = 3.0
 
 
 def swept_surface(

@@ -58,6 +58,24 @@ from softrobot_twin.scene.body_entries import (
 # A cell with corners on both sides of a face of a box, farther from it than this share of the
 # body's size, is reported: it belongs to the side of its centre.
 CUT_BY_FACE = 1.0e-5
+# Nodes this close to a box but outside it, relative to the body's size, are reported: they may
+# belong to the region.
+BESIDE = 1.0e-5
+# A mesh larger than this [m] is reported as probably given in millimetres.
+LARGEST_SIZE = 5.0
+# A point farther from the body than this share of the body's size is refused, a nearer one is
+# snapped to it.
+SNAP_SHARE = 0.02
+# A point closer to the body than this share of its size is on it.
+ON_BODY = 5.0e-6
+# Largest distance of a carried surface from its body, and its smallest size, as shares of the
+# body's size.
+STAND_OFF, LEAST_SHARE = 0.1, 0.5
+# Where the weight of a patch ends, by its radius: its mean at a flat face is as deep as that of a
+# ball, 35/128 of this and 3/8 of the radius.
+SUPPORT = 48.0 / 35.0
+# Least spacings of the finer lattice of samples in the support of a patch; it has up to twice this.
+LATTICE = 4.0
 
 
 @dataclass(frozen=True)
@@ -321,26 +339,6 @@ def _refuse_claimed_twice(
             f"claims {len(taken)} cells that {key}.materials[{taken[0]}] claims too; a cell has "
             "one material",
         )  # fmt: skip
-
-
-# Nodes this close to a box but outside it, relative to the body's size, are reported: they may
-# belong to the region.
-BESIDE = 1.0e-5
-# A mesh larger than this [m] is reported as probably given in millimetres.
-LARGEST_SIZE = 5.0
-# A point farther from the body than this share of the body's size is refused, a nearer one is
-# snapped to it.
-SNAP_SHARE = 0.02
-# A point closer to the body than this share of its size is on it.
-ON_BODY = 5.0e-6
-# Largest distance of a carried surface from its body, and its smallest size, as shares of the
-# body's size.
-STAND_OFF, LEAST_SHARE = 0.1, 0.5
-# Where the weight of a patch ends, by its radius: its mean at a flat face is as deep as that of a
-# ball, 35/128 of this and 3/8 of the radius.
-SUPPORT = 48.0 / 35.0
-# Least spacings of the finer lattice of samples in the support of a patch; it has up to twice this.
-LATTICE = 4.0
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,12 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 
 ANGLE = Quantity("angle", "rad")
 TORQUE = Quantity("torque", "Nm")
+# A displacement this near to its limit, as a share of the actuator's scale, is at the limit.
+DISPLACEMENT_MARGIN = 1.0e-6
+# An effort this near to its limit, as a share of the limit, is at the limit.
+EFFORT_MARGIN = 1.0e-4
+# Nearer to it than this share of the actuator's scale, an effort does not hold a displacement.
+HOLDING_MARGIN = 1.0e-9
 
 
 def pulley_of_cable(scene: Scene) -> dict[str, Pulley]:
@@ -189,14 +195,6 @@ def efforts_at_scale(model, term) -> np.ndarray | None:
         np.add.at(load, term.entry_nodes[own], blocks[own])
         efforts[index] = term.scales[index] / float(np.sum(load * factorization.solve(load)))
     return efforts
-
-
-# A displacement this near to its limit, as a share of the actuator's scale, is at the limit.
-DISPLACEMENT_MARGIN = 1.0e-6
-# An effort this near to its limit, as a share of the limit, is at the limit.
-EFFORT_MARGIN = 1.0e-4
-# Nearer to it than this share of the actuator's scale, an effort does not hold a displacement.
-HOLDING_MARGIN = 1.0e-9
 
 
 @njit(**KERNEL)

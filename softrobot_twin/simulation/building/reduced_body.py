@@ -48,6 +48,13 @@ from softrobot_twin.simulation.building.model_file import (
 
 # Digits of coordinates in fingerprints, as a share of the body's size: what files can tell apart.
 DIGITS = 1.0e-7
+# Version of the file; one of another version is made anew.
+FORMAT = 1
+# Greatest displacement of a fixed node by a mode, whose largest is one: rounding of long sums.
+FIXED = 1.0e-6
+# Least eigenvalue of the stiffness at rest of modes that are scaled to unit stiffness: rounding.
+LEAST_STIFFNESS = 1.0e-10
+COMMAND = "softrobot_twin reduce"
 
 
 def digest(*values) -> str:
@@ -89,14 +96,6 @@ def _constants(part: MaterialPart) -> tuple:
     if law_named(part.law).own is None:
         return part.young_modulus, part.poisson_ratio
     return part.law_parameters
-
-
-# Version of the file; one of another version is made anew.
-FORMAT = 1
-# Greatest displacement of a fixed node by a mode, whose largest is one: rounding of long sums.
-FIXED = 1.0e-6
-# Least eigenvalue of the stiffness at rest of modes that are scaled to unit stiffness: rounding.
-LEAST_STIFFNESS = 1.0e-10
 
 
 class BodyReduction(NamedTuple):
@@ -239,9 +238,6 @@ def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> Non
                 stiffness / np.outer(size, size))[0] > LEAST_STIFFNESS:  # fmt: skip
             raise file.damaged(f"at the points {name} the stiffness at rest is not positive "
                                "definite: too few points, or modes that depend on each other")
-
-
-COMMAND = "softrobot_twin reduce"
 
 
 def without_reductions(scene: Scene) -> Scene:

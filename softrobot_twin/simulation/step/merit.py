@@ -39,6 +39,20 @@ from softrobot_twin.geometry.vector_arrays import copy_vectors
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
 
+# µ by multiplier.
+PENALTY = 1.5
+# Least share of the promised decrease (Armijo).
+DECREASE = 1.0e-4
+# Least and greatest factor by which a refused move is shortened; tries of one linearization.
+SHORTEST, LONGEST, MOST_TRIALS = 0.1, 0.5, 8
+# Largest -r(1)·dq of a trusted move, by r(0)·dq; beyond, it went too far.
+OVERSHOOT = 0.5
+# Largest penalty of overlaps after a trusted move, by r(0)·dq.
+OVERLAP = 0.25
+# Moves that are searched after a doubtful one, before moves are trusted again. It doubles each
+# time, so that no cycle of trusted and searched moves lasts.
+FIRST_DOUBT = 3
+
 
 class Move:
     """The last correction of one simulation. Its arrays are allocated once.
@@ -95,21 +109,6 @@ class Move:
             positions: Takes the node positions [m], shape (node_count, 3).
         """
         positions[:] = self._before
-
-
-# µ by multiplier.
-PENALTY = 1.5
-# Least share of the promised decrease (Armijo).
-DECREASE = 1.0e-4
-# Least and greatest factor by which a refused move is shortened; tries of one linearization.
-SHORTEST, LONGEST, MOST_TRIALS = 0.1, 0.5, 8
-# Largest -r(1)·dq of a trusted move, by r(0)·dq; beyond, it went too far.
-OVERSHOOT = 0.5
-# Largest penalty of overlaps after a trusted move, by r(0)·dq.
-OVERLAP = 0.25
-# Moves that are searched after a doubtful one, before moves are trusted again. It doubles each
-# time, so that no cycle of trusted and searched moves lasts.
-FIRST_DOUBT = 3
 
 
 class Begin(NamedTuple):

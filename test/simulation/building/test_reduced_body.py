@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import ReducedElements, SampledPoints, all_points
 from softrobot_twin.scene import scene_from_mapping
