@@ -332,6 +332,8 @@ class RowStack:
         Returns:
             They; None without a term that has them, such as cables with friction.
         """
+        if not self._told_parts:
+            return None
         rows, own, nodes, blocks = [], [], [], []
         for term, part in self._told_parts:
             if hasattr(term, "length_blocks"):

@@ -34,7 +34,7 @@ from softrobot_twin.simulation.stability_check import stability_notes
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
-from softrobot_twin.simulation.step.direct_actuation import DirectActuation, imbalance
+from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.generalized_alpha import GeneralizedAlpha
 from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.step.inverse_actuation import build_inverse
@@ -76,18 +76,18 @@ class Correction(NamedTuple):
     Attributes:
         linear: The condensed system.
         actuation: What actuators and contacts do.
-        held: What they do when the actuators stay; None where nothing asked for it.
+        held: What a shorter step begins with; None where nothing asked for it.
+        still: What they do when all actuators stay; None likewise.
         share: Share of the move that was made; zero where it was not finite.
         residual: Largest force out of balance on a node after it [N].
-        imbalance: Distance of the effectors from balance at the linearized state [m].
     """
 
     linear: Linearized
     actuation: Actuation
     held: Actuation | None
+    still: Actuation | None
     share: float
     residual: float
-    imbalance: float
 
 
 class Kept(NamedTuple):
@@ -329,16 +329,15 @@ class Simulation(Readouts):
             for part in self._parts_with["lead"]
         )
         hurry = pressed and newton.may_keep_factor
-        error, iterations, enough = math.nan, 0, False
+        begin, iterations, enough = None, 0, False
         inverted = newton.inverted_count
         while not enough:
-            iterations, begin = iterations + 1, clock.total
+            iterations, elapsed = iterations + 1, clock.total
             before = positions.copy() if hurry else positions
             done = self._iterate(positions, efforts, command, asked, clock, hurry)
             if done is None:
                 return self._failed(command, clock, iterations)
-            if iterations == 1:
-                error = done.imbalance
+            begin = begin or (done.linear, done.still)
             if hurry and not self._stale_factor_serves(done, inverted):
                 positions[:], hurry = before, False
                 continue
@@ -346,14 +345,14 @@ class Simulation(Readouts):
                 return self._failed(command, clock, iterations, *_why_kept(done.actuation))
             efforts = done.actuation.efforts
             if not hurry:
-                time_budget.learn(clock.total - begin)
+                time_budget.learn(clock.total - elapsed)
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
         reached = self._balance(done, budget) if led else Balance.MISSED
         self.is_balanced = reached is not Balance.MISSED
         self._goes_on = not (self.is_balanced or self.model.is_dynamic)
         outcome = Outcome(
             positions.copy(), done.actuation, done.held, done.linear, reached,
-            done.residual, iterations, error, pressed,
+            done.residual, iterations, begin, pressed,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
 
@@ -476,12 +475,11 @@ class Simulation(Readouts):
         )  # fmt: skip
         if linear is None:
             return None
-        held = self.direct.held(linear, asked.drives, asked.bounds, command)
-        error = imbalance(self.model.effectors, linear, held)
+        still = self.direct.held(linear, asked.drives, asked.bounds, command)
         rows = None
         if self._parts_with["rows"] and isinstance(command, FollowTargets):
             rows = self._rows_of_parts(positions, efforts, clock)
-        actuation, held = self._actuate(linear, command, asked, held, rows)
+        actuation, held = self._actuate(linear, command, asked, still, rows)
         if self._optimises:
             clock.mark("optimise")
         if with_stale_factor:
@@ -490,7 +488,7 @@ class Simulation(Readouts):
             share, residual, actuation = self._approach(positions, actuation, held, clock)
         else:
             share, residual, actuation = self._move_and_settle(positions, actuation, clock)
-        return Correction(linear, actuation, held, share, residual, error)
+        return Correction(linear, actuation, held, still, share, residual)
 
     def _rows_of_parts(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock
@@ -532,17 +530,17 @@ class Simulation(Readouts):
         return efforts
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
-        """Displacements that the actuators are held at, or that a step towards targets starts from.
+        """What the actuators are held at, or a step towards targets starts from.
 
         Returns:
-            They; None where efforts are prescribed.
+            It; None where efforts are prescribed.
         """
         if isinstance(command, CommandEfforts):
             return None
         drives = asked.wanted if isinstance(command, CommandSetpoints) else asked.drives
-        within = self.actuators.limits.drives_within(drives, asked.bounds)
-        reach, follows = asked.reach, isinstance(command, FollowTargets)
-        return HeldActuators(within, reach.effort_min, reach.effort_max, not follows)
+        return HeldActuators(
+            drives, asked.bounds, asked.reach, not isinstance(command, FollowTargets)
+        )
 
     def _is_enough(
         self, done: Correction, iterations: int, elapsed: float, budget: float | None
@@ -562,7 +560,7 @@ class Simulation(Readouts):
         return balance(
             done.residual, done.share == 1.0 and done.actuation.is_exact,
             budget is not None or solver.newton_iterations == 1, solver,
-            lambda: self.newton.constant_load + self._load(done.actuation),
+            self.newton.constant_load, lambda: self._load(done.actuation),
         )  # fmt: skip
 
     def _load(self, actuation: Actuation) -> float:
@@ -683,10 +681,10 @@ class Simulation(Readouts):
             outcome.positions,
             self.actuators.setpoints(outcome.actuation.drives(self.limits)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
-            motion.velocities, motion.past, self._memory(
+            motion.velocities, motion.past, self._memory([
                 part.remembered(part.end(outcome.positions, outcome.actuation.efforts))
                 for part in self._parts_with["end"]
-            ),
+            ]),
         )  # fmt: skip
         is_kept = self._is_kept(command, asked, outcome, state)
         self.state = before.kept_through(command.time_step) if is_kept else state
@@ -709,23 +707,22 @@ class Simulation(Readouts):
             state: The state after them.
         """
         before, size = self.state, self.model.nodes.size
-        if not self.may_rest:
-            return False
-        if outcome.balance is not Balance.REACHED or not math.isfinite(size):
-            return False
-        if self.newton.inverted_count:
-            return False
-        if not all(part.may_keep(before, state) for part in self._keeping):
+        if not self.may_rest or outcome.balance is not Balance.REACHED:
             return False
         follows = isinstance(command, FollowTargets)
         share = KEPT_SHARE_TOWARDS_TARGETS if follows else KEPT_SHARE
         slack = share * self.limits.drive_scale if follows else np.zeros(len(state.setpoints))
+        if not are_within(state.setpoints, before.setpoints, slack):
+            return False
+        if self.newton.inverted_count or not math.isfinite(size):
+            return False
+        if not all(part.may_keep(before, state) for part in self._keeping):
+            return False
         stays = follows and self.inverse.trust.approach is Approach.REST
         if stays and not self.newton.projected_tangent:
             share = KEPT_SHARE_WHILE_STAYING
         return (
-            are_within(state.setpoints, before.setpoints, slack)
-            and not (follows and self._is_slow(asked, slack))
+            not (follows and self._is_slow(asked, slack))
             and bool((np.abs(state.positions - before.positions) <= share * size).all())
             and bool((np.abs(state.efforts - before.efforts) <= share * self.limits.effort_scale).all())
         )

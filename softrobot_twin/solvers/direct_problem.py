@@ -51,8 +51,8 @@ def compliance_scale(W):
 @njit(**KERNEL)
 def _proved_efforts(W, free_violation, prescribed, effort_min, effort_max):
     """Efforts of `solve_direct`, and whether they are proved; the guess: no bound is active."""
-    n = len(W)
-    scale = compliance_scale(W)
+    n = len(prescribed)
+    scale = compliance_scale(W[:n, :n])
     P, gradient, lower, upper = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n)
     size = 0.0
     for i in range(n):
@@ -87,8 +87,8 @@ def solve_direct(
     """Efforts that hold actuators at their commanded displacements.
 
     Args:
-        W: Displacement by effort [m/N], shape (n, n).
-        free_violation: Displacement after free motion δ_free [m], shape (n,).
+        W: Displacement by effort, the rows of the actuators first [m/N], shape (m, m).
+        free_violation: Displacement after free motion δ_free [m], shape (m,).
         prescribed: Commanded displacement δ_set of each actuator [m], shape (n,).
         effort_min: Least effort [N], shape (n,).
         effort_max: Greatest effort, at which the displacement is reduced [N], shape (n,).
@@ -103,7 +103,8 @@ def solve_direct(
     )
     if proved:
         return efforts
-    return solve_by_daqp(W, free_violation - prescribed, effort_min, effort_max)
+    n = len(prescribed)
+    return solve_by_daqp(W[:n, :n], free_violation[:n] - prescribed, effort_min, effort_max)
 
 
 def solve_by_daqp(

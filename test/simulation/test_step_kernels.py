@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.simulation.building.limits import find_limits, write_bounds
 from softrobot_twin.simulation.result import find_carrying
-from softrobot_twin.simulation.step.inverse_actuation import keep_within, narrow, write_steps
+from softrobot_twin.simulation.step.inverse_actuation import keep_within, write_near, write_steps
 from softrobot_twin.simulation.step.step_status import DISPLACEMENT_MET, are_near
 from softrobot_twin.simulation.step.target_trust import are_equal, longest_move
 
@@ -92,12 +92,14 @@ def test_displacements_within_bounds(seed):
 
 
 def test_bounds_are_narrowed_to_what_is_near_and_never_cross():
-    drives, reach = np.array([0.0, 0.0, 0.0, 2.0, 0.0]), np.array([1.0, np.inf, 1.0, 1.0, 1.0])
-    least, most = np.array([-3.0, -3.0, 2.0, -3.0, 0.7]), np.array([0.5, np.inf, 3.0, 0.5, 0.7])
-    left = np.array([False, False, False, False, True])
-    narrow(drives, reach, left, least, most)
-    np.testing.assert_array_equal(least, [-1.0, -3.0, 2.0, 0.5, 0.7])
-    np.testing.assert_array_equal(most, [0.5, np.inf, 2.0, 0.5, 0.7])
+    drives, scales = np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]), np.array([2.0, np.inf, *[2.0] * 4])
+    lower = np.array([-3.0, -3.0, 2.0, -3.0, 0.7, -4.0])
+    upper = np.array([0.5, np.inf, 3.0, 0.5, 0.7, 4.0])
+    is_commanded, by_effort = np.arange(6) == 4, np.arange(6) == 5
+    least, most = np.empty((2, 6))
+    write_near(drives, 0.5, scales, is_commanded, by_effort, lower, upper, least, most)
+    np.testing.assert_array_equal(least, [-1.0, -3.0, 2.0, 0.5, 0.7, -4.0])
+    np.testing.assert_array_equal(most, [0.5, np.inf, 2.0, 0.5, 0.7, 4.0])
 
 
 def test_displacements_are_near_what_is_asked_where_nan_asks_nothing():

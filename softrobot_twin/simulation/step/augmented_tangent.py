@@ -59,6 +59,7 @@ from softrobot_twin.solvers.factorization import (
     NodeRows,
     laid_out_like,
 )
+from softrobot_twin.solvers.inverse_problem import Bounds
 from softrobot_twin.solvers.small_cholesky import factorize
 from softrobot_twin.solvers.superlu import SuperLU
 
@@ -79,16 +80,17 @@ class HeldActuators(NamedTuple):
     """Actuators whose displacements are prescribed, or whose displacements a step starts from.
 
     Attributes:
-        displacements: δ_ref [m], shape (actuator_count,).
-        effort_min: Least efforts [N], same shape.
-        effort_max: Greatest efforts [N], same shape.
+        drives: What they are held at: displacements [m], or efforts of what is effort-driven,
+            shape (actuator_count,).
+        bounds: Bounds of the step; δ_ref are the drives within them.
+        reach: Bounds of the step by the hardware alone.
         is_prescribed: Whether the displacements are prescribed.
     """
 
-    displacements: np.ndarray
-    effort_min: np.ndarray
-    effort_max: np.ndarray
-    is_prescribed: bool = True
+    drives: np.ndarray
+    bounds: Bounds
+    reach: Bounds
+    is_prescribed: bool
 
 
 class Augmentation(NamedTuple):
@@ -147,7 +149,8 @@ class AugmentedTangent:
             contacts: The term of contacts that are augmented where they press; None without.
         """
         self._rows, self._factorization = rows, factorization
-        self._may_be_held, self._own, self._contacts = may_be_held, own, contacts
+        self._may_be_held, self._contacts = may_be_held, contacts
+        self._take(own)
         self.stiffness, self.contact_stiffness = np.zeros(len(may_be_held)), np.empty(0)
         self.dense_rows, self._share = NO_DENSE_ROWS, None
         self._whole = self._with_own_rows()
@@ -165,7 +168,13 @@ class AugmentedTangent:
 
     def measure(self, W_aa: np.ndarray) -> None:
         """Take the stiffness of the bodies along their actuators from the compliance at rest."""
-        self._own = 1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny)
+        self._take(1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny))
+
+    def _take(self, own: np.ndarray | None) -> None:
+        """Take it, and the greatest ρ of each actuator row."""
+        self._own, self._greatest = own, None
+        if own is not None:
+            self._greatest = np.where(self._may_be_held, AUGMENTATION * own, 0.0)
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
         """Augment what holds its displacement by an effort within bounds: a taut cable that does
@@ -178,9 +187,8 @@ class AugmentedTangent:
         Returns:
             Whether there is any.
         """
-        inside = (efforts > held.effort_min) & (efforts < held.effort_max)
-        inside = inside[: len(self.stiffness)] & self._may_be_held
-        self.stiffness = np.where(inside, AUGMENTATION * self._own, 0.0)
+        inside = (efforts > held.reach.effort_min) & (efforts < held.reach.effort_max)
+        self.stiffness = np.where(inside[: len(self._greatest)], self._greatest, 0.0)
         own_compliance = self._rows.stretch_compliance()
         if own_compliance is not None:
             self.stiffness /= 1.0 + self.stiffness * own_compliance
@@ -247,13 +255,13 @@ class AugmentedTangent:
         """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
         return self._whole.solve(b)
 
-    def augmentation(self, held: HeldActuators) -> Augmentation:
+    def augmentation(self, displacements: np.ndarray) -> Augmentation:
         """What turns λ̂ into λ.
 
         Args:
-            held: What holds the actuators.
+            displacements: δ_ref of all actuators [m], shape (actuator_count,).
         """
-        reference = held.displacements[: len(self.stiffness)]
+        reference = displacements[: len(self.stiffness)]
         own_compliance = self._rows.stretch_compliance()
         if own_compliance is None:
             return Augmentation(self.stiffness, reference)
@@ -271,14 +279,13 @@ class AugmentedTangent:
             return np.zeros(len(gaps))
         return -self.contact_stiffness * gaps
 
-    def is_near(self, W_aa: np.ndarray) -> bool:
+    def is_near(self, W: np.ndarray) -> bool:
         """Whether the tangent without the augmentation is definite by too little for an inverse.
 
         Args:
-            W_aa: Its compliance of the actuators [m/N], those with rows first, shape (n, n).
+            W: Its compliance [m/N], rows of actuators first, shape (row_count, row_count).
         """
-        stiffness = np.where(self._may_be_held, AUGMENTATION * self._own, 0.0)
-        return self.serves_near and _is_soft(W_aa[: len(stiffness), : len(stiffness)], stiffness)
+        return self.serves_near and is_soft(W, self._greatest)
 
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether the tangent without the augmentation is indefinite, or nearly.
@@ -413,18 +420,19 @@ class AugmentedHinges(AugmentedTangent):
     comes_first, serves_near, margin = True, False, LEAST_DEFINITE
 
 
-def _is_soft(W: np.ndarray, stiffness: np.ndarray) -> bool:
+@njit(**KERNEL)
+def is_soft(W, stiffness):
     """Whether a body yields to its actuators by more than 1 / `NEARLY_INDEFINITE` times 1/ρ.
 
     Args:
-        W: Compliance of the actuators [m/N], shape (n, n).
-        stiffness: ρ of each [N/m], shape (n,).
+        W: Compliance, the rows of the actuators first [m/N], shape (m, m).
+        stiffness: ρ of each actuator [N/m], shape (n,).
     """
-    most = 1.0 / NEARLY_INDEFINITE
+    most, total = 1.0 / NEARLY_INDEFINITE, 0.0
+    for i in range(len(stiffness)):
+        total += W[i, i] * stiffness[i]
     # No eigenvalue is above their sum.
-    if float(W.diagonal() @ stiffness) < most:
-        return False
-    return not is_below(np.ascontiguousarray(W), np.arange(len(W)), np.sqrt(stiffness), most)
+    return total >= most and not is_below(W, np.arange(len(stiffness)), np.sqrt(stiffness), most)
 
 
 def augmented_tangent_of(model: Model) -> AugmentedTangent | None:

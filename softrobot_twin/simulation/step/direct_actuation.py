@@ -196,10 +196,10 @@ class DirectActuation:
         """Efforts within bounds, and contact forces, at given displacements."""
         if self.solvers is not None:
             return self._in_contact(linear, displacements, lower, upper)
-        if (lower == upper).all():
+        if self._limits.has_effort_driven and (lower == upper).all():
             # All efforts are held, as where regulators hold all pressures: nothing is to be found.
             return self._free(lower.copy(), displacements)
-        efforts = solve_direct(linear.W_aa, linear.actuators, displacements, lower, upper)
+        efforts = solve_direct(linear.W, linear.violation, displacements, lower, upper)
         solved = efforts is not None
         return self._free(efforts if solved else np.zeros(len(lower)), displacements, solved)
 
@@ -393,41 +393,6 @@ class DirectActuation:
         stiffest = normals[normals > 0.0].min(initial=np.inf)
         force = FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
         return min(self.solvers.tolerance, stiffest * force)
-
-
-@njit(**KERNEL)
-def largest_distance(places, others, row_effector, squares):
-    """Largest distance of an effector between two states [m]; NaN where one is.
-
-    Args:
-        places: Effector coordinates [m], shape (effector_row_count,).
-        others: Those in the other state [m], same shape.
-        row_effector: Effector of each row of positions, shape (position_row_count,).
-        squares: Zeros; takes the squared distances [m²], shape (effector_count,).
-    """
-    for r in range(len(row_effector)):
-        squares[row_effector[r]] += (places[r] - others[r]) ** 2
-    return np.sqrt(np.max(squares))
-
-
-def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
-    """Distance of the effectors from equilibrium at held displacements, by the linearization.
-
-    Args:
-        effectors: The effector term, or None.
-        linear: The system condensed around the state.
-        held: Actuation with all actuators held.
-
-    Returns:
-        Largest distance over the effectors [m]; NaN without effectors, and in contact.
-    """
-    if effectors is None or held is None or linear.contact_row_count:
-        return float("nan")
-    places = linear.effector_places(held.efforts, held.contact.multipliers)
-    return largest_distance(
-        places, linear.effectors_now, effectors.row_effector[: effectors.position_row_count],
-        np.zeros(len(effectors.effectors)),
-    )  # fmt: skip
 
 
 def widened(path: np.ndarray, bounds: Bounds) -> Bounds:

@@ -233,21 +233,26 @@ def change_slack(displacements, loads, upper, margins, may_hang, slack, was_slac
 
 
 @njit(**KERNEL)
-def narrow(drives, reach, is_left, least, most):
+def write_near(drives, share, scales, is_commanded, by_effort, lower, upper, least, most):
     """Narrow bounds to what is near; where they lie further away, to their nearer end.
 
     Args:
         drives: Displacements now, shape (n,).
-        reach: How far is near, shape (n,).
-        is_left: Which bounds are left as they are, shape (n,).
-        least: Least displacements, shape (n,); changed.
-        most: Greatest displacements, shape (n,); changed.
+        share: How far is near, as a share of the scales.
+        scales: Scale of each, shape (n,).
+        is_commanded: Whose bounds are left as they are, shape (n,).
+        by_effort: The same.
+        lower: Least displacements, shape (n,).
+        upper: Greatest displacements, shape (n,).
+        least: Takes the narrowed ones, shape (n,).
+        most: The same.
     """
     for i in range(len(drives)):
-        if not is_left[i]:
-            low, high = least[i], most[i]
-            least[i] = max(low, min(drives[i] - reach[i], high))
-            most[i] = min(high, max(drives[i] + reach[i], low))
+        least[i], most[i] = low, high = lower[i], upper[i]
+        if not (is_commanded[i] or by_effort[i]):
+            reach = share * scales[i]
+            least[i] = max(low, min(drives[i] - reach, high))
+            most[i] = min(high, max(drives[i] + reach, low))
 
 
 @njit(**KERNEL)
@@ -590,9 +595,11 @@ class InverseActuation:
         """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
         if self._limits.are_all_effort_driven:
             return bounds
-        least, most = bounds.displacement_min.copy(), bounds.displacement_max.copy()
-        reach = self.trust.move_limit * self._scales
-        narrow(drives, reach, commanded | self._by_effort, least, most)
+        lower, upper, least, most = *bounds[:2], np.empty(len(drives)), np.empty(len(drives))
+        write_near(
+            drives, self.trust.move_limit, self._scales, commanded, self._by_effort, lower, upper,
+            least, most,
+        )  # fmt: skip
         return Bounds(least, most, bounds.effort_min, bounds.effort_max)
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:

@@ -356,7 +356,7 @@ class Newton:
             linear = self._factored(positions, multipliers, clock)
             if linear is not None:
                 self._is_indefinite = (
-                    is_inverse and may_augment and self._augmented.is_near(linear.W_aa)
+                    is_inverse and may_augment and self._augmented.is_near(linear.W)
                     and self._augmented.choose(efforts, held)
                 )
                 if not self._is_indefinite:
@@ -476,7 +476,9 @@ class Newton:
                 model.factorization, rows, forces, moves, row_starts, pressing,
                 multipliers=multipliers,
             )  # fmt: skip
-        augmentation = self._augmented.augmentation(self._held)
+        held = self._held
+        reference = model.actuators.limits.drives_within(held.drives, held.bounds)
+        augmentation = self._augmented.augmentation(reference)
         forces, shift = self._loaded_forces, np.zeros(rows.row_count)
         copy_vectors(self.forces, forces)
         a = rows.groups.actuators
@@ -500,11 +502,12 @@ class Newton:
         slides, linear = self._model.slides, self._linear
         if not self.is_augmented and slides is None:
             return actuation
-        (a, _, c), held = linear.groups, self._held
+        a, _, c = linear.groups
         efforts, forces = actuation.efforts.copy(), actuation.contact.multipliers
         if self.is_augmented:
+            reach = self._held.reach
             efforts[a] = np.clip(
-                linear.efforts(efforts[a], forces), held.effort_min[a], held.effort_max[a]
+                linear.efforts(efforts[a], forces), reach.effort_min[a], reach.effort_max[a]
             )
         if slides is not None:
             own = slice(a.stop - slides.count, a.stop)
@@ -540,7 +543,6 @@ class Newton:
         if not is_fit:
             self.multipliers = np.zeros(self._rows.row_count)
         self._actuation = actuation
-        self.multipliers[groups.effectors] = 0.0
         self.multipliers[groups.actuators] = actuation.efforts[groups.actuators]
         self.multipliers[groups.contacts] = actuation.contact.multipliers
 

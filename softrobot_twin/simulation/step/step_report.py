@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD, SETPOINTS, TARGETS
 from softrobot_twin.simulation.command import (
@@ -59,7 +60,7 @@ class Outcome(NamedTuple):
         balance: Residual forces of the state.
         residual: Largest residual force on a node [N].
         iterations: Linearizations done.
-        error: Distance of the effectors from equilibrium before the step [m].
+        begin: The first linearization, and the actuation there with all actuators held, or None.
         pressed: Whether the budget left no time for a linearization.
     """
 
@@ -70,7 +71,7 @@ class Outcome(NamedTuple):
     balance: Balance
     residual: float
     iterations: int
-    error: float
+    begin: tuple[Linearized, Actuation | None]
     pressed: bool
 
 
@@ -150,7 +151,8 @@ class StepResults:
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
-            linearization_error=outcome.error, factor_age=newton.factor_age,
+            linearization_error=imbalance(model.effectors, *outcome.begin),
+            factor_age=newton.factor_age,
             is_late=outcome.pressed and newton.factor_age == 0,
             qp_solver=actuation.qp_solver,
             driven_by=_DRIVEN_BY[type(command)], figures=figures, **entries,
@@ -244,6 +246,41 @@ class StepResults:
             outcome.linear, asked.wanted, outcome.held, asked.bounds, tolerance
         )
         return (ENERGY,) if is_held else ()
+
+
+@njit(**KERNEL)
+def largest_distance(places, others, row_effector, squares):
+    """Largest distance of an effector between two states [m]; NaN where one is.
+
+    Args:
+        places: Effector coordinates [m], shape (effector_row_count,).
+        others: Those in the other state [m], same shape.
+        row_effector: Effector of each row of positions, shape (position_row_count,).
+        squares: Zeros; takes the squared distances [m²], shape (effector_count,).
+    """
+    for r in range(len(row_effector)):
+        squares[row_effector[r]] += (places[r] - others[r]) ** 2
+    return np.sqrt(np.max(squares))
+
+
+def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
+    """Distance of the effectors from equilibrium at held displacements, by the linearization.
+
+    Args:
+        effectors: The effector term, or None.
+        linear: The system condensed around the state.
+        held: Actuation with all actuators held.
+
+    Returns:
+        Largest distance over the effectors [m]; NaN without effectors, and in contact.
+    """
+    if effectors is None or held is None or linear.contact_row_count:
+        return float("nan")
+    places = linear.effector_places(held.efforts, held.contact.multipliers)
+    return largest_distance(
+        places, linear.effectors_now, effectors.row_effector[: effectors.position_row_count],
+        np.zeros(len(effectors.effectors)),
+    )  # fmt: skip
 
 
 def _of_contacts(loads: ContactLoads, touching: ContactForces | None) -> dict:

@@ -101,8 +101,9 @@ class Balance(Enum):
 
 
 def balance(
-    residual: float, whole: bool, may_stop_near: bool, solver: Solver, load: Callable[[], float]
-) -> Balance:
+    residual: float, whole: bool, may_stop_near: bool, solver: Solver, weight: float,
+    load: Callable[[], float],
+) -> Balance:  # fmt: skip
     """Judge a step's residual.
 
     Args:
@@ -112,11 +113,14 @@ def balance(
         may_stop_near: Whether the scene or the deadline stopped the linearizations before they
             could converge.
         solver: The scene's settings.
-        load: Gives the sum of all loads' sizes [N], where it is needed.
+        weight: Sum of the forces at rest [N], the least load.
+        load: Gives the sum of the other loads' sizes [N], where it is needed.
     """
     if whole and residual <= solver.residual_tolerance:
         return Balance.REACHED
-    if whole and may_stop_near and residual <= NEAR_BALANCE * load():
+    if whole and may_stop_near and (
+        residual <= NEAR_BALANCE * weight or residual <= NEAR_BALANCE * (weight + load())
+    ):
         return Balance.NEAR
     return Balance.MISSED
 

@@ -229,12 +229,28 @@ def half_squares(weights, here, there):
 
 
 @njit(**KERNEL)
-def greatest(weights):
-    """The greatest of weights, shape (n,); zero without any."""
-    found = 0.0
+def compare_targets(weights, targets, places, commanded, other_weights, other_targets, other_commanded):
+    """Compare what is asked with where effectors are, and with what was asked before.
+
+    Args:
+        weights: w, shape (n,).
+        targets: x* [m], same shape.
+        places: x [m], same shape.
+        commanded: Commanded displacements, NaN where free, shape (actuator_count,).
+        other_weights: w before, shape (n,).
+        other_targets: x* before [m], same shape.
+        other_commanded: Commanded displacements before, shape (actuator_count,).
+
+    Returns:
+        T = ½ Σ w (x - x*)² [m²]; the same for the way of the targets, +∞ where weights or commands
+        are others; and the greatest weight.
+    """
+    greatest, way = 0.0, half_squares(weights, targets, other_targets)
     for i in range(len(weights)):
-        found = max(found, weights[i])
-    return found
+        greatest = max(greatest, weights[i])
+    if not (are_equal(weights, other_weights) and are_equal(commanded, other_commanded)):
+        way = np.inf
+    return half_squares(weights, places, targets), way, greatest
 
 
 NO_LOADS = np.empty(0)
@@ -271,25 +287,27 @@ class Situation(NamedTuple):
         """T [m²] of effector coordinates [m], shape (n,)."""
         return half_squares(self.weights, at, self.targets)
 
-    def asks_the_same(self, other: Situation, now: float) -> bool:
-        """Whether the targets, commands and loads are those of another situation.
+    def compared(self, other: Situation | None) -> tuple[float, float, bool]:
+        """Compare it with another situation.
 
         Args:
-            other: The other one.
-            now: T of this one [m²].
+            other: The other one, or None.
+
+        Returns:
+            T of this one [m²], the greatest weight, and whether the targets, commands and loads are
+            those of the other one.
         """
-        if len(self.targets) != len(other.targets):
-            return False
-        way = half_squares(self.weights, self.targets, other.targets)
-        if len(self.guided):
+        is_like = other is not None and len(self.targets) == len(other.targets)
+        asked = other if is_like else self
+        now, way, greatest = compare_targets(
+            self.weights, self.targets, self.places, self.commanded, asked.weights, asked.targets,
+            asked.commanded,
+        )  # fmt: skip
+        if is_like and len(self.guided):
             carried = float(np.abs(self.guided - other.guided).max())
-            way += 0.5 * greatest(self.weights) * carried**2
-        return (
-            are_equal(self.weights, other.weights)
-            and are_equal(self.commanded, other.commanded)
-            and self.bears_the_same(other)
-            and way <= ANOTHER_TARGET**2 * now
-        )
+            way += 0.5 * greatest * carried**2
+        is_same = is_like and way <= ANOTHER_TARGET**2 * now and self.bears_the_same(other)
+        return now, greatest, is_same
 
     def bears_the_same(self, other: Situation) -> bool:
         """Whether the loads from outside are those of another situation."""
@@ -391,8 +409,8 @@ class TargetTrust:
         Args:
             situation: What a step begins with.
         """
-        now = situation.tracking(situation.places)
-        if self._asked is None or not situation.asks_the_same(self._asked, now):
+        now, greatest, is_same = situation.compared(self._asked)
+        if not is_same:
             self._asked, self._has_retraced = situation, False
             self.weight = self._floor = 0.0
             self._looked, self.branch = np.inf, None
@@ -405,11 +423,11 @@ class TargetTrust:
         last = self._last
         if last is not None and not (
             len(last.targets) == len(situation.targets) and situation.bears_the_same(last)
-            and are_equal(situation.guided, last.guided)
+            and (not len(situation.guided) or are_equal(situation.guided, last.guided))
         ):
             # What came of the promise is the work of other loads or of guided bodies too.
             self._promised = None
-        reached = 0.5 * greatest(situation.weights) * self._tolerance**2
+        reached = 0.5 * greatest * self._tolerance**2
         is_free = self.approach is Approach.FOLLOW and not self.is_careful
         if self._promised is not None and is_free and now > reached:
             before = situation.tracking(self._last.places)

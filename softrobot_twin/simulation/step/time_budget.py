@@ -68,11 +68,7 @@ class TimeBudget:
 
 
 class StageClock:
-    """Adds up the time that each stage of a step takes.
-
-    Attributes:
-        times: Time of each stage so far [s]; repeated stages add up.
-    """
+    """Measures the time that each stage of a step takes."""
 
     def __init__(self, now: Callable[[], float] = perf_counter):
         """Start now.
@@ -80,15 +76,23 @@ class StageClock:
         Args:
             now: Gives the time [s].
         """
-        self.times: dict[str, float] = {}
-        self._now = now
+        self._now, self._marks = now, []
         self._start = self._last = now()
 
     def mark(self, stage: str) -> None:
-        """Add the time since the last mark to `stage`."""
-        now = self._now()
-        self.times[stage] = self.times.get(stage, 0.0) + now - self._last
-        self._last = now
+        """Book the time since the last mark to `stage`."""
+        self._last = self._now()
+        self._marks.append((stage, self._last))
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Time of each stage so far [s]; repeated stages add up."""
+        times: dict[str, float] = {}
+        before = self._start
+        for stage, now in self._marks:
+            times[stage] = times.get(stage, 0.0) + now - before
+            before = now
+        return times
 
     @property
     def total(self) -> float:

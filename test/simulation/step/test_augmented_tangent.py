@@ -15,8 +15,15 @@ from softrobot_twin.simulation.step.augmented_tangent import (
     HeldActuators,
 )
 from softrobot_twin.solvers.factorization import NodeRows
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
+
+
+def held_within(count, effort_max):
+    """Actuators held at rest, with efforts from zero to one that they may not exceed."""
+    bounds = Bounds(*np.zeros((3, count)), np.full(count, effort_max))
+    return HeldActuators(np.zeros(count), bounds, bounds, True)
 
 
 @pytest.fixture
@@ -47,7 +54,7 @@ def tangents(diamond):
             count = self.model.rows.groups.actuators.stop
             augmented.measure(self.exact.W[:count, :count])
             efforts = np.where(chosen, 1.0, 0.0)
-            held = HeldActuators(np.zeros(count), np.zeros(count), np.full(count, 9.0))
+            held = held_within(count, 9.0)
             assert augmented.choose(efforts, held)
             rows = self.model.rows
             self.newton.assemble(self.positions, rows.multipliers(self.efforts), False)
@@ -95,11 +102,11 @@ def test_an_indefinite_plain_tangent_is_detected(tangents):
 
 def test_efforts_come_back_from_the_solution(tangents):
     augmented, _ = tangents.augment(np.array([True, True, True, False]))
-    held = HeldActuators(np.full(4, 1e-3), np.zeros(4), np.full(4, np.inf))
+    reference = np.full(4, 1e-3)
     displacements = np.array([1e-3, 1.1e-3, 0.9e-3, 1.2e-3])
     solved = np.array([2.0, 2.0, 2.0, 2.0])
-    found = augmented.augmentation(held).efforts(solved, displacements)
-    expected = solved - augmented.stiffness * (displacements - held.displacements)
+    found = augmented.augmentation(reference).efforts(solved, displacements)
+    expected = solved - augmented.stiffness * (displacements - reference)
     np.testing.assert_allclose(found, expected)
     assert found[0] == found[3] == 2.0 and found[1] < 2.0 < found[2]
 
@@ -121,7 +128,7 @@ def test_the_solution_for_any_forces_is_that_of_the_condensed_system(beam, kind)
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
     b = newton.forces.copy()
     augmented.measure(factorization.condense(H, b).W[:4, :4])
-    held = HeldActuators(np.zeros(4), np.zeros(4), np.full(4, 9.0))
+    held = held_within(4, 9.0)
     assert augmented.choose(np.array([1.0, 1.0, 0.0, 1.0]), held)
     newton.assemble(state.positions, rows.multipliers(state.efforts), False)
     assert augmented.factor(state.positions)
@@ -195,7 +202,7 @@ def test_contacts_that_press_are_augmented_too(leaning):
         rows, factorization, np.ones(4, bool), contacts=contacts
     )
     augmented.measure(exact.W[:4, :4])
-    held = HeldActuators(np.zeros(4), np.zeros(4), np.full(4, 40.0))
+    held = held_within(4, 40.0)
     assert augmented.choose(efforts, held)
     pressing = contacts.last_multipliers > 0.0
     np.testing.assert_array_equal(augmented.contact_stiffness > 0.0, pressing)
