@@ -5,7 +5,7 @@ effectors and targets.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,8 @@ from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.view import colours as palette
 from softrobot_twin.view.drawing_thread import RateLimit
-from softrobot_twin.view.simulation_frames import BodySurfaces, pressure_range, tension_range
+from softrobot_twin.view.frame import Frame
+from softrobot_twin.view.simulation_frames import SimulationFrames
 
 CABLE_WIDTH = 0.006
 """Width of a cable, as a share of the robot's size."""
@@ -34,6 +35,10 @@ OBSTACLES_EVERY = 1.0
 LEAST_LIFETIME = 3.0
 """Markers vanish after this time without a message [s], or after three messages, if that is
 longer."""
+
+
+# Of markers whose points, or which themselves, have colours that change.
+_WHITE = (255, 255, 255)
 
 
 class _Drawn(NamedTuple):
@@ -62,15 +67,12 @@ class RobotMarkers:
     """
 
     def __init__(self, simulation: Simulation, frame_id: str, lifetime: float):
-        self._simulation, self._frame = simulation, frame_id
+        self._frames, self._frame = SimulationFrames(simulation), frame_id
         self._lifetime = Duration(sec=int(lifetime), nanosec=int(lifetime % 1.0 * NANOSECONDS))
         self._size = simulation.model.nodes.size
-        self._bodies = BodySurfaces(simulation)
-        self._cables = simulation.actuators.of_section("cables")
-        self._tensions, self._pressures = tension_range(simulation), pressure_range(simulation)
-        self._rigid = [skin.points[skin.triangles.ravel()] for skin in simulation.rigid_skins()]
-        self.obstacles = [skin.points[skin.triangles.ravel()]
-                           for skin in simulation.obstacle_skins()]  # fmt: skip
+        stage = self._frames.stage
+        self._rigid = [body.points[body.triangles.ravel()] for body in stage.rigid_bodies]
+        self.obstacles = [body.points[body.triangles.ravel()] for body in stage.obstacles]
         # By the markers in a message: which obstacles, targets and shapes there are.
         self._forms: dict[tuple, MarkerBytes] = {}
 
@@ -84,14 +86,13 @@ class RobotMarkers:
             stamp: Its seconds and nanoseconds.
             with_obstacles: Whether obstacles are in it, which do not move.
         """
-        drawn = [
-            *self._surfaces(), *self._cable_lines(outcome), *self._cavities(),
-            *self._rigid_bodies(), *self._effectors(outcome),
-        ]  # fmt: skip
-        if with_obstacles:
-            drawn += self._fixed()
+        frame = self._frames.frame(0, 0, outcome.result, **outcome.shown())
         # A body may have nothing to show.
-        drawn = [one for one in (*drawn, *self._targets(outcome)) if len(one.content.points)]
+        drawn = [
+            _Drawn(namespace, number, kind, colour, content, width)
+            for namespace, kind, colour, width, contents in self._kinds(frame, with_obstacles)
+            for number, content in enumerate(contents) if len(content.points)
+        ]  # fmt: skip
         key = tuple((one.namespace, one.number) for one in drawn)
         if key not in self._forms:
             self._forms[key] = MarkerBytes(
@@ -99,6 +100,42 @@ class RobotMarkers:
                 [one.content.colours is not None for one in drawn],
             )  # fmt: skip
         return self._forms[key].message(stamp, [one.content for one in drawn])
+
+    def _kinds(self, frame: Frame, with_obstacles: bool) -> Iterator[tuple]:
+        """Namespace, kind, colour, width [m] and contents of the markers of each namespace."""
+        stage, size, surface = self._frames.stage, self._size, Marker.TRIANGLE_LIST
+        colour = palette.CLEAR_SURFACE_COLOUR if stage.cavities else palette.SURFACE_COLOUR
+        yield "surfaces", surface, colour, 1.0, [
+            Content(points[body.triangles.ravel()])
+            for body, points in zip(stage.bodies, frame.surface_positions, strict=True)
+        ]  # fmt: skip
+        lines = [np.repeat(path, 2, axis=0)[1:-1] for path in frame.cable_paths]
+        colours = palette.tension_colours(frame.cable_tensions, stage.tension_range) / 255.0
+        yield "cables", Marker.LINE_LIST, _WHITE, CABLE_WIDTH * size, [Content(
+            np.concatenate(lines), np.repeat(colours, [len(line) for line in lines], axis=0)
+        )] if lines else []  # fmt: skip
+        colours = palette.pressure_colours(frame.cavity_pressures, stage.pressure_range)
+        yield "cavities", surface, _WHITE, 1.0, [
+            Content(points[cavity.triangles.ravel()], colour=_shares(own))
+            for cavity, points, own in zip(
+                stage.cavities, frame.cavity_positions, colours, strict=True
+            )
+        ]  # fmt: skip
+        yield "rigid_bodies", surface, palette.RIGID_COLOUR, 1.0, [
+            Content(corners, position=position, quaternion=quaternion)
+            for corners, position, quaternion in zip(
+                self._rigid, frame.rigid_positions, frame.rigid_quaternions, strict=True
+            )
+        ]  # fmt: skip
+        yield ("effectors", Marker.SPHERE_LIST, palette.EFFECTOR_COLOUR, EFFECTOR_WIDTH * size,
+               [Content(frame.effector_positions)])  # fmt: skip
+        if with_obstacles:
+            yield ("obstacles", surface, palette.OBSTACLE_COLOUR, 1.0,
+                   map(Content, self.obstacles))  # fmt: skip
+        # One that ended vanishes after its lifetime.
+        targets = frame.targets[np.isfinite(frame.targets).all(axis=1)]
+        yield ("targets", Marker.SPHERE_LIST, palette.TARGET_COLOUR, TARGET_WIDTH * size,
+               [Content(targets)])  # fmt: skip
 
     def _marker(self, drawn: _Drawn) -> Marker:
         """The message of a marker, without points."""
@@ -111,76 +148,6 @@ class RobotMarkers:
         )  # fmt: skip
         marker.pose.orientation.w = 1.0
         return marker
-
-    def _surfaces(self) -> list[_Drawn]:
-        has_cavities = bool(self._simulation.cavities.skins)
-        colour = palette.CLEAR_SURFACE_COLOUR if has_cavities else palette.SURFACE_COLOUR
-        pairs = zip(self._bodies.surfaces, self._bodies.points(), strict=True)
-        return [
-            _Drawn("surfaces", number, Marker.TRIANGLE_LIST, colour,
-                   Content(points[surface.triangles.ravel()]))
-            for number, (surface, points) in enumerate(pairs)
-        ]  # fmt: skip
-
-    def _cable_lines(self, outcome: TickOutcome) -> list[_Drawn]:
-        names = self._simulation.actuator_names[self._cables]
-        if not names:
-            return []
-        paths = self._simulation.actuator_paths()
-        paths = [paths[name] for name in names]
-        lines = np.concatenate([np.repeat(path, 2, axis=0)[1:-1] for path in paths])
-        colours = palette.tension_colours(outcome.result.efforts[self._cables], self._tensions)
-        counts = [2 * (len(path) - 1) for path in paths]
-        content = Content(lines, np.repeat(colours, counts, axis=0) / 255.0)
-        width = CABLE_WIDTH * self._size
-        return [_Drawn("cables", 0, Marker.LINE_LIST, (255, 255, 255), content, width)]
-
-    def _cavities(self) -> list[_Drawn]:
-        simulation = self._simulation
-        skins = simulation.cavities.skins
-        if not skins:
-            return []
-        pressures = simulation.cavities.pressures(simulation.state)
-        colours = palette.pressure_colours(pressures, self._pressures)
-        return [
-            _Drawn("cavities", number, Marker.TRIANGLE_LIST, colour,
-                   Content(points[skin.triangles.ravel()], colour=_shares(colour)))
-            for number, (skin, points, colour) in enumerate(
-                zip(skins, simulation.cavity_positions(), colours, strict=True)
-            )
-        ]  # fmt: skip
-
-    def _rigid_bodies(self) -> list[_Drawn]:
-        if not self._rigid:
-            return []
-        poses = zip(self._rigid, *self._simulation.rigid_poses(), strict=True)
-        return [
-            _Drawn("rigid_bodies", number, Marker.TRIANGLE_LIST, palette.RIGID_COLOUR,
-                   Content(corners, position=position, quaternion=quaternion))
-            for number, (corners, position, quaternion) in enumerate(poses)
-        ]  # fmt: skip
-
-    def _fixed(self) -> list[_Drawn]:
-        return [
-            _Drawn("obstacles", number, Marker.TRIANGLE_LIST, palette.OBSTACLE_COLOUR,
-                   Content(corners))
-            for number, corners in enumerate(self.obstacles)
-        ]  # fmt: skip
-
-    def _effectors(self, outcome: TickOutcome) -> list[_Drawn]:
-        return [
-            _Drawn("effectors", 0, Marker.SPHERE_LIST, palette.EFFECTOR_COLOUR,
-                   Content(outcome.result.effector_positions), EFFECTOR_WIDTH * self._size)
-        ]  # fmt: skip
-
-    def _targets(self, outcome: TickOutcome) -> list[_Drawn]:
-        """Targets where there are some; one that ended vanishes after its lifetime."""
-        targets = outcome.reading.targets
-        targets = targets[np.isfinite(targets).all(axis=1)]
-        return [
-            _Drawn("targets", 0, Marker.SPHERE_LIST, palette.TARGET_COLOUR, Content(targets),
-                   TARGET_WIDTH * self._size)
-        ]  # fmt: skip
 
 
 def _shares(colour: Sequence[int]) -> tuple[float, float, float, float]:

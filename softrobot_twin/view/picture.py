@@ -1,14 +1,17 @@
 """Draws frames as rerun entities, and defines the layout of the viewer.
 
-The file contains, in this order: surface normals, the effectors' recent path, rigid bodies and obstacles, contacts, axes of effectors, cavities, slides, the picture of a whole frame,
-and the layout.
+A robot is a list of entities in space and a list of plots; drawing a frame is a loop over both. The
+file contains, in this order: surface normals, the effectors' recent path, the entities, the plots,
+the picture of a whole frame, and the layout.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 from itertools import cycle, islice
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -59,40 +62,6 @@ class SurfaceNormals:
         return sums / np.where(lengths > 0.0, lengths, 1.0)[:, None]
 
 
-class DeformingSurfaces:
-    """Draws surfaces whose points move.
-
-    Args:
-        recording: Recording to draw into.
-        path: Where they are; each is below it, by its name.
-        surfaces: The surfaces; their triangles are logged at once.
-        colour: Of all of them; None where it changes.
-    """
-
-    def __init__(
-        self, recording: Recording, path: str, surfaces: Sequence[Surface], colour=None
-    ):  # fmt: skip
-        self._recording, self._surfaces = recording, surfaces
-        self._paths = [f"{path}/{surface.name}" for surface in surfaces]
-        self._normals: list[SurfaceNormals] = []
-        for own, surface in zip(self._paths, surfaces):
-            triangles = np.asarray(surface.triangles, dtype=np.uint32)
-            recording.log(own, rr.Mesh3D.from_fields(
-                triangle_indices=triangles, albedo_factor=colour), static=True)
-
-    def log(self, positions: Sequence[np.ndarray], colours: Sequence | None = None) -> None:
-        """Draws them at the positions of their points [m], with other colours if given."""
-        if not self._normals:
-            self._normals = [SurfaceNormals(surface.triangles, len(points))
-                             for surface, points in zip(self._surfaces, positions)]
-        for own, normals, points, colour in zip(
-            self._paths, self._normals, positions, colours or [None] * len(positions)
-        ):
-            self._recording.log(own, rr.Mesh3D.from_fields(
-                vertex_positions=np.asarray(points, dtype=np.float32),
-                vertex_normals=normals.at(points).astype(np.float32), albedo_factor=colour))
-
-
 class RecentPath:
     """Path of the effectors over the last seconds, with a bounded number of points.
 
@@ -129,41 +98,112 @@ class RecentPath:
         return [path[:, effector] for effector in range(path.shape[1])]
 
 
-def name_curves(
-    recording: Recording, path: str, names: Sequence[str], colours: Sequence | None = None
-) -> None:  # fmt: skip
-    """Names the curves of a plot, in colours that repeat."""
-    chosen = cycle(_CURVE_COLOURS if colours is None else colours)
-    recording.name_series(path, names, list(islice(chosen, len(names))))
+_TRAIL_COLOUR = (130, 190, 255)
+_PREDICTED_COLOUR = (70, 150, 255)
+_MEASURED_COLOUR = (255, 160, 40)
+_FIXED_COLOUR, _PULL_COLOUR = (110, 110, 120), (235, 235, 235)
+_CONTACT_COLOUR, _FORCE_COLOUR = (230, 60, 60), (255, 110, 70)
+_AXIS_COLOURS = ((214, 80, 70), (80, 170, 90), (70, 120, 214))
+_TARGET_AXIS_COLOURS = ((250, 190, 185), (190, 235, 195), (185, 205, 250))
+# How long the trail of an effector is [s].
+_TRAIL_DURATION = 5.0
 
 
-RIGID_BODIES = "/rigid_bodies"
-OBSTACLES = "/obstacles"
+class _Entity(NamedTuple):
+    """One thing in the view of space.
 
-
-class SolidDrawing:
-    """Draws rigid bodies and obstacles.
-
-    Args:
-        recording: Recording to draw into.
-        stage: The surfaces; they are logged at once.
+    Attributes:
+        path: Its entity path.
+        fixed: What is logged of it once, an archetype of rerun.
+        present: What is logged of it in each frame; its answer is None for nothing.
     """
 
-    def __init__(self, recording: Recording, stage: Stage):
-        self._recording = recording
-        self._names = [body.name for body in stage.rigid_bodies]
-        for body in stage.rigid_bodies:
-            recording.log(f"{RIGID_BODIES}/{body.name}", _mesh(body, RIGID_COLOUR), static=True)
-        for obstacle in stage.obstacles:
-            recording.log(f"{OBSTACLES}/{obstacle.name}", _mesh(obstacle, OBSTACLE_COLOUR),
-                          static=True)
+    path: str
+    fixed: object
+    present: Callable[[Frame], object | None] | None = None
 
-    def log(self, frame: Frame) -> None:
-        """Moves the rigid bodies to their poses in a frame."""
-        for name, position, quaternion in zip(self._names, frame.rigid_positions,
-                                              frame.rigid_quaternions):
-            pose = rr.Transform3D(translation=position, quaternion=quaternion)
-            self._recording.log(f"{RIGID_BODIES}/{name}", pose)
+
+def _entities(stage: Stage) -> Iterator[_Entity]:
+    """All things in the view of space; what a robot does not have is no entity."""
+    yield _Entity("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    colour = CLEAR_SURFACE_COLOUR if stage.cavities else SURFACE_COLOUR
+    for place, body in enumerate(stage.bodies):
+        yield _deforming(f"/robot/surface/{body.name}", body, "surface_positions", place, colour)
+    if stage.cable_names:
+        yield _Entity("/robot/cables", rr.LineStrips3D.from_fields(
+            labels=stage.cable_names, radii=[_width(2.5)], show_labels=True),
+            lambda frame: rr.LineStrips3D.from_fields(
+                strips=frame.cable_paths,
+                colors=tension_colours(frame.cable_tensions, stage.tension_range)))
+        yield _Entity("/robot/pull_points", _look(rr.Points3D, _PULL_COLOUR, 4.0),
+                      lambda frame: _points([path[0] for path in frame.cable_paths]))
+    for place, body in enumerate(stage.rigid_bodies):
+        yield _Entity(f"/rigid_bodies/{body.name}", _mesh(body, RIGID_COLOUR), partial(_pose, place))
+    for obstacle in stage.obstacles:
+        yield _Entity(f"/obstacles/{obstacle.name}", _mesh(obstacle, OBSTACLE_COLOUR))
+    for place, cavity in enumerate(stage.cavities):
+        yield _deforming(f"/robot/cavities/{cavity.name}", cavity, "cavity_positions", place,
+                         pressure_range=stage.pressure_range)
+    if stage.shows_contact:
+        yield _Entity("/contacts/points", _look(rr.Points3D, _CONTACT_COLOUR, 3.0),
+                      lambda frame: _points(frame.contact_positions))
+        yield _Entity("/contacts/forces", _look(rr.Arrows3D, _FORCE_COLOUR, 1.5),
+                      lambda frame: _arrows(frame.contact_positions,
+                                            stage.force_scale * np.asarray(frame.contact_forces)))
+    if stage.axis_length:
+        for path, field, colours in (
+            ("/robot/effector_axes", "effector_orientations", _AXIS_COLOURS),
+            ("/target_axes", "target_orientations", _TARGET_AXIS_COLOURS),
+        ):
+            yield _Entity(path, rr.Arrows3D.from_fields(radii=[_width(1.5)]),
+                          partial(_axes, field, stage.axis_length, colours))
+    if len(stage.fixed_points):
+        yield _Entity("/robot/fixed", _look(rr.Points3D, _FIXED_COLOUR, 2.5,
+                      positions=np.asarray(stage.fixed_points, dtype=np.float32)))
+    markers = [str(marker) for marker in stage.marker_ids]
+    tips = stage.effector_names
+    for path, field, colour, size, names, may_miss in (
+        ("/robot/effectors", "effector_positions", EFFECTOR_COLOUR, 5.0, tips, False),
+        ("/targets", "targets", TARGET_COLOUR, 6.0, tips, True),
+        ("/markers/predicted", "predicted_markers", _PREDICTED_COLOUR, 4.5, markers, False),
+        ("/markers/measured", "measured_markers", _MEASURED_COLOUR, 4.5, markers, True),
+    ):
+        fixed = _look(rr.Points3D, colour, size, labels=None if may_miss else names,
+                      show_labels=False)
+        yield _Entity(path, fixed, partial(_named_points, field, names if may_miss else None))
+    yield _Entity("/robot/effector_trail", _look(rr.LineStrips3D, _TRAIL_COLOUR, 1.2),
+                  partial(_trail, RecentPath(_TRAIL_DURATION)))
+
+
+def _width(size: float) -> object:
+    """A radius in points of the screen."""
+    return rr.Radius.ui_points(size)
+
+
+def _look(archetype, colour: Sequence[int], size: float, **fields: object) -> object:
+    """The colour and size of marks or lines, and other fields that do not change."""
+    return archetype.from_fields(colors=[colour], radii=[_width(size)], **fields)
+
+
+def _deforming(
+    path: str, surface: Surface, field: str, place: int, colour: Sequence[int] | None = None,
+    pressure_range: tuple[float, float] | None = None,
+) -> _Entity:  # fmt: skip
+    """A surface whose points move; its colour is that of its pressure if a range is given."""
+    normals_of = cache(partial(SurfaceNormals, surface.triangles))
+
+    def present(frame: Frame) -> object:
+        points, now = getattr(frame, field)[place], None
+        if pressure_range is not None:
+            pressure = frame.cavity_pressures[place : place + 1]
+            now = tuple(map(int, pressure_colours(pressure, pressure_range)[0]))
+        return rr.Mesh3D.from_fields(
+            vertex_positions=np.asarray(points, dtype=np.float32), albedo_factor=now,
+            vertex_normals=normals_of(len(points)).at(points).astype(np.float32))
+
+    triangles = np.asarray(surface.triangles, dtype=np.uint32)
+    fixed = rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=colour)
+    return _Entity(path, fixed, present)
 
 
 def _mesh(surface: Surface, colour: tuple[int, int, int]) -> rr.Mesh3D:
@@ -176,167 +216,106 @@ def _mesh(surface: Surface, colour: tuple[int, int, int]) -> rr.Mesh3D:
                      vertex_normals=normals.astype(np.float32), albedo_factor=colour)
 
 
-CONTACT_POINTS = "/contacts/points"
-CONTACT_FORCES = "/contacts/forces"
-CONTACT_PLOT = "/plots/contacts"
-
-_CONTACT_CURVES = ("count", "largest force [N]")
-_CONTACT_COLOUR = (230, 60, 60)
-_FORCE_COLOUR = (255, 110, 70)
-_CONTACT_COLOURS = ((86, 180, 233), (213, 94, 0))
+def _pose(place: int, frame: Frame) -> rr.Transform3D:
+    return rr.Transform3D(translation=frame.rigid_positions[place],
+                          quaternion=frame.rigid_quaternions[place])
 
 
-class ContactDrawing:
-    """Draws contacts; a frame without contacts clears those of the last frame.
-
-    Args:
-        recording: Recording to draw into.
-        force_scale: Length of the arrow of a force [m/N].
-    """
-
-    def __init__(self, recording: Recording, stage: Stage):
-        self._recording, self._force_scale = recording, stage.force_scale
-        radius = rr.Radius.ui_points
-        recording.log(CONTACT_POINTS, rr.Points3D.from_fields(
-            colors=[_CONTACT_COLOUR], radii=[radius(3.0)]), static=True)
-        recording.log(CONTACT_FORCES, rr.Arrows3D.from_fields(
-            colors=[_FORCE_COLOUR], radii=[radius(1.5)]), static=True)
-        recording.name_series(CONTACT_PLOT, _CONTACT_CURVES, _CONTACT_COLOURS)
-
-    def log(self, frame: Frame) -> None:
-        """Draws the contacts of a frame: the force on the first body, at the contact point."""
-        positions = np.asarray(frame.contact_positions, dtype=np.float32)
-        forces = np.asarray(frame.contact_forces, dtype=float)
-        arrows = (self._force_scale * forces).astype(np.float32)
-        self._recording.log(CONTACT_POINTS, rr.Points3D.from_fields(positions=positions))
-        self._recording.log(CONTACT_FORCES,
-                            rr.Arrows3D.from_fields(origins=positions, vectors=arrows))
-        largest = np.linalg.norm(forces, axis=1).max(initial=0.0)
-        self._recording.log_series(CONTACT_PLOT, [len(positions), largest])
+def _points(positions: Sequence | np.ndarray, labels: Sequence[str] | None = None) -> rr.Points3D:
+    return rr.Points3D.from_fields(positions=np.asarray(positions, dtype=np.float32), labels=labels)
 
 
-EFFECTOR_AXES = "/robot/effector_axes"
-TARGET_AXES = "/target_axes"
-
-_AXIS_COLOURS = ((214, 80, 70), (80, 170, 90), (70, 120, 214))
-_TARGET_AXIS_COLOURS = ((250, 190, 185), (190, 235, 195), (185, 205, 250))
-
-
-class AxesDrawing:
-    """Draws the orientations of effectors and of their targets: axes x red, y green, z blue.
-
-    Args:
-        recording: Recording to draw into.
-        length: Length of an axis [m].
-    """
-
-    def __init__(self, recording: Recording, stage: Stage):
-        self._recording, self._length = recording, stage.axis_length
-        for path in (EFFECTOR_AXES, TARGET_AXES):
-            recording.log(path, rr.Arrows3D.from_fields(radii=[rr.Radius.ui_points(1.5)]),
-                          static=True)
-
-    def log(self, frame: Frame) -> None:
-        """Draws the axes of a frame; the target's at the effector where it has no position."""
-        places = np.asarray(frame.effector_positions, dtype=float)
-        wanted = np.where(np.isfinite(frame.targets), frame.targets, places)
-        self._draw(EFFECTOR_AXES, places, frame.effector_orientations, _AXIS_COLOURS)
-        self._draw(TARGET_AXES, wanted, frame.target_orientations, _TARGET_AXIS_COLOURS)
-
-    def _draw(self, path: str, places: np.ndarray, turns: np.ndarray, colours) -> None:
-        known = np.isfinite(turns).all(axis=1) & np.isfinite(places).all(axis=1)
-        matrices = [Rotation.from_quat(turn).as_matrix() for turn in turns[known]]
-        axes = np.concatenate([np.empty((0, 3)), *(matrix.T for matrix in matrices)])
-        self._recording.log(path, rr.Arrows3D.from_fields(
-            origins=np.repeat(places[known], 3, axis=0).astype(np.float32),
-            vectors=(self._length * axes).astype(np.float32), colors=colours * int(known.sum())))
+def _named_points(field: str, names: Sequence[str] | None, frame: Frame) -> rr.Points3D:
+    """Points of a frame; with names, only those that are finite, each with its name."""
+    positions = getattr(frame, field)
+    if names is None:
+        return _points(positions)
+    seen = np.isfinite(positions).all(axis=1)
+    return _points(positions[seen], [name for name, shown in zip(names, seen) if shown])
 
 
-CAVITIES = "/robot/cavities"
-PRESSURE_PLOT = "/plots/cavity_pressures"
-VOLUME_PLOT = "/plots/cavity_volumes"
-
-_CAVITY_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (240, 228, 66),
-                   (204, 121, 167), (213, 94, 0))
+def _arrows(origins: np.ndarray, vectors: np.ndarray, **fields: object) -> rr.Arrows3D:
+    return rr.Arrows3D.from_fields(origins=np.asarray(origins, dtype=np.float32),
+                                   vectors=np.asarray(vectors, dtype=np.float32), **fields)
 
 
-class CavityDrawing:
-    """Draws the walls of cavities, coloured by pressure, and curves of pressures and volumes.
-
-    Args:
-        recording: Recording to draw into.
-        stage: The cavities; their triangles are logged at once.
-    """
-
-    def __init__(self, recording: Recording, stage: Stage):
-        self._recording, self._range = recording, stage.pressure_range
-        self._walls = DeformingSurfaces(recording, CAVITIES, stage.cavities)
-        for plot, unit in ((PRESSURE_PLOT, "kPa"), (VOLUME_PLOT, "cm³")):
-            names = [f"{cavity.name} [{unit}]" for cavity in stage.cavities]
-            name_curves(recording, plot, names, _CAVITY_COLOURS)
-
-    def log(self, frame: Frame) -> None:
-        """Draws the cavities of a frame."""
-        colours = pressure_colours(frame.cavity_pressures, self._range)
-        self._walls.log(frame.cavity_positions, [tuple(map(int, colour)) for colour in colours])
-        self._recording.log_series(PRESSURE_PLOT, 1e-3 * np.asarray(frame.cavity_pressures))
-        self._recording.log_series(VOLUME_PLOT, 1e6 * np.asarray(frame.cavity_volumes))
+def _axes(field: str, length: float, colours: tuple, frame: Frame) -> rr.Arrows3D:
+    """Axes x red, y green, z blue; those of a target at the effector where it has no position."""
+    places, turns = np.asarray(frame.effector_positions, dtype=float), getattr(frame, field)
+    if field == "target_orientations":
+        places = np.where(np.isfinite(frame.targets), frame.targets, places)
+    known = np.isfinite(turns).all(axis=1) & np.isfinite(places).all(axis=1)
+    axes = [Rotation.from_quat(turn).as_matrix().T for turn in turns[known]]
+    return _arrows(np.repeat(places[known], 3, axis=0),
+                   length * np.concatenate([np.empty((0, 3)), *axes]), colors=colours * len(axes))
 
 
-ACTUATOR_PLOT = "/plots/actuators"
-
-_ACTUATOR_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
-
-
-class ActuatorCurves:
-    """Draws two curves for each other actuator: setpoint and effort.
-
-    Args:
-        recording: Recording to draw into.
-        actuators: The actuators.
-    """
-
-    def __init__(self, recording: Recording, stage: Stage):
-        self._recording, actuators = recording, stage.other_actuators
-        in_metres = np.array([one.setpoint_unit == "m" for one in actuators], bool)
-        self._factors = np.where(in_metres, 1e3, 1.0)
-        curves = [f"{one.name} [{unit}]" for one, metres in zip(actuators, in_metres, strict=True)
-                  for unit in ("mm" if metres else one.setpoint_unit, one.effort_unit)]
-        name_curves(recording, ACTUATOR_PLOT, curves, _ACTUATOR_COLOURS)
-
-    def log(self, frame: Frame) -> None:
-        """Draws the other actuators of a frame."""
-        shown = np.column_stack([self._factors * frame.other_setpoints, frame.other_efforts])
-        self._recording.log_series(ACTUATOR_PLOT, shown.ravel().tolist())
+def _trail(path: RecentPath, frame: Frame) -> rr.LineStrips3D | None:
+    if not np.isfinite(frame.effector_positions).all():
+        return None
+    return rr.LineStrips3D.from_fields(strips=path.extend(frame.time_ns, frame.effector_positions))
 
 
-SURFACE = "/robot/surface"
-CABLES = "/robot/cables"
-EFFECTORS = "/robot/effectors"
-TRAIL = "/robot/effector_trail"
-TARGETS = "/targets"
-PREDICTED_MARKERS = "/markers/predicted"
-MEASURED_MARKERS = "/markers/measured"
-FIXED_POINTS = "/robot/fixed"
-PULL_POINTS = "/robot/pull_points"
-ERROR_PLOT = "/plots/effector_error"
-LENGTH_PLOT = "/plots/cable_lengths"
-TENSION_PLOT = "/plots/cable_tensions"
+STATUS = "/status"
 TIME_PLOT = "/plots/stage_times"
 RESIDUAL_PLOT = "/plots/residual"
-STATUS = "/status"
 
-_WHOLE_STEP = "whole step"
 _ERRORS = ("to the target", "of linearizing, estimated", "of the mesh, estimated")
-_TRAIL_DURATION = 5.0
-
-_TRAIL_COLOUR = (130, 190, 255)
-_PREDICTED_COLOUR = (70, 150, 255)
-_MEASURED_COLOUR = (255, 160, 40)
-_FIXED_COLOUR, _PULL_COLOUR = (110, 110, 120), (235, 235, 235)
+_WHOLE_STEP = "whole step"
 # Okabe and Ito's colours without black; colour-blind people can distinguish them.
 _CURVE_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (240, 228, 66),
                   (204, 121, 167), (213, 94, 0), (0, 114, 178), (200, 200, 200))
+
+
+class _Plot(NamedTuple):
+    """Curves that share a plot.
+
+    Attributes:
+        title: Title with the unit.
+        path: Its entity path.
+        names: Names of its curves; a plot without any is not shown.
+        values: Values of its curves in a frame.
+        share: Its height beside that of the other plots.
+    """
+
+    title: str
+    path: str
+    names: Sequence[str]
+    values: Callable[[Frame], Sequence[float] | np.ndarray]
+    share: float = 1.0
+
+
+def _plots(stage: Stage) -> list[_Plot]:
+    """All plots of a robot but that of times, whose curves are known only during the run."""
+    cables, cavities = stage.cable_names, [cavity.name for cavity in stage.cavities]
+    others = stage.other_actuators
+    in_metres = np.array([one.setpoint_unit == "m" for one in others], bool)
+    factors = np.where(in_metres, 1e3, 1.0)
+    other_names = [f"{one.name} [{unit}]" for one, metres in zip(others, in_metres, strict=True)
+                   for unit in ("mm" if metres else one.setpoint_unit, one.effort_unit)]
+    contact_names = ("count", "largest force [N]") if stage.shows_contact else ()
+    listed = (
+        _Plot("Effector error [mm]", "/plots/effector_error", _ERRORS,
+              lambda frame: [1e3 * error for error in (
+                  frame.effector_error, frame.linearization_error, frame.discretization_error)]),
+        _Plot("Cable lengths [mm]", "/plots/cable_lengths", cables,
+              lambda frame: 1e3 * np.asarray(frame.cable_lengths)),
+        _Plot("Cable tensions [N]", "/plots/cable_tensions", cables,
+              lambda frame: frame.cable_tensions),
+        _Plot("Cavity gauge pressures [kPa]", "/plots/cavity_pressures",
+              [f"{name} [kPa]" for name in cavities],
+              lambda frame: 1e-3 * np.asarray(frame.cavity_pressures)),
+        _Plot("Cavity volumes [cm³]", "/plots/cavity_volumes",
+              [f"{name} [cm³]" for name in cavities],
+              lambda frame: 1e6 * np.asarray(frame.cavity_volumes)),
+        _Plot("Actuators", "/plots/actuators", other_names, lambda frame: np.column_stack(
+            [factors * frame.other_setpoints, frame.other_efforts]).ravel()),
+        _Plot("Contacts", "/plots/contacts", contact_names, lambda frame: [
+            len(frame.contact_positions),
+            np.linalg.norm(frame.contact_forces, axis=1).max(initial=0.0)]),
+        _Plot("Residual [N]", RESIDUAL_PLOT, ["residual"], lambda frame: [frame.residual], 0.8),
+    )
+    return [plot for plot in listed if plot.names]
 
 
 class Picture:
@@ -350,47 +329,17 @@ class Picture:
     def __init__(self, recording: Recording, stage: Stage):
         self._recording = recording
         self._stage = stage
-        colour = CLEAR_SURFACE_COLOUR if stage.cavities else SURFACE_COLOUR
-        self._bodies = DeformingSurfaces(recording, SURFACE, stage.bodies, colour)
-        self._recent_path = RecentPath(_TRAIL_DURATION)
         self._time_names: list[str] = []
         self._status: str | None = None
-        self._log_stage()
-        # What only some robots have.
-        drawings = [drawing for is_shown, drawing in (
-            (stage.rigid_bodies or stage.obstacles, SolidDrawing), (stage.cavities, CavityDrawing),
-            (stage.other_actuators, ActuatorCurves), (stage.shows_contact, ContactDrawing),
-            (stage.axis_length, AxesDrawing),
-        ) if is_shown]  # fmt: skip
-        self._drawings = [drawing(recording, stage) for drawing in drawings]
+        self._entities, self._plots = list(_entities(stage)), _plots(stage)
+        for entity in self._entities:
+            recording.log(entity.path, entity.fixed, static=True)
+        for plot in self._plots:
+            self._name_curves(plot.path, plot.names)
 
-    def _log_stage(self) -> None:
-        stage, log = self._stage, self._recording.log
-        log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        marker_names = [str(marker) for marker in stage.marker_ids]
-        radius = rr.Radius.ui_points
-        for path, colour, size, names in (
-                (EFFECTORS, EFFECTOR_COLOUR, 5.0, stage.effector_names),
-                (TARGETS, TARGET_COLOUR, 6.0, None),
-                (PREDICTED_MARKERS, _PREDICTED_COLOUR, 4.5, marker_names),
-                (MEASURED_MARKERS, _MEASURED_COLOUR, 4.5, None)):
-            log(path, rr.Points3D.from_fields(colors=[colour], radii=[radius(size)], labels=names,
-                                              show_labels=False), static=True)
-        log(TRAIL, rr.LineStrips3D.from_fields(colors=[_TRAIL_COLOUR], radii=[radius(1.2)]),
-            static=True)
-        if len(stage.fixed_points):
-            log(FIXED_POINTS, rr.Points3D.from_fields(
-                positions=np.asarray(stage.fixed_points, dtype=np.float32),
-                colors=[_FIXED_COLOUR], radii=[radius(2.5)]), static=True)
-        if stage.cable_names:
-            log(PULL_POINTS, rr.Points3D.from_fields(colors=[_PULL_COLOUR], radii=[radius(4.0)]),
-                static=True)
-            log(CABLES, rr.LineStrips3D.from_fields(
-                labels=stage.cable_names, radii=[radius(2.5)], show_labels=True), static=True)
-            name_curves(self._recording, LENGTH_PLOT, stage.cable_names)
-            name_curves(self._recording, TENSION_PLOT, stage.cable_names)
-        name_curves(self._recording, ERROR_PLOT, _ERRORS)
-        name_curves(self._recording, RESIDUAL_PLOT, ["residual"])
+    def _name_curves(self, path: str, names: Sequence[str]) -> None:
+        """Names the curves of a plot, in colours that repeat."""
+        self._recording.name_series(path, names, list(islice(cycle(_CURVE_COLOURS), len(names))))
 
     def log(self, frame: Frame) -> None:
         """Draws one frame.
@@ -399,64 +348,28 @@ class Picture:
             ViewError: The frame does not fit the stage.
         """
         frame.check_against(self._stage)
-        self._recording.set_time(frame.step, frame.time_ns)
-        self._log_bodies(frame)
-        for drawing in self._drawings:
-            drawing.log(frame)
-        self._log_points(frame)
-        self._log_curves(frame)
+        recording = self._recording
+        recording.set_time(frame.step, frame.time_ns)
+        for entity in self._entities:
+            present = entity.present and entity.present(frame)
+            if present is not None:
+                recording.log(entity.path, present)
+        for plot in self._plots:
+            recording.log_series(plot.path, plot.values(frame))
+        times = {_WHOLE_STEP: frame.compute_time, **frame.stage_times}
+        new_names = [name for name in times if name not in self._time_names]
+        if new_names:
+            self._time_names += new_names
+            self._name_curves(TIME_PLOT, self._time_names)
+        recording.log_series(TIME_PLOT,
+                             [1e3 * times.get(name, np.nan) for name in self._time_names])
         if frame.status != self._status:
-            self._recording.log(STATUS, rr.TextLog(frame.status))
+            recording.log(STATUS, rr.TextLog(frame.status))
             self._status = frame.status
 
     def close(self, timeout: float) -> None:
         """Finishes the recording within a timeout [s]."""
         self._recording.close(timeout)
-
-    def _log_bodies(self, frame: Frame) -> None:
-        log = self._recording.log
-        self._bodies.log(frame.surface_positions)
-        if self._stage.cable_names:
-            colours = tension_colours(frame.cable_tensions, self._stage.tension_range)
-            log(CABLES, rr.LineStrips3D.from_fields(strips=frame.cable_paths, colors=colours))
-            log(PULL_POINTS, _points([path[0] for path in frame.cable_paths]))
-
-    def _log_points(self, frame: Frame) -> None:
-        log = self._recording.log
-        log(EFFECTORS, _points(frame.effector_positions))
-        log(TARGETS, _known_points(frame.targets, self._stage.effector_names))
-        log(PREDICTED_MARKERS, _points(frame.predicted_markers))
-        log(MEASURED_MARKERS, _known_points(frame.measured_markers, self._stage.marker_ids))
-        if np.isfinite(frame.effector_positions).all():
-            strips = self._recent_path.extend(frame.time_ns, frame.effector_positions)
-            log(TRAIL, rr.LineStrips3D.from_fields(strips=strips))
-
-    def _log_curves(self, frame: Frame) -> None:
-        log_series = self._recording.log_series
-        if self._stage.cable_names:
-            log_series(LENGTH_PLOT, 1e3 * np.asarray(frame.cable_lengths))
-            log_series(TENSION_PLOT, frame.cable_tensions)
-        errors = (frame.effector_error, frame.linearization_error, frame.discretization_error)
-        log_series(ERROR_PLOT, [1e3 * error for error in errors])
-        log_series(RESIDUAL_PLOT, [frame.residual])
-        times = {_WHOLE_STEP: frame.compute_time, **frame.stage_times}
-        new_names = [name for name in times if name not in self._time_names]
-        if new_names:
-            self._time_names += new_names
-            name_curves(self._recording, TIME_PLOT, self._time_names)
-        log_series(TIME_PLOT, [1e3 * times.get(name, np.nan) for name in self._time_names])
-
-
-def _points(positions: np.ndarray) -> rr.Points3D:
-    return rr.Points3D.from_fields(positions=np.asarray(positions, dtype=np.float32))
-
-
-def _known_points(positions: np.ndarray, names: Sequence) -> rr.Points3D:
-    """Points without the rows that are not finite, each with its name."""
-    seen = np.isfinite(positions).all(axis=1)
-    return rr.Points3D.from_fields(
-        positions=np.asarray(positions, dtype=np.float32)[seen],
-        labels=[str(name) for name, shown in zip(names, seen) if shown])
 
 
 # How much of the past the curves show [s].
@@ -471,36 +384,24 @@ def layout(stage: Stage) -> rrb.Blueprint:
     Args:
         stage: The robot.
     """
-    name, plots = stage.name, []
-    if stage.cable_names:
-        plots += [_plot("Cable lengths [mm]", LENGTH_PLOT),
-                  _plot("Cable tensions [N]", TENSION_PLOT)]
+    name = stage.name
     if stage.cavities:
         name = f"{name}; cavities: {pressure_legend(stage.pressure_range)}"
-        plots += [_plot("Cavity gauge pressures [kPa]", PRESSURE_PLOT),
-                  _plot("Cavity volumes [cm³]", VOLUME_PLOT)]
-    if stage.other_actuators:
-        plots.append(_plot("Actuators", ACTUATOR_PLOT))
-    if stage.shows_contact:
-        plots.append(_plot("Contacts", CONTACT_PLOT))
     space = rrb.Spatial3DView(origin="/", name=name,
-                              contents=["/robot/**", "/targets/**", "/markers/**",
+                              contents=["/robot/**", "/targets/**", "/target_axes/**", "/markers/**",
                                         "/rigid_bodies/**", "/obstacles/**", "/contacts/**"])
     status = rrb.TextLogView(origin=STATUS, name="Status")
+    *plots, last = _plots(stage)
+    shown = [*plots, _Plot("Times [ms]", TIME_PLOT, (), lambda _: (), 1.2), last]
     curves = rrb.Vertical(
-        _plot("Effector error [mm]", ERROR_PLOT),
-        *plots,
-        _plot("Times [ms]", TIME_PLOT),
-        _plot("Residual [N]", RESIDUAL_PLOT, legend=False),
-        row_shares=[1.0] * (1 + len(plots)) + [1.2, 0.8])
+        *(rrb.TimeSeriesView(
+            origin=plot.path, name=plot.title, time_ranges=past_range(_PLOTTED_PAST),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=plot.path != RESIDUAL_PLOT))
+          for plot in shown),
+        row_shares=[plot.share for plot in shown])
     return rrb.Blueprint(
         rrb.Horizontal(rrb.Vertical(space, status, row_shares=[6.0, 1.0]), curves,
                        column_shares=[3.0, 2.0]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         time_panel())
-
-
-def _plot(title: str, origin: str, legend: bool = True) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin=origin, name=title, time_ranges=past_range(_PLOTTED_PAST),
-                              plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend))

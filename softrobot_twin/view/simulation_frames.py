@@ -20,42 +20,6 @@ AXIS_SHARE = 0.1
 _DRAWN_SECTIONS = ("cables", "cavities")
 
 
-class BodySurfaces:
-    """Surfaces by which the deformable bodies are drawn.
-
-    All beams are one surface: each surface takes time that an arm of many ribs has not.
-
-    Args:
-        simulation: The simulation.
-
-    Attributes:
-        surfaces: A surface of each soft body, and one of all beams.
-    """
-
-    def __init__(self, simulation: Simulation):
-        self._simulation = simulation
-        skins = simulation.skins
-        self._soft_count = len(skins) - len(simulation.model.beams)
-        soft = [Surface(skin.name, skin.triangles) for skin in skins[: self._soft_count]]
-        beams = skins[self._soft_count :]
-        if len(beams) < 2:
-            self.surfaces = (*soft, *(Surface(skin.name, skin.triangles) for skin in beams))
-            return
-        points = simulation.skin_positions()[self._soft_count :]
-        firsts = np.cumsum([0, *map(len, points)])
-        triangles = np.vstack([
-            skin.triangles + first for skin, first in zip(beams, firsts, strict=False)
-        ])  # fmt: skip
-        self.surfaces = (*soft, Surface("beams", triangles))
-
-    def points(self) -> tuple[np.ndarray, ...]:
-        """Present points of the surfaces [m], each of shape (point_count, 3)."""
-        points = self._simulation.skin_positions()
-        if len(points) - self._soft_count < 2:
-            return points
-        return (*points[: self._soft_count], np.vstack(points[self._soft_count :]))
-
-
 def tension_range(simulation: Simulation) -> tuple[float, float]:
     """Ends of the colour scale of tensions [N]: slack, and the greatest limit of a cable."""
     cables = simulation.actuators.of_section("cables")
@@ -84,6 +48,16 @@ def _solids(skins) -> tuple[Surface, ...]:
     return tuple(Surface(skin.name, skin.triangles, skin.points) for skin in skins)
 
 
+def _joined(skins: tuple, points: tuple[np.ndarray, ...]) -> tuple[Surface, ...]:
+    """Several skins as one surface; each surface takes time that an arm of many ribs has not."""
+    if len(skins) < 2:
+        return tuple(Surface(skin.name, skin.triangles) for skin in skins)
+    firsts = np.cumsum([0, *map(len, points[:-1])])
+    return (Surface("beams", np.vstack([
+        skin.triangles + first for skin, first in zip(skins, firsts, strict=True)
+    ])),)  # fmt: skip
+
+
 class SimulationFrames:
     """The stage of a simulation, and frames of its states.
 
@@ -98,7 +72,8 @@ class SimulationFrames:
     def __init__(self, simulation: Simulation, force_scale: float = 0.1):
         self._simulation = simulation
         self._is_oriented = any(simulation.oriented_effectors)
-        self._bodies = BodySurfaces(simulation)
+        skins = simulation.skins
+        self._soft_count = soft = len(skins) - len(simulation.model.beams)
         self._cables = simulation.actuators.of_section("cables")
         kind_of = simulation.actuators.kind_of
         others = {
@@ -107,7 +82,10 @@ class SimulationFrames:
         self._others = np.array([list(kind_of).index(name) for name in others], int)
         self.stage = Stage(
             name=simulation.scene.name,
-            bodies=self._bodies.surfaces,
+            bodies=(
+                *(Surface(skin.name, skin.triangles) for skin in skins[:soft]),
+                *_joined(skins[soft:], simulation.skin_positions()[soft:]),
+            ),
             cable_names=simulation.actuator_names[self._cables],
             tension_range=tension_range(simulation),
             cavities=tuple(Surface(skin.name, skin.triangles) for skin in simulation.cavities.skins),
@@ -147,11 +125,12 @@ class SimulationFrames:
         """
         simulation, cables = self._simulation, self._cables
         names, paths = simulation.actuator_names, simulation.actuator_paths()
+        rigid_positions, rigid_quaternions = simulation.rigid_poses()
         known = errors[np.isfinite(errors)]
         return Frame(
             step=step,
             time_ns=time_ns,
-            surface_positions=self._bodies.points(),
+            surface_positions=self._surface_points(),
             cable_paths=tuple(paths[name] for name in names[cables]),
             cable_lengths=result.setpoints[cables],
             cable_tensions=result.efforts[cables],
@@ -168,21 +147,25 @@ class SimulationFrames:
             residual=result.report.residual,
             linearization_error=result.report.linearization_error,
             discretization_error=discretization_error,
+            cavity_positions=simulation.cavity_positions(),
+            cavity_pressures=simulation.cavities.pressures(simulation.state),
+            cavity_volumes=simulation.cavities.volumes(simulation.state),
+            rigid_positions=rigid_positions,
+            rigid_quaternions=rigid_quaternions,
             **self._optional_fields(result, target_orientations),
         )
 
+    def _surface_points(self) -> tuple[np.ndarray, ...]:
+        """Present points of the bodies' surfaces [m]; those of several beams are one array."""
+        points, soft = self._simulation.skin_positions(), self._soft_count
+        return points if len(points) < soft + 2 else (*points[:soft], np.vstack(points[soft:]))
+
     def _optional_fields(self, result: StepResult, target_orientations: np.ndarray) -> dict:
-        """Fields of a frame for scenes with orientations, cavities, rigid bodies or contact."""
-        simulation, shown = self._simulation, dict[str, Any]()
+        """Fields of a frame for scenes with orientations or contact."""
+        shown = dict[str, Any]()
         if self._is_oriented:
             shown["effector_orientations"] = result.effector_orientations
             shown["target_orientations"] = target_orientations
-        if simulation.cavities.skins:
-            shown["cavity_positions"] = simulation.cavity_positions()
-            shown["cavity_pressures"] = simulation.cavities.pressures(simulation.state)
-            shown["cavity_volumes"] = simulation.cavities.volumes(simulation.state)
-        if simulation.rigid_names:
-            shown["rigid_positions"], shown["rigid_quaternions"] = simulation.rigid_poses()
         if result.contacts is not None:
             shown["contact_positions"] = result.contacts.positions
             shown["contact_forces"] = result.contacts.forces
