@@ -246,8 +246,7 @@ class SealedCavity(WalledEntry):
     @model_validator(mode="after")
     def _holds_gas(self):
         if self.pressure + self.ambient_pressure <= 0.0:
-            raise refusal("pressure", self.pressure,
-                          "the absolute pressure of a gas is above zero")
+            raise refusal("pressure", self.pressure, "the absolute pressure of a gas is above zero")
         return self
 
 

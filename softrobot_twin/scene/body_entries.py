@@ -250,19 +250,16 @@ class ElasticEntry(Entry):
             return self
         least, greatest = self.strain_range
         if not -1.0 < least < 0.0 < greatest:
-            raise refusal(
-                "strain_range", list(self.strain_range),
-                "must be two strains: the least between -1 and 0, the greatest above 0",
-            )  # fmt: skip
+            raise refusal("strain_range", list(self.strain_range),
+                          "must be two strains: the least between -1 and 0, the greatest above 0")
         return self
 
     @model_validator(mode="after")
     def _one_volume_constant(self):
         if self.poisson_ratio is not None and self.bulk_modulus is not None:
-            raise refusal(
-                "bulk_modulus", self.bulk_modulus,
-                f"is beside poisson_ratio {self.poisson_ratio:g}, which says the same; give one",
-            )  # fmt: skip
+            raise refusal("bulk_modulus", self.bulk_modulus,
+                          f"is beside poisson_ratio {self.poisson_ratio:g}, which says the same; "
+                          "give one")
         return self
 
     def volume_constants(
@@ -289,24 +286,20 @@ class ElasticEntry(Entry):
         """
         nu, kappa = self.volume_constants(otherwise)
         if nu is None and kappa is None:
-            raise refusal(
-                "poisson_ratio", "(nothing)", "is required, or bulk_modulus [Pa] in its place"
-            )
+            raise refusal("poisson_ratio", "(nothing)",
+                          "is required, or bulk_modulus [Pa] in its place")
         if nu == 0.5 and not has_bulk_modulus(law_named(law).parameters):
-            raise refusal(
-                "poisson_ratio", nu,
-                f"the law {law} is not defined for an incompressible material: give less than "
-                "0.5, or a law with a bulk modulus, such as neo_hookean",
-            )  # fmt: skip
+            raise refusal("poisson_ratio", nu,
+                          f"the law {law} is not defined for an incompressible material: give less "
+                          "than 0.5, or a law with a bulk modulus, such as neo_hookean")
         own = law_named(law).own
         if own is not None:
             self._check_own_constants(law, own)
             return
         if self.constants is not None:
-            raise refusal(
-                "constants", self.constants, f"the law {law} has no constants of its own; it takes "
-                "young_modulus [Pa] and poisson_ratio",
-            )  # fmt: skip
+            raise refusal("constants", self.constants,
+                          f"the law {law} has no constants of its own; it takes young_modulus [Pa] "
+                          "and poisson_ratio")
         if self.young_modulus is None:
             raise refusal("young_modulus", "(nothing)", f"is required by the law {law}")
         if kappa is not None and not poisson_ratio_of_bulk(self.young_modulus, kappa) > -1.0:
@@ -326,10 +319,9 @@ class ElasticEntry(Entry):
         except ValueError as error:
             raise refusal("constants", self.constants, f"{error}; {takes}") from None
         if not mu > 0.0:
-            raise refusal(
-                "constants", self.constants,
-                f"give the shear modulus {mu:g} Pa at rest, which must be above 0 Pa", unit="Pa",
-            )  # fmt: skip
+            raise refusal("constants", self.constants,
+                          f"give the shear modulus {mu:g} Pa at rest, which must be above 0 Pa",
+                          unit="Pa")
 
 
 def _described(own: OwnConstants) -> str:
@@ -379,10 +371,8 @@ class Material(ElasticEntry):
     @model_validator(mode="after")
     def _one_mass(self):
         if self.density is not None and self.total_mass is not None:
-            raise ValueError(
-                f"density {self.density:g} kg/m³ and total_mass {self.total_mass:g} kg are both "
-                "given; give one of them"
-            )
+            raise ValueError(f"density {self.density:g} kg/m³ and total_mass {self.total_mass:g} "
+                             "kg are both given; give one of them")
         if self.density is None and self.total_mass is None:
             raise ValueError("density [kg/m³] or total_mass [kg] is required")
         return self
@@ -584,10 +574,8 @@ class Body(Entry):
     @model_validator(mode="after")
     def _weighs_each_part(self):
         if self.materials and self.material.density is None:
-            raise ValueError(
-                "a body with materials needs material.density: a total_mass does not say how the "
-                "mass is distributed"
-            )
+            raise ValueError("a body with materials needs material.density: a total_mass does not "
+                             "say how the mass is distributed")
         return self
 
     @model_validator(mode="after")
@@ -617,21 +605,17 @@ class Body(Entry):
             softening = base.softening if entry.softening is None else entry.softening
             shares = [term.share for term in viscosity]
             if shares and not sum(shares) < 1.0:
-                raise refusal(
-                    f"{key}.viscosity", f"shares {shares}",
-                    f"sum to {sum(shares):g}: they are shares of the modulus at once, and must "
-                    "leave some of it: less than 1",
-                )  # fmt: skip
+                raise refusal(f"{key}.viscosity", f"shares {shares}",
+                              f"sum to {sum(shares):g}: they are shares of the modulus at once, "
+                              "and must leave some of it: less than 1")
             for name, asked in (("viscosity", shares), ("softening", softening)):
                 if not asked:
                     continue
                 if not has_bulk_modulus(law_named(law).parameters):
                     names = [name for name in law_names()
                              if has_bulk_modulus(law_named(name).parameters)]  # fmt: skip
-                    raise refusal(
-                        f"{key}.{name}", law,
-                        f"is not a law that {name} is built for: {', '.join(names)}",
-                    )
+                    raise refusal(f"{key}.{name}", law,
+                                  f"is not a law that {name} is built for: {', '.join(names)}")
         return self
 
     def _materials_by_key(self) -> dict[str, Any]:
@@ -645,10 +629,8 @@ class Body(Entry):
                 part.check_law(part.law or self.material.law, self.material)
             except PydanticCustomError as error:
                 inner = error.context or {}
-                raise refusal(
-                    f"materials[{index}].{inner['key']}", inner["value"], inner["reason"],
-                    unit=inner["unit"],
-                ) from None  # fmt: skip
+                raise refusal(f"materials[{index}].{inner['key']}", inner["value"], inner["reason"],
+                              unit=inner["unit"]) from None
         return self
 
     @property
@@ -807,10 +789,8 @@ class Beam(Entry):
             if a == b:
                 raise ValueError(f"points {index} and {index + 1} are the same point")
         if self.elements < spans:
-            raise ValueError(
-                f"{self.elements} elements are too few for {spans + 1} points: one between two "
-                "points is the least"
-            )
+            raise ValueError(f"{self.elements} elements are too few for {spans + 1} points: one "
+                             "between two points is the least")
         if self.thickness_direction is None and not self.section.is_round:
             raise ValueError("thickness_direction is required for a section that is not round")
         for joint in self.joined:
@@ -1050,11 +1030,9 @@ class Helix(Entry):
         turns = (self.reach[1] - self.reach[0]) / self.pitch
         segments = turns * self.segments_per_turn * self.count
         if segments > MOST_SEGMENTS:
-            raise ValueError(
-                f"{turns:.3g} turns of {self.count} threads have {segments:.3g} segments of "
-                f"{self.segments_per_turn} a turn, more than {MOST_SEGMENTS}: are pitch and reach "
-                "in metres?"
-            )
+            raise ValueError(f"{turns:.3g} turns of {self.count} threads have {segments:.3g} "
+                             f"segments of {self.segments_per_turn} a turn, more than "
+                             f"{MOST_SEGMENTS}: are pitch and reach in metres?")
         return self
 
 

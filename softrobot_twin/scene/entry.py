@@ -148,9 +148,8 @@ def unit(name: str, **limits) -> object:
 def check_name(name: str) -> str:
     """Checks a name, because it becomes part of a ROS topic."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError(
-            "a name must start with a letter and contain only letters, digits and underscores"
-        )
+        raise ValueError("a name must start with a letter and contain only letters, digits and "
+                         "underscores")
     return name
 
 

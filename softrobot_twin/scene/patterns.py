@@ -349,8 +349,7 @@ def _moved(model: type[Entry], entry: dict, motion: Motion, above: str = "") -> 
         elif kind == "helix":
             moved[key] = _helix(value, motion, _model_of(forms_of(model)[key]))
         elif kind in ("inside", "regions") and key in entry:
-            moved[key] = _moved_inside(_model_of(forms_of(model)[key]), value, motion,
-                                       above + key)  # fmt: skip
+            moved[key] = _moved_inside(_model_of(forms_of(model)[key]), value, motion, above + key)
     return moved
 
 

@@ -21,10 +21,9 @@ def check_names(scene) -> None:
         raise refusal("bodies", "(and body)",
                       "a single body is given as body, several as bodies, not both")  # fmt: skip
     if not (scene.deformables or scene.rigid_bodies or scene.mass_springs or scene.beams):
-        raise refusal(
-            "body", "(nothing)",
-            "the scene has no body: give body, bodies, beams, rigid_bodies or mass_springs",
-        )  # fmt: skip
+        raise refusal("body", "(nothing)",
+                      "the scene has no body: give body, bodies, beams, rigid_bodies or "
+                      "mass_springs")
     bodies = {
         "body" if scene.body is not None else "bodies": scene.deformables,
         "rigid_bodies": scene.rigid_bodies, "mass_springs": scene.mass_springs,
@@ -119,8 +118,7 @@ def check_references(scene) -> None:
                 check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
                             name, deformable + framed + obstacles)  # fmt: skip
         for index, point in enumerate(scene.contact.points):
-            check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable,
-                          [])  # fmt: skip
+            check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable, [])
     _check_markers(scene)
 
 
@@ -218,8 +216,6 @@ def _check_markers(scene) -> None:
     for index, effector in enumerate(scene.effectors):
         missing = sorted(set(effector.measured_by) - known)
         if missing:
-            raise refusal(
-                f"effectors[{index}].measured_by", list(effector.measured_by),
-                f"effector {effector.name} is measured by markers {missing}, "
-                "which the scene does not have",
-            )  # fmt: skip
+            raise refusal(f"effectors[{index}].measured_by", list(effector.measured_by),
+                          f"effector {effector.name} is measured by markers {missing}, which the "
+                          "scene does not have")

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.actuator_entries import (
     ActuatorEntry,
     Cable,
@@ -264,9 +265,8 @@ class Scene(Entry):
     def _check_time_scheme(self) -> None:
         """Refuse a scheme, or its parameter, where it would have no effect."""
         if self.time_scheme != "backward_euler" and self.integration != "dynamic":
-            raise ValueError(
-                f"time_scheme {self.time_scheme} needs integration dynamic, not {self.integration}"
-            )
+            raise ValueError(f"time_scheme {self.time_scheme} needs integration dynamic, not "
+                             f"{self.integration}")
         if self.spectral_radius is not None and self.time_scheme != "generalized_alpha":
             raise ValueError("spectral_radius needs time_scheme generalized_alpha")
         if self.time_scheme != "generalized_alpha":
@@ -276,6 +276,17 @@ class Scene(Entry):
                 key = "body" if self.body is not None else f"bodies[{index}]"
                 raise refusal("time_scheme", self.time_scheme,
                               f"is not built for viscous materials, which {key} has")  # fmt: skip
+
+    def error(self, key: str, value: object, reason: str, unit: str = "") -> SceneError:
+        """The error of an entry that does not fit what is built of the scene.
+
+        Args:
+            key: Dotted path of the entry, such as ``cables[0].points``.
+            value: Its value.
+            reason: What is required.
+            unit: Unit of the value.
+        """
+        return SceneError(self.path, key, value, unit, reason)
 
     @property
     def source(self) -> Source:

@@ -362,9 +362,7 @@ def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
     unknowns = nodes.kinds[0].unknowns_of(origins)
     # Hinged frames have no translation of their own; the rest of the beam shows the sag.
     free = (unknowns >= 0) & (unknowns < nodes.free_node_count)
-    return (
-        np.concatenate([own, unknowns[free]]), np.concatenate([soft_nodes, origins[free]])
-    )  # fmt: skip
+    return (np.concatenate([own, unknowns[free]]), np.concatenate([soft_nodes, origins[free]]))
 
 
 def are_held(model: Model) -> bool:

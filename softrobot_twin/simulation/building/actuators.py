@@ -46,9 +46,7 @@ class Actuators:
         pulleys: Pulleys that wind cables.
     """
 
-    def __init__(
-        self, groups: Sequence[ActuatorGroup], work: float, scene: Scene | None = None
-    ):
+    def __init__(self, groups: Sequence[ActuatorGroup], work: float, scene: Scene | None = None):
         """Put the groups one after the other.
 
         Args:

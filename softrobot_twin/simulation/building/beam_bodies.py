@@ -280,9 +280,7 @@ class BeamBody:
         end_axes = np.einsum("ekij,ekjl->ekil", c.local_axes[ends], own)
         origins = c.frame_nodes[ends]
         rest = np.empty((len(ends), 6))
-        write_deformations(
-            np.array(rest_positions), origins, c.local_places[ends], end_axes, rest
-        )
+        write_deformations(np.array(rest_positions), origins, c.local_places[ends], end_axes, rest)
         material = self.entry.material
         return BeamElements(
             origins, frames.unknowns_of(origins.ravel()).reshape(-1, 2), c.local_places[ends],
@@ -421,12 +419,10 @@ def _section_axes(places, tangents, entry: Beam, index: int, scene: Scene) -> np
         sines = np.linalg.norm(across, axis=1)
         if sines.min() < LEAST_SINE:
             place = places[int(np.argmin(sines))]
-            raise SceneError(
-                scene.path, f"beams[{index}].thickness_direction",
-                list(entry.thickness_direction), "",
-                f"lies along the axis of {entry.name} at {np.round(place, 6).tolist()} m: it must "
-                "point across",
-            )  # fmt: skip
+            raise scene.error(f"beams[{index}].thickness_direction",
+                              list(entry.thickness_direction),
+                              f"lies along the axis of {entry.name} at "
+                              f"{np.round(place, 6).tolist()} m: it must point across")
         across = across / sines[:, None]
     return np.stack([tangents, across, np.cross(tangents, across)], axis=2)
 
@@ -523,25 +519,22 @@ class BeamNet:
         distances = np.linalg.norm(other.places - place, axis=1)
         nearest = int(np.argmin(distances))
         if distances[nearest] > SAME_PLACE * max(beam.lengths.sum(), other.lengths.sum()):
-            raise SceneError(
-                self._scene.path, f"{key}.to", other.name, "m",
-                f"has no node at {np.round(place, 6).tolist()}: its nearest one is "
-                f"{distances[nearest]:.4g} m away; beams are joined at nodes in the same place",
-            )  # fmt: skip
+            raise self._scene.error(f"{key}.to", other.name,
+                                    f"has no node at {np.round(place, 6).tolist()}: its nearest "
+                                    f"one is {distances[nearest]:.4g} m away; beams are joined at "
+                                    "nodes in the same place", unit="m")
         return self._number(other, nearest)
 
     def _two_bodies(self, beam: BeamBody, key: str, first: str, second: str) -> SceneError:
-        return SceneError(
-            self._scene.path, key, f"{first}, {second}", "",
-            f"a node of {beam.name} is joined to both: it can move with one of them only",
-        )
+        return self._scene.error(key, f"{first}, {second}",
+                                 f"a node of {beam.name} is joined to both: it can move with one "
+                                 "of them only")
 
     def _two_carriers(self, pivot: Pivot, key: str) -> SceneError:
-        return SceneError(
-            self._scene.path, key, pivot.beam.name, "",
-            f"a node of {pivot.beam.name} is on a {_noun(pivot)} ({pivot.key}), which alone carries "
-            "it: it cannot be fixed or joined to another carrier too",
-        )  # fmt: skip
+        return self._scene.error(key, pivot.beam.name,
+                                 f"a node of {pivot.beam.name} is on a {_noun(pivot)} "
+                                 f"({pivot.key}), which alone carries it: it cannot be fixed or "
+                                 "joined to another carrier too")
 
     def _number_frames(self) -> None:
         """One frame for each group of nodes that is not on a rigid body."""
@@ -569,10 +562,9 @@ class BeamNet:
                 pivots.append(hinged[0])
             elif bodies:
                 if fixed[own].any():
-                    raise SceneError(
-                        scene.path, f"{beam.key}.fixed", bodies[0], "",
-                        f"an end of {beam.name} that is joined to {bodies[0]} cannot be fixed too",
-                    )  # fmt: skip
+                    raise scene.error(f"{beam.key}.fixed", bodies[0],
+                                      f"an end of {beam.name} that is joined to {bodies[0]} cannot "
+                                      "be fixed too")
                 carrier = Carrier("body", bodies[0])
             else:
                 carrier = Carrier("frame", len(fixed_frames))
@@ -591,11 +583,9 @@ class BeamNet:
         carrier = self.carriers[pivot.other]
         if carrier.kind == "hinge":
             there = self.pivots[carrier.which]
-            raise SceneError(
-                self._scene.path, f"{pivot.key}.to", pivot.joint.to, "",
-                f"is on a {_noun(there)} itself there ({there.key}): join both beams to what "
-                f"carries it, {there.joint.to}",
-            )  # fmt: skip
+            raise self._scene.error(f"{pivot.key}.to", pivot.joint.to,
+                                    f"is on a {_noun(there)} itself there ({there.key}): join both "
+                                    f"beams to what carries it, {there.joint.to}")
         return carrier
 
     def _carriers_of(self, beam: BeamBody) -> list[Carrier]:
@@ -607,11 +597,10 @@ class BeamNet:
         for beam in self.beams:
             for a, b in pairwise(self._carriers_of(beam)):
                 if a == b:
-                    raise SceneError(
-                        self._scene.path, f"{beam.key}.elements", beam.entry.elements, "",
-                        f"both ends of an element of {beam.name} move with the same frame; "
-                        "more elements are needed between two joints",
-                    )  # fmt: skip
+                    raise self._scene.error(f"{beam.key}.elements", beam.entry.elements,
+                                            f"both ends of an element of {beam.name} move with the "
+                                            "same frame; more elements are needed between two "
+                                            "joints")
 
     def frame_parts(self) -> tuple[FramePart, ...]:
         """The frames of nodes, by their order; their mass is that of the elements."""
@@ -719,11 +708,9 @@ class BeamNet:
         reached = self.reached(held)
         for beam in self.beams:
             if beam.name not in reached:
-                raise SceneError(
-                    self._scene.path, beam.key, beam.name, "",
-                    "floats: in quasi_static integration one of its ends must be fixed, or joined "
-                    "to a body that is held",
-                )  # fmt: skip
+                raise self._scene.error(beam.key, beam.name,
+                                        "floats: in quasi_static integration one of its ends must "
+                                        "be fixed, or joined to a body that is held")
         return reached
 
     def _neighbours(self, beam: BeamBody) -> set[str]:
@@ -750,9 +737,7 @@ def _noun(pivot: Pivot) -> str:
     return "hinge" if pivot.joint.by == "hinge" else "ball joint"
 
 
-def swept_surface(
-    beam: BeamBody, pieces: int = 1
-) -> tuple[BarycentricMapping, np.ndarray]:
+def swept_surface(beam: BeamBody, pieces: int = 1) -> tuple[BarycentricMapping, np.ndarray]:
     """Sweep the outline of a beam's section along it.
 
     Args:

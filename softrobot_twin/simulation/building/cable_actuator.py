@@ -11,7 +11,6 @@ import numpy as np
 from softrobot_twin.constraints.cable import CablePath, Cables, folds
 from softrobot_twin.constraints.cable_friction import CableMaterials, FrictionCables
 from softrobot_twin.constraints.elastic_cable import ElasticCables
-from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable, Pulley
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
@@ -126,9 +125,7 @@ def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ..
 
 def _axial_stiffness(entries: tuple[Cable, ...]) -> np.ndarray:
     """EA of each cable, infinite for one that does not stretch [N], shape (count,)."""
-    return np.array([
-        cable.axial_stiffness if _stretches(cable) else np.inf for cable in entries
-    ])  # fmt: skip
+    return np.array([cable.axial_stiffness if _stretches(cable) else np.inf for cable in entries])
 
 
 def _friction_term(
@@ -151,10 +148,8 @@ def _friction_term(
     elif scene.time_scheme != "backward_euler":
         reason = f"time_scheme {scene.time_scheme}"
     if reason:
-        raise SceneError(
-            scene.path, f"cables[{index}].friction", entries[index].friction, "",
-            f"friction along cables is not built for scenes with {reason}",
-        )  # fmt: skip
+        raise scene.error(f"cables[{index}].friction", entries[index].friction,
+                          f"friction along cables is not built for scenes with {reason}")
     lengths = [
         np.linalg.norm(np.diff(path.positions(nodes.rest_positions), axis=0), axis=1).sum()
         for path in paths
@@ -249,7 +244,5 @@ def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene)
     blocks = rows_at(cables, rest_positions)
     np.add.at(row_sizes, cables.entry_rows, np.abs(blocks).sum(axis=1))
     for index in np.flatnonzero(row_sizes == 0.0):
-        raise SceneError(
-            scene.path, f"cables[{index}].points", scene.cables[index].name, "",
-            "lies wholly in what is fixed: it moves nothing",
-        )  # fmt: skip
+        raise scene.error(f"cables[{index}].points", scene.cables[index].name,
+                          "lies wholly in what is fixed: it moves nothing")

@@ -11,7 +11,6 @@ import numpy as np
 from softrobot_twin.constraints.cavity import EMPTY, Cavities
 from softrobot_twin.constraints.reduced_cavities import ReducedCavities, ReducedWalls
 from softrobot_twin.constraints.superelement_cavities import SuperelementCavities
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
@@ -147,16 +146,13 @@ def _reduced_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCa
         return None
     for index, cavity in enumerate(entries):
         if cavity.liquid_density is not None:
-            raise SceneError(
-                layout.scene.path, f"cavities[{index}].liquid_density", cavity.liquid_density,
-                "kg/m³", "a liquid filling of a body with vertebrae is not built",
-            )  # fmt: skip
+            raise layout.scene.error(f"cavities[{index}].liquid_density", cavity.liquid_density,
+                                     "a liquid filling of a body with vertebrae is not built",
+                                     unit="kg/m³")
         if names.count(cavity.name) != len(cavity.walls):
-            raise SceneError(
-                layout.scene.path, f"cavities[{index}].walls", cavity.name, "",
-                "lies on a body without vertebrae; where one body with cavities has vertebrae, "
-                "all of them must have some",
-            )  # fmt: skip
+            raise layout.scene.error(f"cavities[{index}].walls", cavity.name,
+                                     "lies on a body without vertebrae; where one body with "
+                                     "cavities has vertebrae, all of them must have some")
     surfaces = tuple(_drawn_surface(layout, name) for name in order)
     return SuperelementCavities(tuple(layout.superelements.values()), volumes, areas, surfaces)
 
@@ -252,13 +248,10 @@ def _growths(
     growths = np.empty((len(entries), 2))
     for index, (cavity, volume) in enumerate(zip(entries, term.rest_volumes, strict=True)):
         if not cavity.volume[0] <= volume <= cavity.volume[1]:
-            raise SceneError(
-                layout.scene.path, f"cavities[{index}].volume", list(cavity.volume), "m³",
-                f"the volume at rest, {volume:.4g} m³, must lie within its limits",
-            )  # fmt: skip
-        growths[index, 0] = max(
-            cavity.growth[0], cavity.volume[0] - volume, (EMPTY - 1.0) * volume
-        )
+            raise layout.scene.error(f"cavities[{index}].volume", list(cavity.volume),
+                                     f"the volume at rest, {volume:.4g} m³, must lie within its "
+                                     "limits", unit="m³")
+        growths[index, 0] = max(cavity.growth[0], cavity.volume[0] - volume, (EMPTY - 1.0) * volume)
         growths[index, 1] = min(cavity.growth[1], cavity.volume[1] - volume)
         if np.isinf(growths[index, 1]):
             sphere = LARGEST_STRETCH**3 * float(term.walls.sphere_volumes[index])
@@ -269,7 +262,5 @@ def _growths(
 def _check_walls_move(term: Cavities | ReducedCavities, layout: Layout) -> None:
     """Refuse cavities whose walls are all fixed: they have a volume that nothing changes."""
     for index in np.setdiff1d(np.arange(term.row_count), term.entry_rows):
-        raise SceneError(
-            layout.scene.path, f"cavities[{index}].walls", term.surfaces[index].name, "",
-            "lie wholly in what is fixed: nothing changes its volume",
-        )  # fmt: skip
+        raise layout.scene.error(f"cavities[{index}].walls", term.surfaces[index].name,
+                                 "lie wholly in what is fixed: nothing changes its volume")

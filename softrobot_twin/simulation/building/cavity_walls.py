@@ -7,7 +7,7 @@ from functools import reduce
 
 import numpy as np
 
-from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.cubic_bubbles import CubicMesh
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
@@ -91,7 +91,7 @@ def _from_file(
             translation=placed.translation,
         )  # fmt: skip
     except MeshError as error:
-        raise SceneError(layout.scene.path, key, str(wall.file), "", error.reason) from None
+        raise layout.scene.error(key, str(wall.file), error.reason) from None
     return surface.points, surface.triangles
 
 
@@ -106,7 +106,7 @@ def _part(
     try:
         surface_mass_properties(points, repaired.triangles)
     except MeshError as error:
-        raise SceneError(layout.scene.path, key, part, "", error.reason) from None
+        raise layout.scene.error(key, part, error.reason) from None
     # Mesh generators orient the triangles of a part as they like.
     notes.extend(f"{key} ({part}): {note}." for note in repaired.notes if "all" not in note)
     return points, repaired.triangles
@@ -144,23 +144,17 @@ def check_walls_of_reduced(scene: Scene) -> None:
     ]
     for index, (cavity, own) in enumerate(zip(scene.cavities, on_reduced, strict=True)):
         if any(own) and cavity.liquid_density is not None:
-            raise SceneError(
-                scene.path, f"cavities[{index}].liquid_density", cavity.liquid_density, "kg/m³",
-                "a liquid filling of a reduced body is not built",
-            )  # fmt: skip
+            raise scene.error(f"cavities[{index}].liquid_density", cavity.liquid_density,
+                              "a liquid filling of a reduced body is not built", unit="kg/m³")
         if any(map(any, on_reduced)) and not all(own):
             other = _body_of(cavity.walls[own.index(False)], scene)
-            raise SceneError(
-                scene.path, f"cavities[{index}].walls", cavity.name, "",
-                f"lies on {other}, which is not reduced; where one body with cavities is reduced, "
-                "all of them must be",
-            )  # fmt: skip
+            raise scene.error(f"cavities[{index}].walls", cavity.name,
+                              f"lies on {other}, which is not reduced; where one body with "
+                              "cavities is reduced, all of them must be")
     for index, cavity in enumerate(scene.sealed_cavities):
         if any(_body_of(wall, scene) in reduced for wall in cavity.walls):
-            raise SceneError(
-                scene.path, f"sealed_cavities[{index}].walls", cavity.name, "",
-                "lies on a reduced body: gas sealed there is not built",
-            )  # fmt: skip
+            raise scene.error(f"sealed_cavities[{index}].walls", cavity.name,
+                              "lies on a reduced body: gas sealed there is not built")
 
 
 def _body_of(wall: CavityWall, scene: Scene) -> str:
@@ -171,8 +165,6 @@ def _check_one_body(scene: Scene, wall: CavityWall, key: str, reduced: set[str])
     """Refuse a wall that several bodies form where one of them is reduced."""
     names = {_body_of(wall, scene), *wall.also_on}
     if len(names) > 1 and names & reduced:
-        raise SceneError(
-            scene.path, f"{key}.also_on", list(wall.also_on), "",
-            f"{sorted(names & reduced)[0]} is reduced: a wall that it forms with another body is "
-            "not built",
-        )  # fmt: skip
+        raise scene.error(f"{key}.also_on", list(wall.also_on),
+                          f"{sorted(names & reduced)[0]} is reduced: a wall that it forms with "
+                          "another body is not built")

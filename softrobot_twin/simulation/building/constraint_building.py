@@ -12,7 +12,6 @@ from softrobot_twin.constraints.effector_orientation import (
     patch_arms,
     spans_a_plane,
 )
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.simulation.building.scene_layout import Layout
 
@@ -36,9 +35,7 @@ def effector_term(layout: Layout, notes: list[str]):
             notes.append(f"{key} ({effector.name}) lies wholly in what is fixed or guided: "
                          "no actuator moves it.")  # fmt: skip
         directions = tuple(AXES[direction] for direction in effector.directions)
-        effectors.append(
-            EffectorPoints(effector.name, points, directions, effector.weight)
-        )
+        effectors.append(EffectorPoints(effector.name, points, directions, effector.weight))
         if effector.orientation is not None:
             orientations.append(_orientation(layout, index, points, notes))
     free_index, size = layout.nodes.free_index, layout.nodes.size
@@ -62,11 +59,10 @@ def _orientation(
         nodes, arms = frame_arms(frame, rest)
     else:
         if not spans_a_plane(points.positions(rest)):
-            raise SceneError(
-                layout.scene.path, key, [list(point) for point in entry.points or effector.points],
-                "m", f"{effector.name} asks for an orientation: on a deformable body three or more "
-                "points that do not lie on one line are needed",
-            )  # fmt: skip
+            raise layout.scene.error(
+                key, [list(point) for point in entry.points or effector.points],
+                f"{effector.name} asks for an orientation: on a deformable body three or more "
+                "points that do not lie on one line are needed", unit="m")
         nodes, arms = patch_arms(points, rest)
     axis = None
     if entry.pointing is not None:

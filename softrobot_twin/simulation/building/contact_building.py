@@ -27,7 +27,6 @@ from softrobot_twin.constraints.contact_pairs import (
     TwoBoxes,
     TwoSurfaces,
 )
-from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.box_pairs import BoxPairDetector
 from softrobot_twin.geometry.self_proximity import FixedPairs, SelfDetector
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
@@ -190,10 +189,8 @@ def _pair(first: Side, second: Side, friction: float, key: str, layout: Layout):
     if first.shape is None:
         return _soft_pair(first, second, friction)
     if not {part.name for part in layout.rigid if part.is_free} & {first.name, second.name}:
-        raise SceneError(
-            layout.scene.path, key, f"{first.name} and {second.name}", "",
-            "neither of them moves by itself",
-        )  # fmt: skip
+        raise layout.scene.error(key, f"{first.name} and {second.name}",
+                                 "neither of them moves by itself")
     return _solid_pair(first, second, friction)
 
 
@@ -216,11 +213,10 @@ def _beam_pair(first: Side, second: Side, friction: float, key: str, layout: Lay
             excluded |= neighbours(own.lengths, first.round.radius)
         return TwoRoundBeams(first.round, second.round, excluded, friction, names)
     if is_joined:
-        raise SceneError(
-            layout.scene.path, key, " and ".join(names), "",
-            f"{own.name} is joined to {second.name}; contact of what is joined is built for beams "
-            "of round section, with each other and with simple shapes",
-        )  # fmt: skip
+        raise layout.scene.error(key, " and ".join(names),
+                                 f"{own.name} is joined to {second.name}; contact of what is "
+                                 "joined is built for beams of round section, with each other and "
+                                 "with simple shapes")
     if first is second:
         return _with_itself(first, friction, key, layout)
     return _soft_pair(first, second, friction)
@@ -247,7 +243,7 @@ def _are_joined(beam: BeamBody, name: str, layout: Layout) -> bool:
 def _with_itself(side: Side, friction: float, key: str, layout: Layout):
     """The pair of a surface and itself."""
     if side.shape is not None:
-        raise SceneError(layout.scene.path, key, side.name, "", "a rigid body cannot touch itself")
+        raise layout.scene.error(key, side.name, "a rigid body cannot touch itself")
     rest = side.surface.points(layout.nodes.rest_positions)
     detector = SelfDetector(side.surface.triangles, rest, layout.scene.contact.alarm_distance)
     return TwoSurfaces(side.surface, side.surface, detector, friction, (side.name, side.name))
@@ -296,9 +292,7 @@ def _pair_with_file(first: Side, second: Side, friction: float):
         if isinstance(first.surface, StandingSurface):
             first, second = second, first
         return _two_surfaces(first, second, friction)
-    detector = SolidShapeDetector(
-        first.surface.triangles, first.surface.rigid_points, second.shape
-    )
+    detector = SolidShapeDetector(first.surface.triangles, first.surface.rigid_points, second.shape)
     return _surface_and_shape(first, second, detector, friction)
 
 
@@ -342,7 +336,6 @@ def _nearest(points: np.ndarray, point) -> int:
 def _check_apart(layout: Layout, body: Body, index: list[int], triangles: list) -> None:
     for place, (point, triangle) in enumerate(zip(index, triangles, strict=True)):
         if point in triangle:
-            raise SceneError(
-                layout.scene.path, f"contact.points[{place}]", body.name, "",
-                "its point is a corner of its triangle: they cannot come together",
-            )  # fmt: skip
+            raise layout.scene.error(f"contact.points[{place}]", body.name,
+                                     "its point is a corner of its triangle: they cannot come "
+                                     "together")

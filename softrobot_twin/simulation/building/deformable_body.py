@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.cad_meshing import kept_mesh
 from softrobot_twin.geometry.cell_mesh import CellMesh
@@ -224,16 +224,13 @@ def _check_volume(
     if entry.volume != "patches":
         return
     if not can_divide(law_named(part.law).parameters):
-        raise SceneError(
-            scene.path, f"{key}.volume", entry.volume, "",
-            f"patches need a law with a bulk modulus, such as neo_hookean; the law {part.law} of "
-            f"{part.key} has none",
-        )  # fmt: skip
+        raise scene.error(f"{key}.volume", entry.volume,
+                          "patches need a law with a bulk modulus, such as neo_hookean; the law "
+                          f"{part.law} of {part.key} has none")
     if entry.vertebrae is not None:
-        raise SceneError(
-            scene.path, f"{key}.volume", entry.volume, "",
-            "superelements of vertebrae are not built with patches: omit volume or vertebrae",
-        )  # fmt: skip
+        raise scene.error(f"{key}.volume", entry.volume,
+                          "superelements of vertebrae are not built with patches: omit volume or "
+                          "vertebrae")
 
 
 def cell_values(parts: tuple[MaterialPart, ...], name: str, cell_count: int):
@@ -286,10 +283,8 @@ def _claimed(
         try:
             return parts.region(other.region)
         except MeshError as error:
-            raise SceneError(
-                scene.path, f"{place}.region", other.region, "",
-                f"{entry.mesh.label} {error.reason}",
-            ) from None  # fmt: skip
+            raise scene.error(f"{place}.region", other.region,
+                              f"{entry.mesh.label} {error.reason}") from None
     corners = mesh.corner_mesh.node_positions
     if other.frame == "mesh":
         turn = Rotation.from_euler("xyz", entry.mesh.rotation)
@@ -299,11 +294,9 @@ def _claimed(
     cells = nodes_in_box(mesh.corner_mesh.centres_at(corners), low, high)
     if not len(cells):
         lowest, highest = corners.min(axis=0), corners.max(axis=0)
-        raise SceneError(
-            scene.path, f"{place}.box", f"{low.tolist()}..{high.tolist()}", "m",
-            "holds the centre of no cell of the body, which reaches from "
-            f"{lowest.tolist()} to {highest.tolist()} m",
-        )  # fmt: skip
+        raise scene.error(f"{place}.box", f"{low.tolist()}..{high.tolist()}",
+                          "holds the centre of no cell of the body, which reaches from "
+                          f"{lowest.tolist()} to {highest.tolist()} m", unit="m")
     _note_cut_cells(of_cells, cells, low, high, f"{place}.box", notes)
     return cells
 
@@ -334,11 +327,9 @@ def _refuse_claimed_twice(
         value = other.region
         if value is None:
             value = f"{list(other.box.minimum)}..{list(other.box.maximum)}"
-        raise SceneError(
-            scene.path, f"{key}.materials[{index}].{kind}", value, "m" if kind == "box" else "",
-            f"claims {len(taken)} cells that {key}.materials[{taken[0]}] claims too; a cell has "
-            "one material",
-        )  # fmt: skip
+        raise scene.error(f"{key}.materials[{index}].{kind}", value,
+                          f"claims {len(taken)} cells that {key}.materials[{taken[0]}] claims too; "
+                          "a cell has one material", unit="m" if kind == "box" else "")
 
 
 @dataclass(frozen=True)
@@ -532,9 +523,7 @@ def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
     if mesh.is_cad:
         kept = kept_mesh(file, mesh.size, mesh.scale)
         file, scale, notes = kept.path, 1.0, kept.notes
-    reading = read_solid_mesh(
-        file, scale=scale, merge_tolerance=mesh.merge_distance, **placement,
-    )  # fmt: skip
+    reading = read_solid_mesh(file, scale=scale, merge_tolerance=mesh.merge_distance, **placement,)
     return reading._replace(notes=(*notes, *reading.notes))
 
 
@@ -563,15 +552,12 @@ def _with_element_of_cells(
         entry = entry.model_copy(update={"element": HEXAHEDRAL})
     if element_named(entry.element).of_hexahedra != has_hexahedra:
         held = "hexahedra" if has_hexahedra else "tetrahedra only"
-        raise SceneError(
-            scene.path, f"{key}.element", entry.element, "",
-            f"{entry.mesh.label} has {held}: omit element, or name one made of them",
-        )  # fmt: skip
+        raise scene.error(f"{key}.element", entry.element,
+                          f"{entry.mesh.label} has {held}: omit element, or name one made of them")
     if has_hexahedra and entry.vertebrae is not None:
-        raise SceneError(
-            scene.path, f"{key}.vertebrae", f"{len(entry.vertebrae.rigid)} vertebrae", "",
-            f"{entry.mesh.label} has hexahedra: only bodies of tetrahedra are reduced",
-        )  # fmt: skip
+        raise scene.error(f"{key}.vertebrae", f"{len(entry.vertebrae.rigid)} vertebrae",
+                          f"{entry.mesh.label} has hexahedra: only bodies of tetrahedra are "
+                          "reduced")
     return entry
 
 
@@ -611,7 +597,7 @@ def part_named(body: Body, kind: str, name: str, key: str, scene: Scene) -> np.n
         return getattr(body.parts, kind)(name)
     except MeshError as error:
         file = body.entry.mesh.label
-        raise SceneError(scene.path, key, name, "", f"{file}: {error.reason}") from None
+        raise scene.error(key, name, f"{file}: {error.reason}") from None
 
 
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
@@ -663,19 +649,14 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
         value, unit = f"{len(asked)} nodes", ""
         beyond = asked[asked >= len(reading.mesh_node_indices)]
         if len(beyond):
-            raise SceneError(
-                scene.path, f"{key}.nodes", int(beyond[0]), "",
-                f"the mesh file has nodes 0 to {len(reading.mesh_node_indices) - 1}",
-            )  # fmt: skip
+            raise scene.error(f"{key}.nodes", int(beyond[0]),
+                              f"the mesh file has nodes 0 to {len(reading.mesh_node_indices) - 1}")
         nodes = _nodes_of_file(mesh, reading)[asked]
         nodes = nodes[nodes >= 0]
     if len(nodes) == 0:
         low, high = positions.min(axis=0), positions.max(axis=0)
-        raise SceneError(
-            scene.path, key, value, unit,
-            f"holds no node of the body, which reaches from {low.tolist()} to {high.tolist()} m"
-            + size_hint(_size(positions)),
-        )  # fmt: skip
+        reach = f"{low.tolist()} to {high.tolist()} m{size_hint(_size(positions))}"
+        raise scene.error(key, value, f"holds no node of the body, which reaches from {reach}", unit)
     return nodes
 
 
@@ -712,12 +693,10 @@ def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
         if scene.integration != "quasi_static":
             return False
         which = "the body" if part_count == 1 else f"part {index} of {part_count}"
-        raise SceneError(
-            scene.path, key, f"{len(held)} nodes", "",
-            f"{which} is not held: in quasi_static integration at least three nodes that are "
-            "not on one line must be fixed, or the body floats away"
-            + (f"; {cut[:1].lower()}{cut[1:]}" if cut else size_hint(_size(mesh.node_positions))),
-        )  # fmt: skip
+        hint = f"; {cut[:1].lower()}{cut[1:]}" if cut else size_hint(_size(mesh.node_positions))
+        raise scene.error(key, f"{len(held)} nodes",
+                          f"{which} is not held: in quasi_static integration at least three nodes "
+                          f"that are not on one line must be fixed, or the body floats away{hint}")
     return True
 
 
@@ -749,12 +728,10 @@ def carry(
         place = f"{key}[{index if numbers is None else numbers[index]}]"
         stated = "[" + ", ".join(f"{value:g}" for value in points[index]) + "]"
         if distance > SNAP_SHARE * body.size:
-            raise SceneError(
-                scene.path, place, stated, "m",
-                f"lies {1e3 * distance:.2f} mm outside the body; points must be on it "
-                f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to its surface)"
-                + size_hint(body.size),
-            )  # fmt: skip
+            raise scene.error(place, stated,
+                              f"lies {1e3 * distance:.2f} mm outside the body; points must be on it "
+                              f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to "
+                              "its surface)" + size_hint(body.size), unit="m")
         if distance > ON_BODY * body.size:
             snapped.append((distance, f"{place} = {stated} m"))
     if len(snapped) == 1:
@@ -804,18 +781,14 @@ def surface_on_mesh(
     found = locate_points(body.mesh.corner_mesh, points)
     furthest = float(found.distances.max())
     if furthest > STAND_OFF * body.size:
-        raise SceneError(
-            scene.path, f"{key}.file", str(entry.file), "",
-            f"stands off its body by {1e3 * furthest:.2f} mm, more than a tenth of the "
-            f"body's {1e3 * body.size:.1f} mm: is its scale right?",
-        )  # fmt: skip
+        raise scene.error(f"{key}.file", str(entry.file),
+                          f"stands off its body by {1e3 * furthest:.2f} mm, more than a tenth of "
+                          f"the body's {1e3 * body.size:.1f} mm: is its scale right?")
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if size < LEAST_SHARE * body.size:
-        raise SceneError(
-            scene.path, f"{key}.file", str(entry.file), "",
-            f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
-            f"{1e3 * body.size:.1f} mm: is its scale right?",
-        )  # fmt: skip
+        raise scene.error(f"{key}.file", str(entry.file),
+                          f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
+                          f"{1e3 * body.size:.1f} mm: is its scale right?")
     return body.on_mesh(found.cells, extrapolated_weights(body.mesh.corner_mesh, found, points))
 
 
@@ -848,9 +821,7 @@ def spread_mapping(
         for centre in centres for spacing, part in lattices
     ]  # fmt: skip
     places = [own for _, _, own, _ in samples]
-    at = locate_points(
-        body.mesh.corner_mesh, placed_in_world(body.entry, np.concatenate(places))
-    )
+    at = locate_points(body.mesh.corner_mesh, placed_in_world(body.entry, np.concatenate(places)))
     rows = np.split(np.arange(len(at.cells)), np.cumsum([len(own) for own in places])[:-1])
     shares = np.empty(len(at.cells))
     for (spacing, part, _, weights), own in zip(samples, rows, strict=True):

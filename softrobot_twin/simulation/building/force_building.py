@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.helix import helix_points
@@ -106,10 +105,8 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
     for index, touch in enumerate(scene.touches):
         body = layout.body_named(touch.body)
         if body.vertebrae is not None:
-            raise SceneError(
-                scene.path, f"touches[{index}].body", body.name, "",
-                "is reduced to vertebrae: touches on such bodies are not built",
-            )  # fmt: skip
+            raise scene.error(f"touches[{index}].body", body.name,
+                              "is reduced to vertebrae: touches on such bodies are not built")
         key = f"touches[{index}].points"
         mappings.append(_mean(layout.carried(touch.body, touch.points, key, notes)))
         size = size_of_points(body.mesh.node_positions)
@@ -179,10 +176,8 @@ def _sealed_gas(layout: Layout, notes: list[str]) -> SealedGas:
         surfaces.append(cavity_surface(layout, cavity.name, cavity.walls, key, notes))
         carriers = nodes.free_index[surfaces[-1].vertices.nodes]
         if (carriers >= nodes.free_node_count).any():
-            raise SceneError(
-                scene.path, f"{key}.walls", cavity.name, "",
-                "are attached to a free rigid body: gas sealed there is not built",
-            )  # fmt: skip
+            raise scene.error(f"{key}.walls", cavity.name,
+                              "are attached to a free rigid body: gas sealed there is not built")
     ambient = np.array([cavity.ambient_pressure for cavity in entries])
     return SealedGas(
         tuple(surfaces), nodes.free_index, nodes.rest_positions,
@@ -274,9 +269,7 @@ def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamp
                 mu = part.shear_modulus
                 kept = divided(part.law_parameters, mu, element_bulk(block.mesh)).law.bulk_modulus
                 lame = lame._replace(lame_lambda=kept - 2.0 * mu / 3.0)
-            yield StrainRateDamping(
-                block.mesh, layout.nodes.free_index, lame, beta
-            )
+            yield StrainRateDamping(block.mesh, layout.nodes.free_index, lame, beta)
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
@@ -319,15 +312,13 @@ def _check_resisted(layout: Layout) -> None:
     for body in layout.bodies:
         damping = body.entry.damping
         if damping.mass == 0.0 and (damping.stiffness == 0.0 or not body.is_held):
-            raise SceneError(
-                scene.path, f"{body.key}.damping.mass", damping.mass, "1/s",
-                "first_order motion needs a drag: without inertia nothing else limits its speed",
-            )  # fmt: skip
+            raise scene.error(f"{body.key}.damping.mass", damping.mass,
+                              "first_order motion needs a drag: without inertia nothing else "
+                              "limits its speed", unit="1/s")
     if any(part.is_free for part in layout.framed) or scene.mass_springs:
-        raise SceneError(
-            scene.path, "integration", "first_order", "",
-            "free rigid bodies, vertebrae, beams and point masses have no drag; use dynamic",
-        )  # fmt: skip
+        raise scene.error("integration", "first_order",
+                          "free rigid bodies, vertebrae, beams and point masses have no drag; use "
+                          "dynamic")
 
 
 def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
@@ -401,11 +392,10 @@ def check_masses_held(layout: Layout) -> None:
     for index, entry in enumerate(layout.scene.mass_springs):
         loose = np.flatnonzero(piece[layout.mass_nodes[entry.name]] != piece[world])
         if len(loose):
-            raise SceneError(
-                layout.scene.path, f"mass_springs[{index}]", f"point {loose[0]}", "",
-                f"of {entry.name} floats: in quasi_static integration a chain of springs must "
-                "join it to a fixed point or to a body that is held",
-            )  # fmt: skip
+            raise layout.scene.error(f"mass_springs[{index}]", f"point {loose[0]}",
+                                     f"of {entry.name} floats: in quasi_static integration a chain "
+                                     "of springs must join it to a fixed point or to a body that "
+                                     "is held")
 
 
 def _point_mass(layout: Layout, end) -> int | None:
@@ -462,9 +452,7 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     stiffness, lengths, damping, offsets, threads = (
         np.concatenate([part.of_each(field) for part in parts]) for field in _Part._fields[2:]
     )
-    return Springs(
-        first, second, stiffness, lengths, damping, nodes.free_index, offsets, threads
-    )
+    return Springs(first, second, stiffness, lengths, damping, nodes.free_index, offsets, threads)
 
 
 def _along(
@@ -515,9 +503,7 @@ def _helices(helix: Helix) -> Iterator[np.ndarray]:
 def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
     ends = spring.ends if spring.ends[0].on != "world" else spring.ends[::-1]
     if ends[0].on == "world":
-        raise SceneError(
-            layout.scene.path, f"{key}.ends", "world", "", "both ends stand in the world"
-        )
+        raise layout.scene.error(f"{key}.ends", "world", "both ends stand in the world")
     first = _end(layout, ends[0], f"{key}.ends", notes)
     rest = np.linalg.norm(np.subtract(ends[1].point, ends[0].point))
     length = rest if spring.rest_length is None else spring.rest_length
@@ -537,10 +523,9 @@ def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
     # A single point has no size: its coordinates are the scale.
     size = size_of_points(points) or np.linalg.norm(points)
     if distances.min() > AT_POINT * size:
-        raise SceneError(
-            layout.scene.path, key, list(end.point), "m",
-            f"is not a point of {end.on}; the nearest is {distances.min():.3g} m away",
-        )  # fmt: skip
+        raise layout.scene.error(key, list(end.point),
+                                 f"is not a point of {end.on}; the nearest is "
+                                 f"{distances.min():.3g} m away", unit="m")
     return single_nodes(own[[distances.argmin()]])
 
 

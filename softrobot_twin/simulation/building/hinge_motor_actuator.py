@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from softrobot_twin.constraints.hinge_angle import HingeAngles
-from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.actuator_entries import HingeMotor
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
@@ -83,17 +82,14 @@ def _hinge(layout: Layout, motor: HingeMotor, index: int) -> int:
     beam, key = layout.body_named(motor.beam), f"hinge_motors[{index}]"
     points = len(beam.entry.points)
     if isinstance(motor.at, int) and motor.at >= points:
-        raise SceneError(
-            layout.scene.path, f"{key}.at", motor.at, "",
-            f"{motor.beam} has the points 0 to {points - 1}",
-        )  # fmt: skip
+        raise layout.scene.error(f"{key}.at", motor.at,
+                                 f"{motor.beam} has the points 0 to {points - 1}")
     hinge = int(beam.carriers.hinges[beam.node_at(motor.at)])
     if hinge < 0 or layout.hinged.is_ball[hinge]:
         joint = "is not on a hinge" if hinge < 0 else "is on a ball joint, which has no axis"
-        raise SceneError(
-            layout.scene.path, f"{key}.at", motor.at, "",
-            f"{motor.beam} {joint} there: {motor.name} turns a beam that is joined by a hinge",
-        )  # fmt: skip
+        raise layout.scene.error(f"{key}.at", motor.at,
+                                 f"{motor.beam} {joint} there: {motor.name} turns a beam that is "
+                                 "joined by a hinge")
     return hinge
 
 
@@ -102,7 +98,5 @@ def _check_driven_once(layout: Layout, entries, hinges: list[int]) -> None:
     for index, hinge in enumerate(hinges):
         first = hinges.index(hinge)
         if first != index:
-            raise SceneError(
-                layout.scene.path, f"hinge_motors[{index}].at", entries[index].at, "",
-                f"{entries[first].name} turns this hinge already",
-            )  # fmt: skip
+            raise layout.scene.error(f"hinge_motors[{index}].at", entries[index].at,
+                                     f"{entries[first].name} turns this hinge already")

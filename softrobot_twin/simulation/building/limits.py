@@ -78,9 +78,7 @@ class Pulleys:
         own += [(motor.name, motor.pulley, motor.cables) for motor in motors]
         own = [one for one in own if one[1] is not None]
         self.names = tuple(name for name, _, _ in own)
-        self.driven = tuple(
-            np.array([places[cable] for cable in cables]) for _, _, cables in own
-        )
+        self.driven = tuple(np.array([places[cable] for cable in cables]) for _, _, cables in own)
         self.is_wound = np.zeros(len(places), bool)
         for driven in self.driven:
             self.is_wound[driven] = True

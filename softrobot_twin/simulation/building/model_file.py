@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.errors import SceneError, SoftRobotTwinError
+from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 
@@ -92,9 +92,7 @@ class ModelFile:
         found = {name: value for name, _, value in pairs}
         changed = tuple(name for name, value in prints.items() if found.get(name) != value)
         if changed:
-            raise ModelFileError(
-                self.path, f"was made of another {', '.join(changed)}", changed
-            )
+            raise ModelFileError(self.path, f"was made of another {', '.join(changed)}", changed)
 
     def taken(
         self, name: str, *shape: int | None, kind: str = "f", least: float = -MOST,
@@ -179,4 +177,4 @@ def check_files(scene: Scene) -> None:
             reason = "is a folder, not a file" if path.is_dir() else "there is no such file"
         except (OSError, ValueError) as error:  # a name too long, or with a null character
             reason = getattr(error, "strerror", None) or str(error)
-        raise SceneError(scene.path, key, str(file), "", f"{reason} ({path})")
+        raise scene.error(key, str(file), f"{reason} ({path})")

@@ -29,7 +29,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import borne_masses
@@ -345,9 +344,7 @@ class ReducedNodes:
         """Points on nodes of its mesh, on its points among all nodes of the scene."""
         if self.points is None:
             self.asked.append(mapping)
-            return BarycentricMapping(
-                mapping.nodes + self.first_point, mapping.barycentric_weights
-            )
+            return BarycentricMapping(mapping.nodes + self.first_point, mapping.barycentric_weights)
         places = [self.points[key] for key in map(_key_of, *_rows_of(mapping))]
         nodes = self.first_point + np.array(places, np.int64).reshape(-1, 1)
         return BarycentricMapping(nodes, np.ones((len(nodes), 1)))
@@ -446,9 +443,7 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
         reduction = read_body_reduction(path, body)
     except ModelFileError as error:
         command = f"{COMMAND} {shlex.quote(str(scene.path))}"
-        raise SceneError(
-            scene.path, f"{key}.file", str(path), "", f"{error.reason}; run: {command}"
-        ) from None
+        raise scene.error(f"{key}.file", str(path), f"{error.reason}; run: {command}") from None
     if body.entry.reduced.spare_modes:
         reduction = reduction.with_spare_modes()
     turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()
@@ -459,17 +454,13 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
 def _refuse(body: Body, key: str, scene: Scene) -> None:
     """Refuse what is not built for reduced bodies, by name."""
     if scene.integration != "quasi_static":
-        raise SceneError(
-            scene.path, "integration", scene.integration, "",
-            f"{body.name} is reduced: inertia and damping of reduced bodies are not built; use "
-            "quasi_static",
-        )  # fmt: skip
+        raise scene.error("integration", scene.integration,
+                          f"{body.name} is reduced: inertia and damping of reduced bodies are not "
+                          "built; use quasi_static")
     if body.riding and not rides_on_a_slide(body, scene):
-        raise SceneError(
-            scene.path, f"{body.key}.attached", ", ".join(body.riding), "",
-            "nodes of a reduced body may be attached to one platform that a slide moves; others "
-            "are not built",
-        )  # fmt: skip
+        raise scene.error(f"{body.key}.attached", ", ".join(body.riding),
+                          "nodes of a reduced body may be attached to one platform that a slide "
+                          "moves; others are not built")
 
 
 def rides_on_a_slide(body: Body, scene: Scene) -> bool:

@@ -161,12 +161,10 @@ def build_rigid_parts(
     for index, entry in enumerate(scene.rigid_bodies):
         key = f"rigid_bodies[{index}]"
         if entry.name not in held and scene.integration == "quasi_static":
-            raise SceneError(
-                scene.path, f"{key}.motion", "free", "",
-                f"{entry.name} floats: in quasi_static integration nothing gives it an "
-                "equilibrium; make the scene dynamic, the body guided, or attach it to a soft "
-                "body or join it to a beam that is held",
-            )  # fmt: skip
+            raise scene.error(f"{key}.motion", "free",
+                              f"{entry.name} floats: in quasi_static integration nothing gives it "
+                              "an equilibrium; make the scene dynamic, the body guided, or attach "
+                              "it to a soft body or join it to a beam that is held")
         node = first_node + 4 * index
         parts.append(_build_part(entry, index, node, bodies, scene, notes))
     _check_attached_once(parts, bodies, scene)
@@ -229,10 +227,9 @@ def _check_attached_once(parts: list[RigidPart], bodies: list[Body], scene: Scen
             others = [nodes for other, nodes in body.riding.items() if other != name]
             shared = np.intersect1d(body.riding[name], np.concatenate([np.empty(0, int), *others]))
             if len(shared):
-                raise SceneError(
-                    scene.path, f"{body.key}.attached", f"{len(shared)} nodes", "",
-                    f"are attached to {name}, which moves by itself, and to another rigid body",
-                )  # fmt: skip
+                raise scene.error(f"{body.key}.attached", f"{len(shared)} nodes",
+                                  f"are attached to {name}, which moves by itself, and to another "
+                                  "rigid body")
 
 
 def frame_nodes(
@@ -263,9 +260,7 @@ def frame_nodes(
     )
     rest = np.vstack([positions, RigidFrames.rest_nodes([(p.origin, p.rotation) for p in parts])])
     if hinges is None:
-        frames = RigidFrames(
-            len(positions), free, len(free_nodes), unknowns, radii[free], attached
-        )
+        frames = RigidFrames(len(positions), free, len(free_nodes), unknowns, radii[free], attached)
     else:
         unknowns += len(hinges.parents)
         frames = HingedFrames(
@@ -411,9 +406,7 @@ class Layout(NamedTuple):
         return body.mesh.renumbered(positions, body.first_node)
 
 
-def lay_out(
-    scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | None = None
-) -> Layout:
+def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | None = None) -> Layout:
     """Read all bodies of a scene and number their nodes.
 
     Args:
@@ -559,7 +552,7 @@ def _nothing_moves(scene: Scene) -> SceneError:
     elif scene.deformables:
         key = "body.fixed" if scene.body is not None else "bodies"
         what = "all nodes are fixed or attached"
-    return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")
+    return scene.error(key, what, "nothing in the scene can move by itself")
 
 
 def _number(
@@ -594,9 +587,7 @@ def _with_reduced_points(nodes: Nodes, reduced: list[ReducedNodes]) -> Nodes:
     return replace(nodes, free_index=index, kinds=(*nodes.kinds, *kinds))
 
 
-def _with_coordinates(
-    body: Body, scene: Scene, asked: dict[str, ReducedNodes] | None
-) -> Body:
+def _with_coordinates(body: Body, scene: Scene, asked: dict[str, ReducedNodes] | None) -> Body:
     """A body in the coordinates of its basis, with all points or those that were asked for."""
     if asked is None:
         nodes = replace(reduced_nodes(body, scene), first_node=body.first_node)

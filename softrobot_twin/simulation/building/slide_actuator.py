@@ -17,7 +17,6 @@ import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.scene.actuator_entries import Slide
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
@@ -103,10 +102,9 @@ class Slides:
         """
         scene = layout.scene
         if scene.integration != "quasi_static":
-            raise SceneError(
-                scene.path, "slides", scene.slides[0].name, "",
-                "slides are built for quasi_static scenes only; in others guide the body by poses",
-            )  # fmt: skip
+            raise scene.error("slides", scene.slides[0].name,
+                              "slides are built for quasi_static scenes only; in others guide the "
+                              "body by poses")
         self.count = len(scene.slides)
         axes = np.array([slide.axis for slide in scene.slides], float)
         self.axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
@@ -242,8 +240,6 @@ def _check_rides_whole(layout: Layout, body, slide) -> None:
               if body.name in {end.on for end in spring.ends}]  # fmt: skip
     if held_elsewhere or pulled or sprung:
         by = "fixed nodes" if held_elsewhere else ", ".join(pulled or sprung)
-        raise SceneError(
-            scene.path, "slides", slide.name, "",
-            f"{body.name} rides on {slide.body} but is also held elsewhere, by {by}; all that "
-            "holds it must ride with it",
-        )  # fmt: skip
+        raise scene.error("slides", slide.name,
+                          f"{body.name} rides on {slide.body} but is also held elsewhere, by {by}; "
+                          "all that holds it must ride with it")

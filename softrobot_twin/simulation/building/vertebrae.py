@@ -29,7 +29,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -148,27 +147,20 @@ def divide(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> Divisi
         taken = owner[own]
         if (taken >= 0).any():
             other = entry.rigid[int(taken.max())].name
-            raise SceneError(
-                scene.path, f"{key}.rigid[{index}]", entry.rigid[index].name, "",
-                f"has {int((taken >= 0).sum())} nodes of {other} too; vertebrae must be apart",
-            )  # fmt: skip
+            raise scene.error(f"{key}.rigid[{index}]", entry.rigid[index].name,
+                              f"has {int((taken >= 0).sum())} nodes of {other} too; vertebrae must "
+                              "be apart")
         owner[own] = index
     if body.riding:
-        raise SceneError(
-            scene.path, f"{body.key}.attached", ", ".join(body.riding), "",
-            "nodes of a body with vertebrae cannot be attached to rigid bodies",
-        )  # fmt: skip
+        raise scene.error(f"{body.key}.attached", ", ".join(body.riding),
+                          "nodes of a body with vertebrae cannot be attached to rigid bodies")
     loose = body.fixed & (owner < 0)
     if loose.any():
-        raise SceneError(
-            scene.path, f"{body.key}.fixed", f"{int(loose.sum())} nodes", "",
-            "belong to no vertebra; fix nodes of vertebrae only",
-        )  # fmt: skip
+        raise scene.error(f"{body.key}.fixed", f"{int(loose.sum())} nodes",
+                          "belong to no vertebra; fix nodes of vertebrae only")
     is_fixed = np.array([bool(body.fixed[own].any()) for own in nodes])
     if is_fixed.all():
-        raise SceneError(
-            scene.path, key, ", ".join(v.name for v in entry.rigid), "", "are all fixed"
-        )
+        raise scene.error(key, ", ".join(v.name for v in entry.rigid), "are all fixed")
     positions = in_mesh(body.entry, body.mesh.node_positions)
     cavities = tuple(dict.fromkeys(wall.name for wall in walls))
     parts = _soft_parts(body, owner, positions, walls, cavities, key, scene)
@@ -188,10 +180,9 @@ def _nodes_of(vertebra, key: str, body: Body, scene: Scene) -> np.ndarray:
     low, high = np.array(vertebra.box.minimum), np.array(vertebra.box.maximum)
     nodes = nodes_in_box(points, low, high)
     if len(nodes) < 3:
-        raise SceneError(
-            scene.path, f"{key}.box", f"{low.tolist()}..{high.tolist()}", "m",
-            f"holds {len(nodes)} nodes of the body; a vertebra needs three or more",
-        )  # fmt: skip
+        raise scene.error(f"{key}.box", f"{low.tolist()}..{high.tolist()}",
+                          f"holds {len(nodes)} nodes of the body; a vertebra needs three or more",
+                          unit="m")
     return nodes
 
 
@@ -218,10 +209,9 @@ def _soft_parts(
             continue
         if len(ends) != 2:
             names = ", ".join(body.entry.vertebrae.rigid[end].name for end in ends) or "none"
-            raise SceneError(
-                scene.path, key, names, "",
-                f"a soft part of {len(own)} cells touches {len(ends)} vertebrae; it must join two",
-            )  # fmt: skip
+            raise scene.error(key, names,
+                              f"a soft part of {len(own)} cells touches {len(ends)} vertebrae; it "
+                              "must join two")
         faces = tuple(nodes[owner[nodes] == end] for end in ends)
         found = tuple(dict.fromkeys(cavities.index(walls[w].name) for w in held_by))
         parts.append(SoftPart(
@@ -235,10 +225,8 @@ def _check_rigid_cells(owners: np.ndarray, key: str, scene: Scene) -> None:
     """Refuse cells between two vertebrae that have no node of their own to yield."""
     bridging = (owners != owners[:, :1]).any(axis=1)
     if bridging.any():
-        raise SceneError(
-            scene.path, key, f"{int(bridging.sum())} cells", "",
-            "join two vertebrae without a node between them",
-        )  # fmt: skip
+        raise scene.error(key, f"{int(bridging.sum())} cells",
+                          "join two vertebrae without a node between them")
 
 
 def _piece_of(wall: CavitySurface, owner, piece_of_node, key: str, scene: Scene) -> int:
@@ -246,11 +234,9 @@ def _piece_of(wall: CavitySurface, owner, piece_of_node, key: str, scene: Scene)
     used = wall.vertices.nodes[wall.vertices.barycentric_weights != 0.0]
     pieces = np.unique(piece_of_node[used[owner[used] < 0]])
     if len(pieces) != 1:
-        raise SceneError(
-            scene.path, key, wall.name, "",
-            f"a wall of this cavity is on {len(pieces)} soft parts; a cavity of a body with "
-            "vertebrae must have each wall on one, between two vertebrae",
-        )  # fmt: skip
+        raise scene.error(key, wall.name,
+                          f"a wall of this cavity is on {len(pieces)} soft parts; a cavity of a "
+                          "body with vertebrae must have each wall on one, between two vertebrae")
     return int(pieces[0])
 
 
@@ -260,10 +246,8 @@ def _check_joined(parts, is_fixed, entry, key: str, scene: Scene) -> None:
     group = connected_pieces(*ends.T, len(is_fixed))
     for index in range(len(is_fixed)):
         if scene.integration == "quasi_static" and not is_fixed[group == group[index]].any():
-            raise SceneError(
-                scene.path, f"{key}.rigid[{index}]", entry.rigid[index].name, "",
-                "floats: no soft part joins it to a fixed vertebra",
-            )  # fmt: skip
+            raise scene.error(f"{key}.rigid[{index}]", entry.rigid[index].name,
+                              "floats: no soft part joins it to a fixed vertebra")
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -436,9 +420,7 @@ class ReducedBody:
         ends, shares = self.division.shares()
         positions = self.division.body.mesh.node_positions
         origins = np.array([part.origin for part in self.parts])
-        local = np.einsum(
-            "nki,ij->nkj", positions[:, None] - origins[ends], self.parts[0].rotation
-        )
+        local = np.einsum("nki,ij->nkj", positions[:, None] - origins[ends], self.parts[0].rotation)
         weights = np.concatenate([1.0 - local.sum(axis=2, keepdims=True), local], axis=2)
         nodes = self.frame_nodes[ends][:, :, None] + np.arange(4)
         count = len(positions)
@@ -464,9 +446,7 @@ def reduced_body(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> 
         reduction = read_reduction(path, division)
     except ModelFileError as error:
         command = f"{COMMAND} {shlex.quote(str(scene.path))}"
-        raise SceneError(
-            scene.path, key, str(path), "", f"{error.reason}; run: {command}"
-        ) from None
+        raise scene.error(key, str(path), f"{error.reason}; run: {command}") from None
     parts = _vertebra_parts(division)
     ends = np.array([
         [fit.end_points[k] - in_mesh(body.entry, parts[fit.ends[k]].origin) for k in range(2)]

@@ -379,8 +379,7 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
     if columns.left:
         _refuse_column(columns, simulation)
     if kind == HOLD:
-        raise TableFileError(
-            columns.source, f"the header names nothing to drive besides {TIME}", 1)
+        raise TableFileError(columns.source, f"the header names nothing to drive besides {TIME}", 1)
     if kind != TARGETS:
         _refuse_undriven(columns, simulation, kind, values)
     return TargetTable(kind, times, _time_steps(times), *wanted, columns.notes)
@@ -941,8 +940,7 @@ def _known_actuators(simulation: Simulation) -> str:
     """Columns of actuators, motors and pulleys, as text."""
     names: dict[tuple[str, str], list[str]] = {}
     for name, kind in simulation.actuators.kind_of.items():
-        columns = " or ".join(column(f"<{kind.noun}>", quantity)
-                              for quantity in _commandable(kind))
+        columns = " or ".join(column(f"<{kind.noun}>", quantity) for quantity in _commandable(kind))
         names.setdefault((columns, kind.section), []).append(name)
     known = [f"{columns} ({section}: {', '.join(own)})"
              for (columns, section), own in names.items()]
