@@ -17,7 +17,7 @@ from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Reque
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.effects.reduction_error import FullError
+    from softrobot_twin.simulation.effects.reduction_error import BodyError
     from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState
 
 READY = "ready"
@@ -46,7 +46,7 @@ class ReductionErrorWatch(IdleWatch):
         """
         self.is_ready = False
         self.states: dict[str, ReductionState] = {}
-        self.newest: dict[str, FullError] = {}
+        self.newest: dict[str, BodyError] = {}
         self.linearizations = 0
         super().__init__(PROGRAM.format(yields), simulation.scene)
 

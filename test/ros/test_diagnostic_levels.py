@@ -17,7 +17,7 @@ from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.effects.reduction_error import FullError
+from softrobot_twin.simulation.effects.reduction_error import BodyError
 
 ROOT = Path(__file__).resolve().parents[2]
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -148,10 +148,10 @@ def test_a_reduced_body_far_from_the_full_model_or_outside_its_range_is_a_warnin
     watched.loop.targets.accept_point(0, (0.004, 0.0, 0.128), watched.arrival)
     watched.tick(60)
     diagnostics = watched.diagnostics
-    diagnostics.reduction = Judged({"body": FullError(1.0e-5, 0.002)})
+    diagnostics.reduction = Judged({"body": BodyError(1.0e-5, 0.002)})
     assert watched.account("solver")[0] == OK
     watched.tick()
-    diagnostics.reduction = Judged({"body": FullError(2.0e-3, 0.31)})
+    diagnostics.reduction = Judged({"body": BodyError(2.0e-3, 0.31)})
     assert watched.account("solver") == (
         WARN, "body: 2 mm (31 % of the displacement) from the full model"
     )

@@ -71,10 +71,10 @@ def test_the_nodes_of_the_full_model_are_where_the_coordinates_place_them(judge)
     lifted = errors.lifted(reduced.state)
     assert isinstance(lifted, State)
     assert lifted.positions.shape == full.state.positions.shape
-    errors.full.restore(lifted)
+    errors.better.restore(lifted)
     for name in ("effector_positions", "marker_positions", "surface_positions"):
         np.testing.assert_allclose(
-            getattr(errors.full, name)(), getattr(reduced, name)(), atol=1e-12, err_msg=name
+            getattr(errors.better, name)(), getattr(reduced, name)(), atol=1e-12, err_msg=name
         )
     np.testing.assert_array_equal(lifted.efforts, reduced.state.efforts)
     np.testing.assert_array_equal(lifted.setpoints, reduced.state.setpoints)
@@ -111,9 +111,9 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
         simulation.step(CommandSetpoints(lengths, ANY_TIME))
     places, surface = simulation.effector_positions(), simulation.surface_positions()
     judge = FullModelError(simulation)
-    judge.full.restore(judge.lifted(simulation.state))
-    np.testing.assert_allclose(judge.full.effector_positions(), places, atol=1e-12)
-    np.testing.assert_allclose(judge.full.surface_positions(), surface, atol=1e-12)
+    judge.better.restore(judge.lifted(simulation.state))
+    np.testing.assert_allclose(judge.better.effector_positions(), places, atol=1e-12)
+    np.testing.assert_allclose(judge.better.surface_positions(), surface, atol=1e-12)
     # Errors are those of the effectors on the reduced body.
     assert list(judge.errors(simulation.state)) == ["body"]
     found = simulation.reduction_state()

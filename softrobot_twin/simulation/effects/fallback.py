@@ -14,19 +14,22 @@ begin where the coordinates place them. Back, coordinates are those of the neare
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import with_entries
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
-from softrobot_twin.simulation.effects.reduction_error import largest_on_each_body, step_held
+from softrobot_twin.simulation.effects.reduction_error import (
+    in_other_model,
+    largest_on_each_body,
+    refined_nodes,
+    step_held,
+)
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import PartReport, Steppable, StepPart
@@ -116,7 +119,6 @@ class Fallback(StepPart):
         self.other = type(simulation)(better, simulation.now, with_warnings=False)
         self.other.take_parts((*self.other.parts, self))
         self._reduced, self._better = simulation.model, self.other.model
-        self._pairs = list(zip(self._reduced.bodies, self._better.bodies, strict=True))
 
     def _is_used_by(self, simulation: Steppable) -> bool:
         """Whether a simulation has another one to change to: the other one itself has none."""
@@ -182,44 +184,13 @@ class Fallback(StepPart):
 
     def better_state(self, state: State) -> State:
         """A state of the reduced model for the better one."""
-        return self._with(state, self._better, [
-            (own, self._refined(state.positions, own, more)) for own, more in self._pairs
-        ])  # fmt: skip
+        return in_other_model(state, self._reduced, self._better, refined_nodes)
 
     def reduced_state(self, state: State) -> State:
         """A state of the better model for the reduced one."""
-        return self._with(state, self._reduced, [
-            (more, self._reduced_nodes(state.positions, own, more)) for own, more in self._pairs
-        ])  # fmt: skip
+        return in_other_model(state, self._better, self._reduced, self._reduced_nodes)
 
-    def _with(self, state: State, model: Model, parts: list) -> State:
-        """A state for the other model; what follows the bodies among the nodes stays.
-
-        Args:
-            state: The state.
-            model: The other model.
-            parts: Each body of the state's model, and its nodes in the other one [m].
-        """
-        tail = sum(body.scene_node_count for body, _ in parts)
-        positions = np.concatenate([*(nodes for _, nodes in parts), state.positions[tail:]])
-        for kind in model.nodes.kinds:
-            if isinstance(kind, ReducedPoints):
-                kind.place(positions)
-        return replace(state, positions=positions)
-
-    def _refined(self, positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
-        """Nodes of a body in the better model, points left out of account [m]."""
-        nodes = own.reduction
-        if nodes is None:
-            return positions[own.first_node : own.first_node + own.scene_node_count]
-        if more.reduction is None:
-            return nodes.mesh_positions(positions)
-        coordinates = positions[nodes.coordinate_nodes]
-        better = np.zeros((more.reduction.node_count, 3))
-        better[: len(coordinates)] = coordinates
-        return better
-
-    def _reduced_nodes(self, positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
+    def _reduced_nodes(self, positions: np.ndarray, more: Body, own: Body) -> np.ndarray:
         """Nodes of a body in the reduced model, points left out of account [m]."""
         nodes, first = own.reduction, more.first_node
         if nodes is None:

@@ -26,13 +26,16 @@ is for the slack of a loop (`control/reduction_error_watch.py`) or for studies.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import (
     with_reduced_entries,
@@ -52,16 +55,11 @@ from softrobot_twin.simulation.step.step_part import Steppable
 SETTLED, MOST_LINEARIZATIONS = 0.1, 12
 
 
-def full_scene(scene: Scene) -> Scene:
-    """The scene with all nodes of its reduced bodies as unknowns, one linearization a step."""
-    return without_reductions(scene).changed(solver={"newton_iterations": 1})
-
-
-class FullError(NamedTuple):
-    """The error of a reduced body, seen by the full model.
+class BodyError(NamedTuple):
+    """The error of a reduced body, seen by a better model.
 
     Attributes:
-        distance: The largest distance of an effector on it from where the full model has it [m].
+        distance: The largest distance of an effector on it from where the better model has it [m].
         share: The largest by the displacement of the effector from rest.
     """
 
@@ -69,53 +67,52 @@ class FullError(NamedTuple):
     share: float
 
 
-class FullModelError:
-    """Judges states of a scene with reduced bodies by its full model.
+UNKNOWN = BodyError(float("nan"), float("nan"))
+
+class BetterModel:
+    """Judges states of a scene with reduced bodies by a better model of the scene.
 
     Attributes:
-        full: A simulation of the full model.
+        model: The scene with reduced bodies.
+        better: A simulation of the better model, one linearization a step.
         linearizations: Linearizations that the last estimate took.
     """
 
-    def __init__(self, simulation: Steppable):
-        """Build the full model.
+    def __init__(self, simulation: Steppable, scene: Scene, most_linearizations: int):
+        """Build the better model.
 
         Args:
             simulation: A simulation of the scene with reduced bodies; its state is not used.
+            scene: The scene of the better model.
+            most_linearizations: Most linearizations of an estimate.
         """
         self.model: Model = simulation.model
-        self.linearizations = 0
-        self.full = type(simulation)(full_scene(simulation.scene), with_warnings=False)
+        one_each = scene.changed(solver={"newton_iterations": 1})
+        self.better = type(simulation)(one_each, with_warnings=False)
+        self.linearizations, self._most = 0, most_linearizations
 
     def lifted(self, state: State) -> State:
-        """A state of the reduced scene with all nodes placed by the coordinates."""
-        parts, first = [], 0
-        for body in reduced_bodies(self.model):
-            nodes = body.reduction
-            parts.append(state.positions[first : nodes.first_node])
-            parts.append(nodes.mesh_positions(state.positions))
-            first = nodes.first_node + nodes.node_count
-        parts.append(state.positions[first:])
-        return replace(state, positions=np.concatenate(parts), past=None)
+        """A state of the scene with reduced bodies for the better model."""
+        return in_other_model(state, self.model, self.better.model, refined_nodes)
 
     def moves(self, state: State) -> np.ndarray:
-        """How far each effector moves to the balance of the full model [m].
+        """How far each effector moves to the balance of the better model [m].
 
         Args:
-            state: A state of the reduced scene.
+            state: A state of the scene with reduced bodies.
 
         Returns:
-            Distances, shape (effector_count,); NaN where a step of the full model failed. After
-            `MOST_LINEARIZATIONS` they are how far it got, which is the least that they are.
+            Distances, shape (effector_count,); NaN where a step of the better model failed. After the
+            most linearizations they are how far it got, which is the least that they are.
         """
-        effectors, full = self.model.effectors, self.full
+        effectors, better = self.model.effectors, self.better
         self.linearizations = 0
         if effectors is None:
             return np.empty(0)
-        full.restore(self.lifted(state))
+        better.restore(self.lifted(state))
         begin = places = effectors.positions(state.positions)
-        for self.linearizations in range(1, MOST_LINEARIZATIONS + 1):
-            before, result = places, step_held(full, state)
+        for self.linearizations in range(1, self._most + 1):
+            before, result = places, step_held(better, state)
             if result.status.is_failure:
                 return np.full(len(begin), np.nan)
             places = result.effector_positions
@@ -125,18 +122,75 @@ class FullModelError:
                 break
         return moves
 
-    def errors(self, state: State) -> dict[str, FullError]:
+    def errors(self, state: State) -> dict[str, BodyError]:
         """Error of each reduced body, by its name; see `moves`."""
         moves = self.moves(state)
         shares = shares_of_displacement(self.model, moves, state)
         moves, shares = (largest_on_each_body(self.model, found) for found in (moves, shares))
-        return {name: FullError(moves[name], shares[name]) for name in moves}
+        return {name: BodyError(moves[name], shares[name]) for name in moves}
 
 
-def with_spare_modes(scene: Scene) -> Scene:
-    """The scene with the spare modes of its reduced bodies in use, and one linearization a step."""
-    extended = with_reduced_entries(without_fallback(scene), {"spare_modes": True})
-    return extended.changed(solver={"newton_iterations": 1})
+class FullModelError(BetterModel):
+    """The error by the full model, with all nodes of its reduced bodies as unknowns."""
+
+    def __init__(self, simulation: Steppable):
+        """Build the full model of a simulation's scene."""
+        scene = without_reductions(simulation.scene)
+        super().__init__(simulation, scene, MOST_LINEARIZATIONS)
+
+
+class ReductionErrors(BetterModel):
+    """The error by the spare modes of the reduced bodies, in one linearization."""
+
+    def __init__(self, simulation: Steppable):
+        """Build a simulation with the spare modes in use."""
+        scene = with_reduced_entries(without_fallback(simulation.scene), {"spare_modes": True})
+        super().__init__(simulation, scene, 1)
+
+
+def in_other_model(
+    state: State, own: Model, other: Model,
+    nodes_of: Callable[[np.ndarray, Body, Body], np.ndarray],
+) -> State:  # fmt: skip
+    """A state for another model of its scene; what follows the bodies among the nodes stays.
+
+    Args:
+        state: The state.
+        own: Its model.
+        other: The other model.
+        nodes_of: Gives the nodes [m] of a body in the other model, from all node positions of the state
+            [m] and the body in both models; points may be left out of account.
+    """
+    parts, first = [], 0
+    for body, same in zip(own.bodies, other.bodies, strict=True):
+        parts.append(nodes_of(state.positions, body, same))
+        first += body.scene_node_count
+    positions = np.concatenate([*parts, state.positions[first:]])
+    for kind in other.nodes.kinds:
+        if isinstance(kind, ReducedPoints):
+            kind.place(positions)
+    return replace(state, positions=positions)
+
+
+def refined_nodes(positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
+    """Nodes of a body in a better model [m], points left out of account.
+
+    Coordinates stay and spare ones are zero; all nodes are where the coordinates place them.
+
+    Args:
+        positions: Node positions of the model with reduced bodies [m], shape (node_count, 3).
+        own: The body in this model.
+        more: The body in the better model.
+    """
+    nodes = own.reduction
+    if nodes is None:
+        return positions[own.first_node : own.first_node + own.scene_node_count]
+    if more.reduction is None:
+        return nodes.mesh_positions(positions)
+    coordinates = positions[nodes.coordinate_nodes]
+    better = np.zeros((more.reduction.node_count, 3))
+    better[: len(coordinates)] = coordinates
+    return better
 
 
 def step_held(simulation: Steppable, state: State) -> StepResult:
@@ -157,54 +211,6 @@ def step_held(simulation: Steppable, state: State) -> StepResult:
 def has_spare_modes(model: Model) -> bool:
     """Whether a reduced body has modes that are not in use."""
     return any(body.reduction.reduction.spare_count for body in reduced_bodies(model))
-
-
-class ReductionErrors:
-    """Estimates the error of reduced bodies by a simulation with their spare modes in use.
-
-    Attributes:
-        extended: That simulation.
-    """
-
-    def __init__(self, simulation: Steppable):
-        """Build it, and find which of its nodes are those of the other.
-
-        Args:
-            simulation: The simulation that is judged.
-        """
-        extended = type(simulation)(with_spare_modes(simulation.scene), with_warnings=False)
-        self.extended, self._model = extended, simulation.model
-        self._inserted = np.empty(0, np.int64)
-        for own, more in zip(simulation.model.bodies, extended.model.bodies, strict=True):
-            if own.reduction is not None:
-                added = (more.reduction.mode_count - own.reduction.mode_count) // 3
-                self._inserted = np.append(
-                    self._inserted, np.full(added, own.reduction.first_point)
-                )
-
-    def lifted(self, state: State) -> State:
-        """A state of the judged simulation, with spare coordinates of zero."""
-        positions = np.insert(state.positions, self._inserted, 0.0, axis=0)
-        return replace(state, positions=positions, past=None)
-
-    def moves(self, state: State) -> np.ndarray:
-        """How far the spare modes would move each effector [m], shape (effector_count,).
-
-        Args:
-            state: A state of the judged simulation.
-
-        Returns:
-            Distances; NaN where the step failed.
-        """
-        effectors, extended = self._model.effectors, self.extended
-        if effectors is None:
-            return np.empty(0)
-        extended.restore(self.lifted(state))
-        result = step_held(extended, state)
-        if result.status.is_failure:
-            return np.full(len(result.effector_positions), np.nan)
-        before = effectors.positions(state.positions)
-        return np.linalg.norm(result.effector_positions - before, axis=1)
 
 
 def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.ndarray:
@@ -233,15 +239,12 @@ def reduced_states(
         state: Its state.
         errors: Estimates the error; None without spare modes.
     """
-    moves = shares = np.full(len(model.scene.effectors), np.nan)
-    if errors is not None:
-        moves = errors.moves(state)
-        shares = shares_of_displacement(model, moves, state)
-    moves, shares = (largest_on_each_body(model, values) for values in (moves, shares))
+    found = {} if errors is None else errors.errors(state)
+    error_of = {body.name: found.get(body.name, UNKNOWN) for body in reduced_bodies(model)}
     return {
         body.name: ReductionState(
-            coordinates.share(state.positions), moves[body.name],
-            *map(float, body.reduction.reduction.measured), shares[body.name],
+            coordinates.share(state.positions), error_of[body.name].distance,
+            *map(float, body.reduction.reduction.measured), error_of[body.name].share,
             LARGE_BY_SIZE * model.nodes.size,
         )
         for body, coordinates in zip(reduced_bodies(model), coordinate_ranges(model), strict=True)
