@@ -100,16 +100,21 @@ def owner_of(loop: TwinLoop, name: str) -> tuple[object, str]:
     return (getattr(loop, part) if part else loop), method
 
 
-class _Waking:
-    """A method of a loop's part that ends the rest of the loop."""
+class _Entrance:
+    """A call of `CALLS`, which ends the rest of the loop and is told to its listeners."""
 
-    def __init__(self, loop: TwinLoop, method: Callable):
-        self._loop, self._method = loop, method
-        self.__wrapped__ = method  # For its signature.
+    def __init__(self, loop: TwinLoop, name: str):
+        owner, method = owner_of(loop, name)
+        self._loop, self._name, self._method = loop, name, getattr(owner, method)
+        self.__wrapped__ = self._method  # For its signature.
+        setattr(owner, method, self)
 
     def __call__(self, *arguments, **options):
         self._loop.wake()
-        return self._method(*arguments, **options)
+        answer = self._method(*arguments, **options)
+        for note in self._loop.listeners:
+            note(self._name, arguments, answer)
+        return answer
 
 
 class _Rest(NamedTuple):
@@ -252,6 +257,8 @@ class TwinLoop:
         cavities: The cavities, and their absolute pressures.
         pulleys: The pulleys that wind cables, and their angles.
         is_repeating: True when the last tick repeated the outcome of the one before.
+        listeners: Take the name, the arguments and the answer of each call of `CALLS`, after it was
+            made.
 
     Raises:
         ParameterError: The scene does not allow the mode or the settings.
@@ -317,9 +324,9 @@ class TwinLoop:
         )
         self._rest: _Rest | None = None
         self.is_repeating = False
+        self.listeners: list[Callable[[str, tuple, object], None]] = []
         for name in CALLS:
-            owner, method = owner_of(self, name)
-            setattr(owner, method, _Waking(self, getattr(owner, method)))
+            _Entrance(self, name)
 
     @property
     def commands(self) -> ActuatorInput:

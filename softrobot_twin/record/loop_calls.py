@@ -79,29 +79,3 @@ def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
     kinds = CALLS[name].split()
     read = [READERS[kind](one) for kind, one in zip(kinds, arguments, strict=True)]
     return answer_to_json(getattr(owner, method)(*read))
-
-
-def listen(loop: TwinLoop, note: Callable[[Call], None]) -> None:
-    """Notes every call from now on, after it was made.
-
-    Only this loop is changed: its methods are replaced by objects that call them.
-
-    Args:
-        loop: The loop.
-        note: Takes each call.
-    """
-    for name in CALLS:
-        owner, method = owner_of(loop, name)
-        setattr(owner, method, _Listener(name, getattr(owner, method), note))
-
-
-class _Listener:
-    """Makes a call and notes it."""
-
-    def __init__(self, name: str, call: Callable, note: Callable[[Call], None]):
-        self._name, self._call, self._note = name, call, note
-
-    def __call__(self, *arguments):
-        answer = self._call(*arguments)
-        self._note(Call(self._name, arguments, answer))
-        return answer

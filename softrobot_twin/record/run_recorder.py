@@ -10,13 +10,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple
 
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
-from softrobot_twin.record.loop_calls import Call, listen
+from softrobot_twin.record.loop_calls import Call
 from softrobot_twin.record.run_clock import RecordedClock
 from softrobot_twin.record.run_description import RunDescription
 from softrobot_twin.record.run_file import CALL, END, TICK, RunWriter, Topic
@@ -37,106 +37,14 @@ class Noted(NamedTuple):
     """Something that happened.
 
     Attributes:
-        sequence: Number of an entry; -1 for a message.
+        is_entry: Whether a replay needs it: a call or a tick, no message.
         time: When, on the clock of the stamps [ns].
-        content: A `Call`, a `Tick` or a `Said`.
+        write: Writes it.
     """
 
-    sequence: int
+    is_entry: bool
     time: int
-    content: object
-
-
-class Tick(NamedTuple):
-    """One tick.
-
-    Attributes:
-        number: Its number, from 0.
-        now: Time on the monotonic clock [s].
-        ros_time: Time on the clock of the stamps [ns].
-        clock: Readings of the clock in its step [s].
-        outcome: What it gave.
-    """
-
-    number: int
-    now: float
-    ros_time: int
-    clock: list[float]
-    outcome: TickOutcome
-
-    def to_json(self) -> dict[str, object]:
-        """The tick as JSON."""
-        return {
-            "tick": self.number, "now": self.now, "ros_time": self.ros_time, "clock": self.clock,
-            "values": tick_values(self.outcome),
-        }  # fmt: skip
-
-
-class Said(NamedTuple):
-    """A message.
-
-    Attributes:
-        topic: Its topic.
-        message: It.
-    """
-
-    topic: Topic
-    message: object
-
-
-class BoundedQueue:
-    """Passes items from one thread to another; what does not fit is dropped.
-
-    `put` acquires no lock that the taking thread could hold; see `LatestItem` of the view.
-
-    Attributes:
-        dropped: Items that did not fit.
-    """
-
-    def __init__(self, most: int):
-        self._most, self.dropped = most, 0
-        self._items: deque = deque()
-        self._signal = threading.Lock()
-        self._signal.acquire()
-        self._closed = False
-
-    def __len__(self) -> int:
-        return len(self._items)
-
-    def put(self, item: object) -> bool:
-        """Passes an item on and returns at once; false where it was dropped."""
-        if self._closed or len(self._items) >= self._most:
-            self.dropped += 1
-            return False
-        self._items.append(item)
-        self._notify()
-        return True
-
-    def take(self, timeout: float) -> object | None:
-        """The oldest item; None where none came in this time [s], or no more will."""
-        deadline = time.monotonic() + timeout
-        while not self._items:
-            left = deadline - time.monotonic()
-            if self._closed or left <= 0.0:
-                return None
-            self._signal.acquire(timeout=left)
-        return self._items.popleft()
-
-    @property
-    def is_over(self) -> bool:
-        """Whether it is empty and takes no more."""
-        return self._closed and not self._items
-
-    def close(self) -> None:
-        """Takes no more items; those inside can still be taken."""
-        self._closed = True
-        self._notify()
-
-    def _notify(self) -> None:
-        try:
-            self._signal.release()
-        except RuntimeError:
-            pass  # The signal is already set.
+    write: Callable[[], None]
 
 
 class RunRecorder:
@@ -172,10 +80,11 @@ class RunRecorder:
         self.path, self.ticks, self.lost, self.failure = path, 0, 0, ""
         self._clock, self._ros_time, self._to_bytes = clock, ros_time, to_bytes
         self._sequence, self._pending, self._newest = 1, [], description.began
-        self._queue = BoundedQueue(most_waiting)
+        self._queue: SimpleQueue[list[Noted] | None] = SimpleQueue()
+        self._most_waiting = most_waiting
         self.writer = RunWriter(path, f"{description.node}/record")
         self.writer.begin(description)
-        listen(loop, self._note_call)
+        loop.listeners.append(self._note_call)
         self._tick_of_loop, loop.tick = loop.tick, self._tick
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
         self._thread.start()
@@ -183,17 +92,21 @@ class RunRecorder:
     @property
     def waiting(self) -> int:
         """Ticks that wait to be written."""
-        return len(self._queue)
+        return self._queue.qsize()
 
     def note_message(self, topic: Topic, message: object) -> None:
         """Notes a message that came or went; it must not be changed any more."""
-        self._add(-1, self._ros_time(), Said(topic, message))
+        time = max(0, self._ros_time())  # MCAP has no times before its epoch.
+        self._add(Noted(False, time, lambda: self.writer.add_message(
+            topic, time, self._to_bytes(message))))
 
     def pass_on(self) -> None:
         """Passes on what was noted; called after each tick."""
         pending, self._pending = self._pending, []
-        if pending and not self._queue.put(pending):
-            self.lost += sum(noted.sequence >= 0 for noted in pending)
+        if self.waiting >= self._most_waiting:
+            self.lost += sum(noted.is_entry for noted in pending)
+        elif pending:
+            self._queue.put(pending)
 
     def close(self, timeout: float = END_TIMEOUT) -> None:
         """Writes the rest and closes the file.
@@ -202,29 +115,33 @@ class RunRecorder:
             timeout: Longest time that it waits for this [s]; then the file has no end.
         """
         self.pass_on()
-        self._queue.close()
+        self._queue.put(None)
         self._thread.join(timeout)
         if self._thread.is_alive():
             self._fail(f"{self.path}: not finished in {timeout:g} s; its end is missing")
 
-    def _note_call(self, call: Call) -> None:
-        self._add(self._next(), self._ros_time(), call)
+    def _note_call(self, *call: Any) -> None:
+        self._note_entry(self._ros_time(), lambda: {"kind": CALL, **Call(*call).to_json()})
 
     def _tick(self, now: float, ros_time: int) -> TickOutcome:
         self._clock.take()  # What the clock was read for beside steps.
         outcome = self._tick_of_loop(now, ros_time)
-        tick = Tick(self.ticks, now, ros_time, self._clock.take(), outcome)
+        number, clock = self.ticks, self._clock.take()
         self.ticks += 1
-        self._add(self._next(), ros_time, tick)
+        self._note_entry(ros_time, lambda: {
+            "kind": TICK, "tick": number, "now": now, "ros_time": ros_time, "clock": clock,
+            "values": tick_values(outcome),
+        })  # fmt: skip
         return outcome
 
-    def _next(self) -> int:
+    def _note_entry(self, time: int, content: Callable[[], dict[str, Any]]) -> None:
+        """Notes an entry, whose content is found in the thread."""
         sequence, self._sequence = self._sequence, self._sequence + 1
-        return sequence
+        time = max(0, time)
+        self._add(Noted(True, time, lambda: self.writer.add_entry(sequence, time, content())))
 
-    def _add(self, sequence: int, time_ns: int, content: object) -> None:
-        # MCAP has no times before its epoch.
-        self._pending.append(Noted(sequence, max(0, time_ns), content))
+    def _add(self, noted: Noted) -> None:
+        self._pending.append(noted)
         if len(self._pending) >= MOST_PENDING:
             self.pass_on()
 
@@ -232,12 +149,11 @@ class RunRecorder:
 
     def _run(self) -> None:
         due = time.monotonic() + FLUSH_PERIOD
-        while not self._queue.is_over:
-            batch = self._queue.take(FLUSH_PERIOD)
+        while (batch := self._take()) is not None:
             if self.failure:
                 continue
             try:
-                for noted in batch or ():
+                for noted in batch:
                     self.write(noted)
                 if time.monotonic() >= due:
                     self.writer.flush()
@@ -254,16 +170,17 @@ class RunRecorder:
         except Exception as error:  # noqa: BLE001
             self._fail(f"{self.path}: {type(error).__name__}: {error}")
 
+    def _take(self) -> list[Noted] | None:
+        """What was passed on; nothing where nothing came for `FLUSH_PERIOD`, None at the end."""
+        try:
+            return self._queue.get(timeout=FLUSH_PERIOD)
+        except Empty:
+            return []
+
     def write(self, noted: Noted) -> None:
         """Writes what was noted, in the recorder's thread."""
-        sequence, self._newest, content = noted
-        if isinstance(content, Said):
-            data = self._to_bytes(content.message)
-            self.writer.add_message(content.topic, noted.time, data)
-        elif isinstance(content, Call):
-            self.writer.add_entry(sequence, noted.time, {"kind": CALL, **content.to_json()})
-        else:
-            self.writer.add_entry(sequence, noted.time, {"kind": TICK, **content.to_json()})
+        self._newest = noted.time
+        noted.write()
 
     def _fail(self, failure: str) -> None:
         if not self.failure:

@@ -30,7 +30,6 @@ from softrobot_twin.record.run_file import (
     text_of_cdr,
     text_to_cdr,
 )
-from softrobot_twin.record.run_recorder import BoundedQueue
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation.building.table_columns import is_output
 
@@ -399,14 +398,6 @@ def test_a_recording_never_replaces_a_file(scene_file, recorded):
     with pytest.raises(RunFileError, match="exists already"):
         Live(scene_file, recorded.path)
     assert recorded.path.read_bytes() == before
-
-
-def test_a_full_queue_drops_and_a_closed_one_takes_no_more():
-    queue = BoundedQueue(2)
-    assert [queue.put(item) for item in "abc"] == [True, True, False]
-    queue.close()
-    assert not queue.put("d") and queue.dropped == 2
-    assert [queue.take(0.0) for _ in range(3)] == ["a", "b", None] and queue.is_over
 
 
 # --- changes of a scene --------------------------------------------------------------------------
