@@ -33,7 +33,6 @@ from softrobot_twin.study.accuracy_study import (
     only_body,
     shown_progress,
     study_meshes,
-    study_parts,
     study_reduced,
     study_seconds,
     vary_knobs,
@@ -142,6 +141,7 @@ _RATES = (50, 100, 200, 500)
 # Smaller errors are drawn at this share.
 _FLOOR = 1.0e-9
 _CASE_LINES = {"tensions": (0, (1, 1.2)), "lengths": "solid", "weightless": (0, (5, 2))}
+_LAW_LINES = {"corotational": "solid", "linear": (0, (4, 2))}
 
 
 def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions: str) -> None:
@@ -208,7 +208,7 @@ def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
 
 def _draw_time_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
     for element, colour in _drawn(rows).items():
-        for law, line in (("corotational", "solid"), ("linear", (0, (4, 2)))):
+        for law, line in _LAW_LINES.items():
             shown = curve(rows, element, law)
             axes.plot([row.dof_count for row in shown], [row.step_ms for row in shown], "o",
                       linestyle=line, color=colour, markersize=4,
@@ -229,13 +229,15 @@ def _draw_error_against_time(axes, rows: Sequence[AccuracyRow], error: str) -> N
     """One error of `_GIVEN` over time of a step for every mesh, element and law."""
     given, doubt = _GIVEN[error]
     for element, colour in _drawn(rows).items():
-        for law, line, width in (("corotational", "solid", 2.4), ("linear", (0, (4, 2)), 1.2)):
-            shown = curve(rows, element, law)
-            axes.plot([row.step_ms for row in shown], [100.0 * getattr(row, error) for row in shown],
-                      "o", linestyle=line, color=colour, linewidth=width,
-                      markersize=5 if width > 2 else 3.5, label=f"{_CELLS[element]}, {law} law")
-            if law == "corotational":
-                _name_meshes(axes, shown, error, colour, _UPWARDS[element])
+        for law, line in _LAW_LINES.items():
+            shown, is_thick = curve(rows, element, law), law == "corotational"
+            times, errors = _places(shown, error)
+            axes.plot(times, errors, "o", linestyle=line, color=colour,
+                      linewidth=2.4 if is_thick else 1.2, markersize=5 if is_thick else 3.5,
+                      label=f"{_CELLS[element]}, {law} law")
+            for row, *place in zip(shown, times, errors) if is_thick else ():
+                axes.annotate(_number_of(row), place, (0, _UPWARDS[element]), ha="center",
+                              textcoords="offset points", fontsize=7, color=colour)
     _draw_reduced(axes, rows, error)
     axes.set(xscale="log", yscale="log", ylabel="effector error [% of its displacement]",
              xlabel="median time of a step [ms]; numbers: nodes of the mesh",
@@ -257,17 +259,24 @@ def _draw_reduced(axes, rows: Sequence[AccuracyRow], error: str) -> None:
     for row in reduced:
         full = full_row(rows, row)
         if full is not None:
-            axes.plot([row.step_ms, full.step_ms],
-                      [100.0 * getattr(row, error), 100.0 * getattr(full, error)],
-                      linestyle=(0, (1, 2)), color=_REDUCED_COLOUR, linewidth=1.1, zorder=1)
-        number = row.mesh.rpartition("_")[2]
-        axes.annotate(f"{number} {row.element}, {row.mode_count} modes",
+            axes.plot(*_places([row, full], error), linestyle=(0, (1, 2)), color=_REDUCED_COLOUR,
+                      linewidth=1.1, zorder=1)
+        axes.annotate(f"{_number_of(row)} {row.element}, {row.mode_count} modes",
                       (row.step_ms, 100.0 * getattr(row, error)), (6, -11),
                       textcoords="offset points", fontsize=7.5, color=_REDUCED_COLOUR)
     if reduced:
-        axes.plot([row.step_ms for row in reduced],
-                  [100.0 * getattr(row, error) for row in reduced], "*", color=_REDUCED_COLOUR,
-                  markersize=13, zorder=4, label="reduced models of these meshes")
+        axes.plot(*_places(reduced, error), "*", color=_REDUCED_COLOUR, markersize=13, zorder=4,
+                  label="reduced models of these meshes")
+
+
+def _places(rows: Sequence[AccuracyRow], error: str) -> tuple[list[float], list[float]]:
+    """Times of a step [ms] and one of the errors [%], as they are drawn."""
+    return [row.step_ms for row in rows], [100.0 * getattr(row, error) for row in rows]
+
+
+def _number_of(row: AccuracyRow) -> str:
+    """The number at the end of the name of a mesh."""
+    return row.mesh.rpartition("_")[2]
 
 
 def _draw_added_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
@@ -296,15 +305,6 @@ def _draw_rates(axes, named: bool = True) -> None:
         if named:
             axes.annotate(f"{rate} Hz", (time, 0.0), (-9, 4), xycoords=("data", "axes fraction"),
                           textcoords="offset points", rotation=90, fontsize=8, color="#777777")
-
-
-def _name_meshes(
-    axes, shown: Sequence[AccuracyRow], error: str, colour: str, upwards: int
-) -> None:
-    for row in shown:
-        axes.annotate(row.mesh.rpartition("_")[2], (row.step_ms, 100.0 * getattr(row, error)),
-                      (0, upwards), textcoords="offset points", ha="center", fontsize=7,
-                      color=colour)
 
 
 def _name_settings(axes, shown: Sequence[AccuracyRow], errors: list[float], colour: str) -> None:
@@ -377,7 +377,7 @@ def accuracy(
     print_to_stderr(f"{len(levels)} meshes: this takes "
                     f"{approximate_duration(study_seconds(levels, limits))} on this machine"
                     + (", and the training of reduced models" if train is not None else ""))
-    with shown_progress("meshes", study_parts(levels, limits, hexahedra)) as begun:
+    with shown_progress(levels, limits, hexahedra) as begun:
         study = study_meshes(levels, limits, begun, hexahedra)
     if train is not None:
         trained = trained or [_most_accurate(study, every)]

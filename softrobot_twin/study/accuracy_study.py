@@ -13,6 +13,8 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from functools import partial
+from itertools import count
 from pathlib import Path
 from statistics import median
 from time import perf_counter, thread_time
@@ -174,11 +176,6 @@ def unlimited(scene: Scene, efforts: bool = False, displacements: bool = False) 
     if displacements:
         of_cavity |= {"growth": (-np.inf, np.inf), "volume": (0.0, np.inf)}
     return scene.changed(cables=of_cable, cavities=of_cavity)
-
-
-def weightless(scene: Scene) -> Scene:
-    """The same scene without gravity."""
-    return scene.changed(gravity=(0.0, 0.0, 0.0))
 
 
 def given_words(scene: Scene) -> tuple[str, str]:
@@ -381,14 +378,15 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
         levels: Meshes, the coarsest first.
         limits: Size limits of the study.
     """
-    probe = levels[0]._replace(scene=with_element(levels[0].scene, "quadratic"))
+    probe = levels[0].with_element("quadratic")
     simulation = Simulation(with_newton(probe.scene, 1, 1.0e-300))
     simulation.step(Hold(1.0))
     times = [simulation.step(Hold(1.0)).report.compute_time for _ in range(_PROBES)]
     unit, size = median(times), dof_count(probe)
 
     seconds = 0.0
-    for element, dof in _planned(levels):
+    for level in _with_elements(levels):
+        element, dof = level.scene.body.element, dof_count(level)
         step = unit * (dof / size) ** _GROWTH
         equilibria = step * (_LINEARIZATIONS + _BUILDING)
         timing = min(_MOST_TIMING, limits.timed_steps * step) + step * _BUILDING
@@ -400,45 +398,39 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
     return seconds
 
 
-def _planned(levels: Sequence[MeshLevel]) -> Iterator[tuple[str, int]]:
-    """Elements and dof of each setting of a study of meshes of tetrahedra."""
-    for element in ELEMENTS:
-        for level in levels:
-            yield element, dof_count(level._replace(scene=with_element(level.scene, element)))
-
-
 @contextmanager
-def shown_progress(name: str, total: float) -> Iterator[Callable[[str], None]]:
-    """Shows the present activity and the progress.
-
-    Args:
-        name: Title of the progress bar.
-        total: Number of activities.
+def shown_progress(
+    levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel]
+) -> Iterator[Callable[[str], None]]:  # fmt: skip
+    """Shows the present activity and the progress of a study; see `study_meshes`.
 
     Yields:
         A function to call with a line for each activity.
     """
-    begun = 0
+    begun = count()
     with progress() as bar:
-        task = bar.add_task(name, total=total, note="")
-
-        def report_activity(text: str) -> None:
-            nonlocal begun
-            bar.update(task, completed=begun, note=text)
-            begun += 1
-
-        yield report_activity
+        task = bar.add_task("meshes", total=study_parts(levels, limits, hexahedra), note="")
+        yield lambda text: bar.update(task, completed=next(begun), note=text)
 
 
 def study_parts(
     levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()
 ) -> int:
     """Number of activities of a study: reference meshes, and meshes with an element and a law."""
-    count = sum(2 * (dof_count(level) <= limits.timed_dof) for level in hexahedra)
-    for element, dof in _planned(levels):
-        count += 2 * (dof <= limits.timed_dof)
-        count += element == "quadratic" and dof <= limits.reference_dof
-    return count
+    every = _with_elements(levels)
+    timed = [level for level in (*every, *hexahedra) if dof_count(level) <= limits.timed_dof]
+    return 2 * len(timed) + len(_for_reference(every, limits))
+
+
+def _with_elements(levels: Sequence[MeshLevel]) -> list[MeshLevel]:
+    """Meshes of tetrahedra with each kind of `ELEMENTS`."""
+    return [level.with_element(element) for element in ELEMENTS for level in levels]
+
+
+def _for_reference(every: Sequence[MeshLevel], limits: Limits) -> list[MeshLevel]:
+    """Those of meshes with elements that the reference is computed on."""
+    return [level for level in every if level.scene.body.element == "quadratic"
+            and dof_count(level) <= limits.reference_dof]
 
 
 MESH, NEWTON, QP, PRECISION = "mesh", "newton", "qp tolerance", "factor precision"
@@ -586,7 +578,8 @@ TENSION_SHARE = 0.15
 # Replaces a missing limit of a shortening, as a share of the cable's length, or of a growth, as a
 # share of the cavity's volume.
 OPEN_SHARE = 0.4
-_INCREMENTS = 2
+# Parts of the way to a pose.
+_SHARES = (0.5, 1.0)
 _MOST_ITERATIONS = 25
 # Newton's tolerance for the residual, relative to Young's modulus times size².
 _RELATIVE_TOLERANCE = 1.0e-10
@@ -678,15 +671,14 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
 
 def equilibria(scene: Scene, case: str, loads: Loads) -> Poses:
     """Equilibria of a scene in the poses of a load case, see `CASES`."""
-    forces_given = case == "tensions"
-    scene = weightless(scene) if case == "weightless" else scene
-    simulation = exact_simulation(unlimited(scene, displacements=True) if forces_given else scene)
+    scene, forces_given, poses = _given(scene, case, loads)
+    simulation = exact_simulation(scene)
     rest, actuators = simulation.effector_positions(), simulation.actuators
     positions, efforts = [], []
-    for pose in loads.pressed if forces_given else loads.moved:
+    for pose in poses:
         simulation.reset()
         simulation.step(CommandEfforts(np.zeros(actuators.count), _LONG))
-        for share in _shares():
+        for share in _SHARES:
             result = simulation.step(
                 CommandEfforts(share * pose, _LONG) if forces_given
                 else CommandSetpoints(actuators.setpoints(share * pose), _LONG)
@@ -698,9 +690,13 @@ def equilibria(scene: Scene, case: str, loads: Loads) -> Poses:
     return Poses(np.array(positions), rest, np.array(efforts))
 
 
-def _shares():
-    return np.arange(1, _INCREMENTS + 1) / _INCREMENTS
-
+def _given(scene: Scene, case: str, loads: Loads) -> tuple[Scene, bool, np.ndarray]:
+    """A scene as a load case has it, whether forces are prescribed, and these or displacements."""
+    forces_given = case == "tensions"
+    if case == "weightless":
+        scene = scene.changed(gravity=(0.0, 0.0, 0.0))
+    scene = unlimited(scene, displacements=forces_given)
+    return scene, forces_given, loads.pressed if forces_given else loads.moved
 
 # Speed of a cable without a rate limit [m/s]; otherwise half of its limit.
 _SPEED_SHARE, _SPEED = 0.5, 0.02
@@ -736,11 +732,11 @@ class FollowedPath(NamedTuple):
 
     Attributes:
         positions: Effectors after each step [m], shape (step_count, effector_count, 3).
-        times: Time of a step [s].
+        times: Of the steps [s], shape (step_count,).
     """
 
     positions: np.ndarray
-    times: Spread
+    times: np.ndarray
 
 
 def length_path(scene: Scene, rate: float, step_count: int) -> LengthPath:
@@ -796,11 +792,6 @@ def follow_targets(
     return _follow(_ready(scene, 1, parts), start, commands)
 
 
-def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
-    """Time of a step along a path, repeated for a few seconds [s]."""
-    return spread(rounds_of(scene, path, iterations, _SECONDS, perf_counter)())
-
-
 def rounds_of(
     scene: Scene, path: LengthPath, iterations: int, seconds: float = _ROUND_SECONDS,
     now: Callable[[], float] = thread_time,
@@ -818,18 +809,7 @@ def rounds_of(
     simulation = _ready(scene, iterations, {"now": now})
     simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
     start, commands = simulation.state, _along(simulation, path)
-
-    def steps() -> np.ndarray:
-        times: list[float] = []
-        simulation.restore(start)
-        with without_garbage_collection():
-            for command in commands:
-                times.append(simulation.step(command).report.compute_time)
-                if sum(times) > seconds and len(times) >= _FEWEST_STEPS:
-                    break
-        return np.array(times)
-
-    return steps
+    return lambda: _follow(simulation, start, commands, seconds).times
 
 
 def _ready(scene: Scene, iterations: int, parts: dict) -> Simulation:
@@ -845,7 +825,10 @@ def _along(simulation: Simulation, path: LengthPath) -> list[CommandSetpoints]:
             for moved in path.displacements[1:]]
 
 
-def _follow(simulation: Simulation, start: State, commands: list) -> FollowedPath:
+def _follow(
+    simulation: Simulation, start: State, commands: list, seconds: float = np.inf
+) -> FollowedPath:
+    """Runs commands from a state, for as long as their steps take together at most [s]."""
     simulation.restore(start)
     positions, times = [], []
     with without_garbage_collection():
@@ -853,7 +836,9 @@ def _follow(simulation: Simulation, start: State, commands: list) -> FollowedPat
             result = simulation.step(command)
             positions.append(result.effector_positions)
             times.append(result.report.compute_time)
-    return FollowedPath(np.array(positions), spread(np.array(times)))
+            if sum(times) > seconds and len(times) >= _FEWEST_STEPS:
+                break
+    return FollowedPath(np.array(positions), np.array(times))
 
 
 VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
@@ -925,6 +910,10 @@ class MeshLevel(NamedTuple):
     is_own: bool
     volume: float
     bounds: np.ndarray
+
+    def with_element(self, element: str) -> MeshLevel:
+        """The mesh with other elements of tetrahedra."""
+        return self._replace(scene=with_element(self.scene, element))
 
 
 def mesh_family(
@@ -1082,32 +1071,28 @@ def vary_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
     size = Simulation(scene)
 
     def row(knob: str, setting: str, followed: FollowedPath, exact: np.ndarray) -> AccuracyRow:
-        apart = np.linalg.norm(followed.positions - exact, axis=2)
-        added = float(np.sqrt(np.mean(apart**2)) / displacement)
+        times = spread(1e3 * followed.times)
         return AccuracyRow(
             knob, setting, scene.mesh_name, scene.body.element, scene.body.material.law,
-            size.node_count, size.dof_count, 1e3 * followed.times.median,
-            1e3 * followed.times.p99, error_added=added)
+            size.node_count, size.dof_count, times.median, times.p99,
+            error_added=mean_distance(followed.positions - exact) / displacement)
 
+    def inverse(solver) -> FollowedPath:
+        return follow_targets(scene, path, targets, start, qp_solvers=(solver,))
+
+    direct = partial(follow_lengths, scene, path, start)
     for iterations in ITERATIONS:
-        followed = follow_lengths(scene, path, start, iterations)
         yield row(NEWTON, f"{iterations} linearization{'s' * (iterations > 1)} at {RATE:g} Hz",
-                  followed, targets)
-    double = follow_lengths(scene, path, start, 1, factorization_type=SuperLU)
-    for kind in (SingleSuperLU, SuperLU):
-        followed = follow_lengths(scene, path, start, 1, factorization_type=kind)
-        name = "single" if kind is SingleSuperLU else "double"
-        # Double precision is compared with the other factorization, which rounds differently.
-        against = double if kind is SingleSuperLU else follow_lengths(scene, path, start, 1)
-        yield row(PRECISION, f"{name}, SuperLU", followed, against.positions)
-    exact = follow_targets(scene, path, targets, start,
-                           qp_solvers=(DAQPSolver(tolerance=_EXACT_QP),))
+                  direct(iterations), targets)
+    double = direct(1, factorization_type=SuperLU)
+    single = direct(1, factorization_type=SingleSuperLU)
+    yield row(PRECISION, "single, SuperLU", single, double.positions)
+    # Double precision is compared with the other factorization, which rounds differently.
+    yield row(PRECISION, "double, SuperLU", double, direct(1).positions)
+    exact = inverse(DAQPSolver(tolerance=_EXACT_QP)).positions
     for tolerance in QP_TOLERANCES:
-        solver = OSQPSolver(tolerance=tolerance)
-        followed = follow_targets(scene, path, targets, start, qp_solvers=(solver,))
-        yield row(QP, f"OSQP at {tolerance:g}", followed, exact.positions)
-    followed = follow_targets(scene, path, targets, start, qp_solvers=(DAQPSolver(),))
-    yield row(QP, "DAQP", followed, exact.positions)
+        yield row(QP, f"OSQP at {tolerance:g}", inverse(OSQPSolver(tolerance=tolerance)), exact)
+    yield row(QP, "DAQP", inverse(DAQPSolver()), exact)
 
 
 CASES = ("lengths", "tensions", "weightless")
@@ -1118,7 +1103,6 @@ RATE = 100.0
 """Rate of the moving path on which steps are timed [Hz]."""
 ASYMPTOTIC = 2.25
 """The extrapolation uses meshes up to this many times coarser than the finest."""
-ReportActivity = Callable[[str], None]
 
 
 class Limits(NamedTuple):
@@ -1151,14 +1135,13 @@ class Reference(NamedTuple):
     @property
     def uncertainty(self) -> float:
         """Uncertainty relative to the displacement."""
-        return self.limit.uncertainty / np.sqrt(_count(self.limit.value)) / self.displacement
+        return self.limit.uncertainty / np.sqrt(self.limit.value[..., 0].size) / self.displacement
 
     def error(self, poses: Poses) -> float:
         """Error of effector positions: root mean square over poses and effectors, relative to the
         displacement.
         """
-        apart = poses.positions - self.limit.value
-        return float(np.linalg.norm(apart) / np.sqrt(_count(apart)) / self.displacement)
+        return mean_distance(poses.positions - self.limit.value) / self.displacement
 
 
 class Study(NamedTuple):
@@ -1188,7 +1171,7 @@ class Loads(NamedTuple):
 
 
 def study_meshes(
-    levels: list[MeshLevel], limits: Limits, report_activity: ReportActivity,
+    levels: list[MeshLevel], limits: Limits, report_activity: Callable[[str], None],
     hexahedra: Sequence[MeshLevel] = (),
 ) -> Study:  # fmt: skip
     """Measures every mesh with every element and law.
@@ -1203,12 +1186,8 @@ def study_meshes(
         AccuracyError: No effector moves, or no reference was found.
     """
     name = levels[0].scene.name
-    moved = displacements(levels[0].scene)
-    linear, smoothed, quadratic = (
-        [level._replace(scene=with_element(level.scene, element)) for level in levels]
-        for element in ELEMENTS
-    )
-    used = [level for level in quadratic if dof_count(level) <= limits.reference_dof]
+    moved, every = displacements(levels[0].scene), _with_elements(levels)
+    used = _for_reference(every, limits)
     if len(used) < 2:
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
                             f"{limits.reference_dof} dof; there are {len(used)}")
@@ -1217,12 +1196,11 @@ def study_meshes(
     rows = []
     own = levels[0].scene.body.material.law
     for law in dict.fromkeys((own, "corotational", "linear")):
-        for level in [*linear, *smoothed, *quadratic, *hexahedra]:
-            if dof_count(level) > limits.timed_dof:
-                continue
-            known = solved.get(level.name) if law == own and level in used else None
-            rows.append(_judge(level, law, loads, references, known, limits.timed_steps,
-                               report_activity))
+        for level in [*every, *hexahedra]:
+            if dof_count(level) <= limits.timed_dof:
+                known = solved.get(level.name) if law == own and level in used else None
+                rows.append(_judge(level, law, loads, references, known, limits.timed_steps,
+                                   report_activity))
     return Study(rows, references, loads)
 
 
@@ -1232,7 +1210,7 @@ def dof_count(level: MeshLevel) -> int:
 
 
 def _solve_reference(
-    used: list[MeshLevel], moved: np.ndarray, report_activity: ReportActivity
+    used: list[MeshLevel], moved: np.ndarray, report_activity: Callable[[str], None]
 ) -> tuple[Loads, dict[str, dict[str, Poses]]]:
     """Equilibria on the quadratic meshes; the finest one determines the prescribed efforts."""
     solved: dict[str, dict[str, Poses]] = {}
@@ -1260,8 +1238,7 @@ def _reference(name: str, case: str, used: list[MeshLevel], solved, loads: Loads
                         [solved[level.name][case].positions for level in good])
     if corrected is not None and corrected[0].uncertainty <= limit.uncertainty:
         limit, good = corrected
-    motion = limit.value - solved[good[-1].name][case].rest
-    displacement = float(np.linalg.norm(motion) / np.sqrt(_count(motion)))
+    displacement = mean_distance(limit.value - solved[good[-1].name][case].rest)
     return Reference(limit, displacement, tuple(level.name for level in good))
 
 
@@ -1300,12 +1277,11 @@ def _limits(scene: Scene, case: str, loads: Loads) -> np.ndarray:
     Raises:
         MeshErrorUnknown: The scene has no estimate of its mesh's error.
     """
-    forces_given = case == "tensions"
-    scene = weightless(scene) if case == "weightless" else scene
-    free = unlimited(scene, efforts=True, displacements=forces_given)
+    scene, forces_given, poses = _given(scene, case, loads)
+    free = unlimited(scene, efforts=True)
     estimator, actuators, found = MeshErrorEstimator(free), Simulation(free).actuators, []
-    for pose in loads.pressed if forces_given else loads.moved:
-        wanted = [share * pose for share in _shares()]
+    for pose in poses:
+        wanted = [share * pose for share in _SHARES]
         values = wanted if forces_given else [actuators.setpoints(one) for one in wanted]
         limit = estimator.limit_at(*(ActuatorLoads(forces_given, one, {}) for one in values))
         found.append(np.full((len(scene.effectors), 3), np.nan) if limit is None else limit)
@@ -1317,7 +1293,8 @@ def _judge(level, law, loads, references, known, timed_steps, report_activity) -
     report_activity(f"{level.name}, {element}, {law} law")
     scene = with_law(level.scene, law)
     solved = known or {case: equilibria(scene, case, loads) for case in CASES}
-    times = time_steps(scene, length_path(scene, RATE, timed_steps), 1)
+    path = length_path(scene, RATE, timed_steps)
+    times = spread(rounds_of(scene, path, 1, _SECONDS, perf_counter)())
     simulation = Simulation(scene)
     errors = {f"error_{case}": references[case].error(solved[case]) for case in CASES}
     doubts = {f"uncertainty_{case}": references[case].uncertainty for case in CASES}
@@ -1328,7 +1305,7 @@ def _judge(level, law, loads, references, known, timed_steps, report_activity) -
 
 
 def study_reduced(
-    reduced: ReducedModel, study: Study, timed_steps: int, report_activity: ReportActivity
+    reduced: ReducedModel, study: Study, timed_steps: int, report_activity: Callable[[str], None]
 ) -> AccuracyRow:
     """Error of a reduced model against the reference of a study, and the time of its step.
 
@@ -1373,6 +1350,6 @@ def _apart(poses: Poses, others: Poses) -> float:
     return float(apart / np.linalg.norm(poses.positions - poses.rest))
 
 
-def _count(positions: np.ndarray) -> int:
-    """Number of points in an average."""
-    return int(np.prod(positions.shape[:-1]))
+def mean_distance(apart: np.ndarray) -> float:
+    """Root mean square of the lengths of vectors, shape (..., 3)."""
+    return float(np.linalg.norm(apart) / np.sqrt(apart[..., 0].size))

@@ -17,6 +17,7 @@ from rich.table import Table
 from softrobot_twin.simulation.runs.input_tables import TableFileError
 from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
+    SUPERLU,
     WHOLE_STEP,
     BenchCase,
     SizeMeasurement,
@@ -92,12 +93,9 @@ _QUIET_SHARE = 0.005
 
 def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
     """Median, 99th percentile and maximum of each stage of each size."""
-    rows = [[stage, *(_times(size.stages.get(stage)) for size in sizes)]
-            for stage in stage_names(sizes)]
-    rows.append(["one SuperLU factorization", *(
-        _times(size.superlu if size.superlu_count else None) for size in sizes)])
     return table("Time of a step in ms: median / p99 / max", "stage", *map(_title, sizes),
-                 rows=rows)
+                 rows=([stage, *(_times(size.times.get(stage)) for size in sizes)]
+                       for stage in (*stage_names(sizes), SUPERLU)))
 
 
 def _title(size: SizeMeasurement) -> str:
@@ -145,15 +143,10 @@ def growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
                 if len({size.dof_count for size in members}) > 1}
     if not families:
         return None
-    rows = [[stage, *(exponent(members, stage) for members in families.values())]
-            for stage in stage_names(sizes)]
-    rows.append(["one SuperLU factorization", *(
-        growth_exponent([size.dof_count for size in members],
-                        [size.superlu.median for size in members])
-        for members in families.values())])
     return table("Growth: time ~ dof^p, p fitted to medians", "stage", *(
         f"{family} ({len(members)} sizes)" for family, members in families.items()),
-        rows=([name, *(_number(p, "{:.2f}") for p in powers)] for name, *powers in rows))
+        rows=([stage, *(_number(exponent(members, stage), "{:.2f}") for members in families.values())]
+              for stage in (*stage_names(sizes), SUPERLU)))
 
 
 def families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
@@ -163,9 +156,12 @@ def families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurem
 
 def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
     """Growth exponent of one stage's median over sizes."""
-    return growth_exponent(
-        [size.dof_count for size in sizes],
-        [size.stages[stage].median if stage in size.stages else np.nan for size in sizes])
+    return growth_exponent([size.dof_count for size in sizes], _medians(sizes, stage))
+
+
+def _medians(sizes: Sequence[SizeMeasurement], stage: str) -> list[float]:
+    """Median of a stage of each size [s]; NaN where a size does not have this stage."""
+    return [size.times[stage].median if stage in size.times else np.nan for size in sizes]
 
 
 def stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
@@ -293,7 +289,8 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
 def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
     """Medians of each stage, one line for each family of meshes."""
     inner = [name for name in stage_names(sizes) if name != WHOLE_STEP]
-    colours = dict(zip(inner, _STAGE_COLOURS * 2)) | {WHOLE_STEP: _STEP_COLOUR}
+    colours = dict(zip(inner, _STAGE_COLOURS * 2))
+    colours |= {WHOLE_STEP: _STEP_COLOUR, SUPERLU: _SUPERLU_COLOUR}
     families = families_of(sizes)
     longest = max(families.values(), key=len)
     for members, style in zip(families.values(), _styles(families), strict=True):
@@ -301,18 +298,12 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
         dofs = [size.dof_count for size in ordered]
         for stage, colour in colours.items():
             # Not every family has every stage: only scenes with contact have the stage detect.
-            times = [1e3 * size.stages[stage].median if stage in size.stages else np.nan
-                     for size in ordered]
-            label = f"{stage}{_growth_label(longest, stage)}" if members is longest else None
+            times = 1e3 * np.array(_medians(ordered, stage))
+            growth = "" if stage == SUPERLU else _growth_label(longest, stage)
             thick = stage == WHOLE_STEP
             axes.plot(dofs, times, style, color=colour, markersize=5 if thick else 3.5,
-                      linewidth=2.2 if thick else 1.2, label=label, zorder=3 if thick else 2)
-        factored = [size for size in ordered if size.superlu_count]
-        if factored:
-            axes.plot([size.dof_count for size in factored],
-                      [1e3 * size.superlu.median for size in factored], style,
-                      color=_SUPERLU_COLOUR, markersize=3.5, linewidth=1.2,
-                      label="one SuperLU factorization" if members is longest else None)
+                      linewidth=2.2 if thick else 1.2, zorder=3 if thick else 2,
+                      label=f"{stage}{growth}" if members is longest else None)
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom", ylabel="median time [ms]",
              title="Time of each stage" + _families_label(families))
     axes.legend(loc="upper left", fontsize=8)
@@ -399,16 +390,13 @@ def compare_with_earlier(
     """Each step beside that of an earlier run, by SuperLU's time in the same run and by calls."""
     made = table("An earlier run", "scene", "step / SuperLU", "then", "calls", "then", "")
     for size in sizes:
-        if size.case.name not in earlier:
-            continue
-        ratio, calls = earlier[size.case.name]
-        marks = ["slower"] if size.superlu_count and size.ratio > SLOWER * ratio else []
-        marks += ["more calls"] if size.calls > MORE_CALLS * calls else []
-        made.add_row(
-            size.case.name, f"{size.ratio:.3f}" if size.superlu_count else "-",
-            f"{ratio:.3f}" if np.isfinite(ratio) else "-", f"{size.calls:.0f}", f"{calls:.0f}",
-            ", ".join(marks),
-        )
+        if size.case.name in earlier:
+            ratio, calls = earlier[size.case.name]
+            # Without SuperLU the ratio is NaN, which is above nothing.
+            marks = ["slower"] * (size.ratio > SLOWER * ratio)
+            marks += ["more calls"] * (size.calls > MORE_CALLS * calls)
+            made.add_row(size.case.name, _number(size.ratio, "{:.3f}"), _number(ratio, "{:.3f}"),
+                         f"{size.calls:.0f}", f"{calls:.0f}", ", ".join(marks))
     return made
 
 

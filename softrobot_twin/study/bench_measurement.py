@@ -586,6 +586,7 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int]) -> BenchCase:
 
 
 WHOLE_STEP = "whole step"
+SUPERLU = "one SuperLU factorization"
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""
 # SuperLU takes much longer than a step, so it runs only between some of the timed steps.
@@ -662,6 +663,11 @@ class SizeMeasurement:
     def is_reduced(self) -> bool:
         """Whether a body is reduced to modes."""
         return self.mode_count > 0
+
+    @property
+    def times(self) -> dict[str, Spread]:
+        """Those of the stages, and of one SuperLU factorization where it was timed [s]."""
+        return self.stages | ({SUPERLU: self.superlu} if self.superlu_count else {})
 
     @property
     def ratio(self) -> float:

@@ -42,12 +42,12 @@ from softrobot_twin.study.accuracy_study import (
     given_words,
     length_path,
     hexahedral_family,
+    mean_distance,
     mesh_family,
     read_rows,
     rounds_of,
     shown_progress,
     study_meshes,
-    study_parts,
     study_seconds,
     with_element,
     with_hold_radius,
@@ -116,9 +116,8 @@ class SettingClock:
         path = length_path(scene, self._rate, STEPS)
         exact, start = follow_exactly(scene, path)
         followed = follow_lengths(scene, path, start, setting.iterations)
-        apart = np.linalg.norm(followed.positions - exact, axis=2)
-        displacement = np.linalg.norm(exact - Simulation(scene).effector_positions(), axis=2)
-        added = float(np.sqrt(np.mean(apart**2) / np.mean(displacement**2)))
+        displacement = mean_distance(exact - Simulation(scene).effector_positions())
+        added = mean_distance(followed.positions - exact) / displacement
         return Measured(times.median, times.p99, added)
 
     def confirm(self, candidates: list[Candidate]) -> list[Candidate]:
@@ -196,8 +195,7 @@ class Candidate(NamedTuple):
     @property
     def error(self) -> float:
         """Expected error relative to the effector's displacement: the sum of both parts."""
-        added = self.measured.linearization_error
-        return self.mesh_error + (added if np.isfinite(added) else 0.0)
+        return self.mesh_error + np.nan_to_num(self.measured.linearization_error)
 
 
 class NoSettingError(SoftRobotTwinError):
@@ -331,16 +329,12 @@ def pick(
     least = min(one.error for one in fitting)
     margin = max(reference_uncertainty, _ALIKE * least)
     alike = [one for one in fitting if one.error <= least + margin]
-    soundest = min(alike, key=lambda one: (_known(one.force_error), one.error)).setting
+    # An unknown error counts as infinite.
+    soundest = min(alike, key=lambda one: (np.nan_to_num(one.force_error, nan=np.inf), one.error)).setting
     same = [one for one in alike if one.setting.model == soundest.model]
     least = min(one.error for one in same)
     return min((one for one in same if one.error <= (1.0 + _ALIKE) * least),
                key=lambda one: one.measured.median)
-
-
-def _known(error: float) -> float:
-    """The error, for comparisons: an unknown error counts as infinite."""
-    return error if np.isfinite(error) else np.inf
 
 
 class Foreseen(NamedTuple):
@@ -372,8 +366,7 @@ def foresee(
         measured: Its time and linearization error.
         seconds: Time of a training [s].
     """
-    added = trial.error + (0.0 if np.isnan(measured.linearization_error)
-                           else measured.linearization_error)
+    added = trial.error + np.nan_to_num(measured.linearization_error)
     found = [Foreseen(row, row.error + added, measured, seconds(row))
              for row in rows if row.knob == MESH and row.law == law and np.isfinite(row.error)]
     return sorted(found, key=lambda one: one.error)
@@ -439,7 +432,7 @@ class Models:
     def level(self, row: AccuracyRow) -> MeshLevel:
         """The full model of a row, with its element."""
         level = self._by_name[row.mesh]
-        return level._replace(scene=with_element(level.scene, row.element))
+        return level.with_element(row.element)
 
     def rows(self, known: Sequence[AccuracyRow]) -> list[AccuracyRow]:
         """Rows of the reduced models: measured by ``accuracy``, or measured beside full ones now.
@@ -664,18 +657,14 @@ def _training_command(
 ) -> str:  # fmt: skip
     """The command that trains first."""
     words = ["choose", str(scene), "--rate", f"{rate:g}"]
-    if accuracy_file is not None:
-        words += ["--accuracy", str(accuracy_file)]
-    if reduced:
-        words += ["--reduced", *map(str, reduced)]
-    if options.ranges:
-        words += ["--range", *options.ranges]
-    if options.targets:
-        words += ["--targets", *map(box_text, options.targets)]
-    if options.load:
-        words += ["--loads", f"{options.load:g}"]
-    if options.tilt:
-        words += ["--tilts", f"{math.degrees(options.tilt):g}"]
+    for option, values in (
+        ("--accuracy", [accuracy_file] * (accuracy_file is not None)), ("--reduced", reduced),
+        ("--range", options.ranges), ("--targets", map(box_text, options.targets)),
+        ("--loads", [f"{options.load:g}"] * bool(options.load)),
+        ("--tilts", [f"{math.degrees(options.tilt):g}"] * bool(options.tilt)),
+    ):  # fmt: skip
+        if given := list(map(str, values)):
+            words += [option, *given]
     return "softrobot_twin " + shlex.join([*words, "--write", str(write), "--train"])
 
 
@@ -711,7 +700,7 @@ def _rows(
     print_to_stderr(f"the errors of these {len(levels)} meshes are not known. Their study takes "
              f"{approximate_duration(study_seconds(levels, QUICK))} on this machine; then the "
              "candidates are timed. --accuracy FILE stores the errors")
-    with shown_progress("meshes", study_parts(levels, QUICK, hexahedra)) as begun:
+    with shown_progress(levels, QUICK, hexahedra) as begun:
         rows = study_meshes(levels, QUICK, begun, hexahedra).rows
     if file is not None:
         write_rows(file, rows)

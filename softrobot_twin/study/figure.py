@@ -10,9 +10,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-from scipy.spatial import cKDTree
-
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.study.output_file import OutputError, output_file
 
@@ -75,11 +72,6 @@ def legend_below(axes, width: float, **look) -> None:
                 fontsize=8, handlelength=1.4, columnspacing=1.2, **look)
 
 
-# Colours of a PNG picture, of 256: those of most pixels, and those farthest from them, such as that
-# of a small mark.
-_COMMON, _FAR = 150, 105
-
-
 def save_figure(figure, path: Path, dpi: int) -> None:
     """Writes a figure; as PNG with a palette of colours, which makes the file small.
 
@@ -97,29 +89,10 @@ def save_figure(figure, path: Path, dpi: int) -> None:
     from PIL import Image  # matplotlib writes its own pictures with it
     whole = BytesIO()
     figure.savefig(whole, dpi=dpi, format="png")
-    picture = Image.open(whole).convert("RGB")
-    _with_few_colours(picture).save(path, format="PNG", optimize=True, dpi=(dpi, dpi))
-
-
-def _with_few_colours(picture):
-    """A picture with a palette in which no colour is far off; white stays white."""
-    from PIL import Image
-    pixels = np.asarray(picture).reshape(-1, 3)
-    # One number for each colour sorts faster than three.
-    codes, places = np.unique(pixels @ np.array([65536, 256, 1]), return_inverse=True)
-    colours = np.column_stack([codes >> 16, codes >> 8 & 255, codes & 255])
-    few = picture.quantize(_COMMON, method=Image.MEDIANCUT, dither=Image.NONE)
-    common = np.array(few.getpalette()[: 3 * _COMMON]).reshape(-1, 3)
-    palette = list(np.vstack([[255, 255, 255], common]))
-    off = cKDTree(np.array(palette)).query(colours)[0]
-    for _ in range(_FAR):
-        farthest = np.argmax(off)
-        palette.append(colours[farthest])
-        off = np.minimum(off, np.linalg.norm(colours - colours[farthest], axis=1))
-    nearest = cKDTree(np.array(palette)).query(colours)[1].astype(np.uint8)
-    made = Image.fromarray(nearest[places].reshape(picture.height, picture.width))
-    made.putpalette(np.array(palette, np.uint8).tobytes())
-    return made
+    # No colour is far off, that of a small mark neither.
+    few = Image.open(whole).convert("RGB").quantize(
+        256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(path, format="PNG", optimize=True, dpi=(dpi, dpi))
 
 
 @contextmanager

@@ -36,7 +36,6 @@ from softrobot_twin.study.accuracy_study import (
     Setting,
     dof_count,
     only_body,
-    with_element,
     write_scene_copy,
 )
 from softrobot_twin.study.body_training import (
@@ -84,8 +83,7 @@ def every_level(levels: Iterable[MeshLevel], hexahedra: Iterable[MeshLevel]) -> 
         hexahedra: Meshes of hexahedra.
     """
     levels = list(levels)
-    quadratic = [one._replace(scene=with_element(one.scene, "quadratic")) for one in levels]
-    return [*levels, *quadratic, *hexahedra]
+    return [*levels, *(level.with_element("quadratic") for level in levels), *hexahedra]
 
 
 def reduced_models(
