@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.mechanics.touch_loads import TouchState
-from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
     SolidSkin,
@@ -16,8 +15,6 @@ from softrobot_twin.simulation.appearance import (
     rigid_skins,
     skins,
 )
-from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import (
@@ -37,6 +34,34 @@ class Readouts:
     Attributes:
         model: The built scene.
         state: Its current state.
+        scene: Its scene.
+        terms: All terms that a step sums.
+        stages: Names of the stages of a step.
+        actuators: The actuators, with their kinds, units and scales.
+        limits: Limits of the actuators.
+        actuator_names: Names of the actuators, in the order of all their arrays.
+        rest_setpoints: Setpoints at rest, such as lengths of cables [m], shape (actuator_count,).
+        pulleys: Pulleys that wind cables, with their angles.
+        motors: Names of the cables of each motor, by the motor's name.
+        effector_names: Names of the effectors, in the order of all their arrays.
+        oriented_effectors: Whether each effector asks for an orientation.
+        stiff_effectors: Whether each effector asks for a stiffness.
+        scene_stiffness: Stiffness of each effector that the scene asks for along x, y and z [N/m],
+            shape (effector_count, 3); NaN where none is wanted.
+        effector_markers: For each effector, indices into `marker_ids` of the markers that move with
+            it.
+        marker_ids: Ids of the markers, shape (marker_count,).
+        touch_names: Names of the touches, in the order of all their arrays.
+        rigid_names: Names of the rigid bodies, in the order of all their arrays.
+        guided_names: Names of the rigid bodies that follow commanded poses; others are moved by
+            slides.
+        node_count: Number of nodes of all meshes, including fixed ones.
+        tet_count: Number of tetrahedra of all meshes.
+        hexahedron_count: Number of hexahedra of all meshes.
+        beam_element_count: Number of elements of all beams.
+        dof_count: Number of unknowns: three for each free node, six for each free frame. Frames are
+            rigid bodies, vertebrae and nodes of beams.
+        has_reduced_bodies: Whether a body has the coordinates of a basis as its unknowns.
         surface_triangles: Triangles of the surfaces of bodies and beams, as indices into
             `surface_positions`, shape (triangle_count, 3).
         skins: Surface by which each deformable body is drawn: its own, or the finer one of the
@@ -53,6 +78,32 @@ class Readouts:
     parts: tuple[StepPart, ...]
     _reduction_errors: ReductionErrors | None = None
 
+    def _take(self, model: Model) -> None:
+        """Take the built scene, and what never changes of it."""
+        self.model, self.scene, self.terms, self.stages = model, model.scene, model.terms, model.stages
+        self.actuators, self.limits = model.actuators, model.actuators.limits
+        self.actuator_names, self.pulleys = self.actuators.names, self.actuators.pulleys
+        self.rest_setpoints = self.actuators.rest_setpoints
+        self.motors = {motor.name: motor.cables for motor in self.scene.motors}
+        effectors = self.scene.effectors
+        self.effector_names = tuple(effector.name for effector in effectors)
+        self.oriented_effectors = tuple(one.orientation is not None for one in effectors)
+        self.stiff_effectors = tuple(one.stiffness is not None for one in effectors)
+        self.scene_stiffness = stiffness_of_scene(self.scene)
+        self.marker_ids, self.effector_markers = model.marker_ids, model.effector_markers
+        self.touch_names = tuple(touch.name for touch in self.scene.touches)
+        self.rigid_names = tuple(part.name for part in model.rigid)
+        sliding = {slide.body for slide in self.scene.slides}
+        self.guided_names = tuple(part.name for part in model.rigid
+                                  if not part.is_free and part.name not in sliding)  # fmt: skip
+        meshes = [body.mesh for body in model.bodies]
+        self.node_count = sum(mesh.node_count for mesh in meshes)
+        self.tet_count, self.hexahedron_count = (
+            sum(mesh.cell_counts.get(kind, 0) for mesh in meshes) for kind in ("tets", "hexahedra"))
+        self.beam_element_count = sum(len(beam.lengths) for beam in model.beams)
+        self.dof_count = 3 * model.nodes.free_node_count
+        self.has_reduced_bodies = bool(reduced_bodies(model))
+
     def _find_surface(self) -> None:
         self._surfaces = [*map(own_skin, self.model.bodies), *map(beam_skin, self.model.beams)]
         triangles, count = [np.empty((0, 3), np.int64)], 0
@@ -64,112 +115,14 @@ class Readouts:
         self.cavities = CavityDisplay(self.model)
 
     @property
-    def scene(self) -> Scene:
-        """Its scene."""
-        return self.model.scene
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """Repairs and warnings, a sentence each."""
         return tuple(self.model.notes)
 
     @property
-    def terms(self) -> tuple:
-        """All terms that a step sums."""
-        return self.model.terms
-
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """Names of the stages of a step."""
-        return self.model.stages
-
-    @property
-    def actuators(self) -> Actuators:
-        """The actuators, with their kinds, units and scales."""
-        return self.model.actuators
-
-    @property
-    def limits(self) -> ActuatorLimits:
-        """Limits of the actuators."""
-        return self.model.actuators.limits
-
-    @property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Names of the actuators, in the order of all their arrays."""
-        return self.model.actuators.names
-
-    @property
-    def motors(self) -> dict[str, tuple[str, ...]]:
-        """Names of the cables of each motor, by the motor's name."""
-        return {motor.name: motor.cables for motor in self.scene.motors}
-
-    @property
-    def pulleys(self) -> Pulleys:
-        """Pulleys that wind cables, with their angles."""
-        return self.model.actuators.pulleys
-
-    @property
-    def effector_names(self) -> tuple[str, ...]:
-        """Names of the effectors, in the order of all their arrays."""
-        return tuple(effector.name for effector in self.scene.effectors)
-
-    @property
-    def touch_names(self) -> tuple[str, ...]:
-        """Names of the touches, in the order of all their arrays."""
-        return tuple(touch.name for touch in self.scene.touches)
-
-    @property
     def touches(self) -> TouchState | None:
         """The touches now; None in a scene without any."""
         return TouchState.of(self.state.memory)
-
-    @property
-    def rest_setpoints(self) -> np.ndarray:
-        """Setpoints at rest, such as lengths of cables [m], shape (actuator_count,)."""
-        return self.model.actuators.rest_setpoints
-
-    @property
-    def marker_ids(self) -> np.ndarray:
-        """Ids of the markers, shape (marker_count,)."""
-        return self.model.marker_ids
-
-    @property
-    def effector_markers(self) -> tuple[np.ndarray, ...]:
-        """For each effector, indices into `marker_ids` of the markers that move with it."""
-        return self.model.effector_markers
-
-    @property
-    def node_count(self) -> int:
-        """Number of nodes of all meshes, including fixed ones."""
-        return sum(body.mesh.node_count for body in self.model.bodies)
-
-    @property
-    def beam_element_count(self) -> int:
-        """Number of elements of all beams."""
-        return sum(len(beam.lengths) for beam in self.model.beams)
-
-    @property
-    def tet_count(self) -> int:
-        """Number of tetrahedra of all meshes."""
-        return sum(body.mesh.cell_counts.get("tets", 0) for body in self.model.bodies)
-
-    @property
-    def hexahedron_count(self) -> int:
-        """Number of hexahedra of all meshes."""
-        return sum(body.mesh.cell_counts.get("hexahedra", 0) for body in self.model.bodies)
-
-    @property
-    def dof_count(self) -> int:
-        """Number of unknowns: three for each free node, six for each free frame.
-
-        Frames are rigid bodies, vertebrae and nodes of beams.
-        """
-        return 3 * self.model.nodes.free_node_count
-
-    @property
-    def has_reduced_bodies(self) -> bool:
-        """Whether a body has the coordinates of a basis as its unknowns."""
-        return bool(reduced_bodies(self.model))
 
     @property
     def falls_back(self) -> bool:
@@ -206,24 +159,6 @@ class Readouts:
         if self.model.effectors is None:
             return np.empty((0, 3))
         return self.model.effectors.positions(self.state.positions)
-
-    @property
-    def oriented_effectors(self) -> tuple[bool, ...]:
-        """Whether each effector asks for an orientation."""
-        return tuple(effector.orientation is not None for effector in self.scene.effectors)
-
-    @property
-    def stiff_effectors(self) -> tuple[bool, ...]:
-        """Whether each effector asks for a stiffness."""
-        return tuple(effector.stiffness is not None for effector in self.scene.effectors)
-
-    @property
-    def scene_stiffness(self) -> np.ndarray:
-        """Stiffness of each effector that the scene asks for along x, y and z [N/m].
-
-        Shape (effector_count, 3); NaN where none is wanted.
-        """
-        return stiffness_of_scene(self.scene)
 
     @property
     def lengths_per_radian(self) -> np.ndarray:
@@ -281,20 +216,6 @@ class Readouts:
     def cavity_positions(self) -> tuple[np.ndarray, ...]:
         """Points of each cavity's walls [m], each of shape (point_count, 3)."""
         return tuple(skin.positions(self.state.positions) for skin in self.cavities.skins)
-
-    @property
-    def rigid_names(self) -> tuple[str, ...]:
-        """Names of the rigid bodies, in the order of all their arrays."""
-        return tuple(part.name for part in self.model.rigid)
-
-    @property
-    def guided_names(self) -> tuple[str, ...]:
-        """Names of the rigid bodies that follow commanded poses; others are moved by slides."""
-        sliding = {slide.body for slide in self.scene.slides}
-        return tuple(
-            part.name for part in self.model.rigid
-            if not part.is_free and part.name not in sliding
-        )  # fmt: skip
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
         """Poses of the coordinates in which the scene gives the rigid bodies' shapes.

@@ -139,7 +139,7 @@ class Simulation(Readouts):
             MeshError: The mesh cannot be used.
         """
         tell_of_compilation()
-        self.model = build_model(scene, factorization_type, with_warnings)
+        self._take(build_model(scene, factorization_type, with_warnings))
         self.now = now
         parts = step_parts(self.model)
         self._time_budget = TimeBudget()
