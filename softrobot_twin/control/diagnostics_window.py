@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
 
 import numpy as np
 
@@ -10,18 +11,8 @@ from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.simulation import Status, StepResult
 from softrobot_twin.simulation.result import StrainOutside
 
-_BY_SEVERITY = (
-    Status.OK,
-    Status.LINEARIZED,
-    Status.RATE_LIMITED,
-    Status.UNREACHABLE,
-    Status.SATURATED,
-    Status.NOT_CONVERGED,
-    Status.INVERTED,
-    Status.REFUSED,
-    Status.UNSOLVED,
-    Status.DIVERGED,
-)
+_SEVERITY = {status: place for place, status in enumerate(Status)}
+"""Statuses are told in the order of their severity."""
 
 
 def _largest(before: float, now: float) -> float:
@@ -75,25 +66,17 @@ class DiagnosticsWindow:
 
     def clear(self) -> None:
         """Starts a new window; the newest tick is kept."""
-        self.ticks = self.resting = self.blocked = 0
-        self.largest: dict[str, float] = dict.fromkeys(_LARGEST, 0)
+        self.ticks = self.resting = self.blocked = self.source_changes = 0
         self.overloaded = self.late = self.projected = 0
-        self.qp_solvers: set[str] = set()
-        self.worst = Status.OK
-        self.statuses: dict[str, int] = {}
-        self.stage_maxima: dict[str, float] = {}
-        self.limits: set[str] = set()
+        self.largest: dict[str, float] = dict.fromkeys(_LARGEST, 0)
+        self.worst, self.tracking_error_max, self.overlap_max = Status.OK, float("nan"), 0.0
+        self.qp_solvers, self.limits, self.violated, self.sources = (set[str]() for _ in range(4))
+        self.statuses, self.causes, self.left_out = Counter[str](), Counter[str](), Counter[int]()
         self.strains: dict[str, StrainOutside] = {}
-        self.violated: set[str] = set()
-        self.causes: dict[str, int] = {}
-        self.tracking_error_max = float("nan")
-        self.sources: set[str] = set()
-        self.source_changes = 0
-        self.left_out: dict[int, int] = {}
-        self.overlap_max = 0.0
-        self.contact_forces: dict[tuple[str, str], float] = {}
+        self.stage_maxima: dict[str, float] = defaultdict(float)
+        self.contact_forces: dict[tuple[str, str], float] = defaultdict(float)
         self.contact_resultants: dict[tuple[str, str], np.ndarray] = {}
-        self.contact_magnitude_sums: dict[tuple[str, str], float] = {}
+        self.contact_magnitude_sums: dict[tuple[str, str], float] = defaultdict(float)
 
     def add(self, outcome: TickOutcome) -> None:
         """Adds a tick."""
@@ -102,8 +85,7 @@ class DiagnosticsWindow:
         self.sources.add(source)
         self.add_again(outcome)
         result, report = outcome.result, outcome.result.report
-        if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):
-            self.worst = result.status
+        self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
         for field, larger in _LARGEST.items():
             self.largest[field] = larger(self.largest[field], getattr(report, field))
         self.overloaded += report.is_overloaded
@@ -112,7 +94,7 @@ class DiagnosticsWindow:
         if report.qp_solver:
             self.qp_solvers.add(report.qp_solver)
         for stage, time in report.stage_times.items():
-            self.stage_maxima[stage] = max(time, self.stage_maxima.get(stage, 0.0))
+            self.stage_maxima[stage] = max(time, self.stage_maxima[stage])
         self.limits.update(report.active_limits)
         self.strains.update({outside.key: outside for outside in report.strains})
         self.violated.update(outcome.violated)
@@ -122,18 +104,16 @@ class DiagnosticsWindow:
         self.tracking_error_max = float(
             np.fmax.reduce(outcome.tracking_errors, initial=self.tracking_error_max)
         )
-        for marker in outcome.left_out:
-            self.left_out[marker] = self.left_out.get(marker, 0) + 1
+        self.left_out.update(outcome.left_out)
 
     def add_again(self, outcome: TickOutcome) -> None:
         """Adds a tick that repeats one of this window: only what is counted changes."""
         self.newest = outcome
         self.ticks += 1
         self.resting += outcome.result.report.is_resting
-        word = outcome.result.status.value
-        self.statuses[word] = self.statuses.get(word, 0) + 1
+        self.statuses[outcome.result.status.value] += 1
         if outcome.cause:
-            self.causes[outcome.cause] = self.causes.get(outcome.cause, 0) + 1
+            self.causes[outcome.cause] += 1
 
     def _add_contacts(self, result: StepResult) -> None:
         contacts = result.contacts
@@ -141,13 +121,13 @@ class DiagnosticsWindow:
         forces = np.linalg.norm(contacts.forces, axis=1)
         for pair in np.unique(contacts.pairs):
             names, force = contacts.names[pair], float(forces[contacts.pairs == pair].max())
-            self.contact_forces[names] = max(force, self.contact_forces.get(names, 0.0))
+            self.contact_forces[names] = max(force, self.contact_forces[names])
         of_pairs = contacts.of_pairs()
         for names, resultant, magnitudes in zip(*of_pairs, strict=True):
             if magnitudes == 0.0:
                 continue
-            before = self.contact_magnitude_sums.get(names, 0.0)
+            before = self.contact_magnitude_sums[names]
             self.contact_magnitude_sums[names] = max(float(magnitudes), before)
-            largest = self.contact_resultants.get(names)
-            if largest is None or resultant @ resultant > largest @ largest:
+            largest = self.contact_resultants.setdefault(names, resultant)
+            if resultant @ resultant > largest @ largest:
                 self.contact_resultants[names] = resultant

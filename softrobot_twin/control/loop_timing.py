@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -45,37 +46,26 @@ class LoopStatistics:
     """
 
     def __init__(self, capacity: int = 1024):
-        self._periods = np.full(capacity, np.nan)
-        self._compute_times = np.full(capacity, np.nan)
-        self._next = 0
-        self._filled = 0
+        self._ticks: deque[tuple[float, float]] = deque(maxlen=capacity)
 
     def record(self, period: float, compute_time: float) -> None:
         """Adds one tick [s, s] in place of the oldest. The first tick's period is NaN."""
-        self._periods[self._next] = period
-        self._compute_times[self._next] = compute_time
-        self._next = (self._next + 1) % len(self._periods)
-        self._filled = min(self._filled + 1, len(self._periods))
+        self._ticks.append((period, compute_time))
 
     def summary(self) -> LoopSummary:
         """Statistics of the kept ticks."""
-        compute_times = self._compute_times[: self._filled]
-        periods = self._periods[: self._filled]
+        nan = float("nan")
+        if not self._ticks:
+            return LoopSummary(nan, nan, nan, nan, nan)
+        periods, compute_times = np.array(self._ticks).T
         periods = periods[np.isfinite(periods)]
-        if not len(compute_times):
-            return LoopSummary(*[float("nan")] * 5)
+        mean, longest = (periods.mean(), periods.max()) if len(periods) else (nan, nan)
         p50, p99 = np.percentile(compute_times, (50, 99))
-        return LoopSummary(
-            float(periods.mean()) if len(periods) else float("nan"),
-            float(periods.max()) if len(periods) else float("nan"),
-            float(p50),
-            float(p99),
-            float(compute_times.max()),
-        )
+        return LoopSummary(*map(float, (mean, longest, p50, p99, compute_times.max())))
 
     def clear(self) -> None:
         """Forgets all ticks."""
-        self._next = self._filled = 0
+        self._ticks.clear()
 
 
 class Tick(NamedTuple):

@@ -137,7 +137,7 @@ def contact_forces(
 
 
 class Status(Enum):
-    """How a step ended. The value is the word that diagnostics and CSV files show."""
+    """How a step ended, the gravest last. The value is the word that diagnostics and CSV files show."""
 
     OK = "ok"
     """The command was carried out, and the residual is within `residual_tolerance`."""
@@ -147,11 +147,11 @@ class Status(Enum):
     """
     RATE_LIMITED = "rate_limited"
     """Still moving: a rate limits an actuator, or the target is several steps away."""
+    UNREACHABLE = "unreachable"
+    """No limit is active except that a cable cannot push: this is the nearest point."""
     SATURATED = "saturated"
     """A limit that the report names prevents the command from being carried out: of length,
     tension, contact force, inversion, or the weight of the energy."""
-    UNREACHABLE = "unreachable"
-    """No limit is active except that a cable cannot push: this is the nearest point."""
     NOT_CONVERGED = "not_converged"
     """The residual is above what is allowed; the state can be used, its error is reported, as are
     the active limits."""

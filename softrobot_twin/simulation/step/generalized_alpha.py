@@ -103,7 +103,7 @@ class GeneralizedAlpha(Dynamics):
         self._has_contacts = model.contacts is not None
 
     def knows(self, past: PastMotion | None) -> bool:
-        """See `Dynamics.knows`."""
+        """See `Statics.knows`."""
         if past is None:
             return True
         unknowns = (self._nodes.free_node_count, 3)
@@ -117,7 +117,7 @@ class GeneralizedAlpha(Dynamics):
         self, beginners: tuple, positions: np.ndarray, velocities: np.ndarray,
         past: PastMotion | None, time_step: float, follows_targets: bool = False,
     ) -> bool:  # fmt: skip
-        """See `Dynamics.begin_step`."""
+        """See `Statics.begin_step`."""
         self._weights = self._towards_targets if follows_targets else self._own_weights
         model, w = self._model, self._weights
         before = positions.copy()
@@ -164,7 +164,7 @@ class GeneralizedAlpha(Dynamics):
     def end_step(
         self, before: State, positions: np.ndarray, actuation: Actuation, time_step: float
     ) -> Motion:
-        """See `Dynamics.end_step`."""
+        """See `Statics.end_step`."""
         past, h, zeta = before.past, time_step, self._zeta
         regular = self._regular_shares(before, actuation)
         excess = self._forces(regular.excess)

@@ -28,59 +28,12 @@ class Motion(NamedTuple):
     actuation: Actuation
 
 
-def begin_terms(
-    beginners: tuple, positions: np.ndarray, velocities: np.ndarray, time_step: float
-) -> None:
-    """Let all that remembers look at the state where a step begins; move what is guided."""
-    for beginner in beginners:
-        beginner.begin_step(positions, velocities, time_step)
-
-
 class Statics:
     """Every state is an equilibrium: there are no velocities."""
 
     def at_rest(self) -> np.ndarray:
-        """Initial velocities, shape (0, 3)."""
+        """Initial velocities [m/s] and [rad/s], shape (free_node_count, 3); (0, 3) in statics."""
         return np.empty((0, 3))
-
-    def knows(self, past: PastMotion | None) -> bool:
-        """See `Dynamics.knows`."""
-        return past is None
-
-    def begin_step(self, beginners, positions, velocities, past, time_step, follows_targets=False):
-        """See `Dynamics.begin_step`."""
-        begin_terms(beginners, positions, velocities, time_step)
-        return False
-
-    def end_step(self, before, positions, actuation, time_step: float) -> Motion:
-        """No velocities, shape (0, 3); see `Dynamics.end_step`."""
-        return Motion(np.empty((0, 3)), None, actuation)
-
-
-class Dynamics:
-    """The velocity is the displacement of a step over its duration (Coevoet 2017, eq. (6))."""
-
-    def __init__(self, model: Model):
-        """Take the nodes.
-
-        Args:
-            model: The built scene.
-        """
-        self._nodes = model.nodes
-        self._rigid = [part for part in model.rigid if part.is_free]
-        self._first = model.nodes.kinds[0].first_unknown if model.nodes.kinds else 0
-
-    def at_rest(self) -> np.ndarray:
-        """Initial velocities [m/s] and [rad/s], shape (free_node_count, 3)."""
-        velocities = np.zeros((self._nodes.free_node_count, 3))
-        for index, part in enumerate(self._rigid):
-            turning = np.array(part.entry.angular_velocity)
-            # The scene gives the velocity of the entry's origin, not of the centre of mass.
-            arm = part.rotation @ part.centre_of_mass
-            first = self._first
-            velocities[first + 2 * index] = part.entry.velocity + np.cross(turning, arm)
-            velocities[first + 2 * index + 1] = turning
-        return velocities
 
     def knows(self, past: PastMotion | None) -> bool:
         """Whether a state's past is one of this scheme and this scene."""
@@ -103,7 +56,8 @@ class Dynamics:
         Returns:
             Whether the tangent of an equally long step before is of no use for this one.
         """
-        begin_terms(beginners, positions, velocities, time_step)
+        for beginner in beginners:
+            beginner.begin_step(positions, velocities, time_step)
         return False
 
     def end_step(
@@ -117,5 +71,37 @@ class Dynamics:
             actuation: Efforts and contact forces of its system.
             time_step: Its length [s].
         """
+        return Motion(np.empty((0, 3)), None, actuation)
+
+
+class Dynamics(Statics):
+    """The velocity is the displacement of a step over its duration (Coevoet 2017, eq. (6))."""
+
+    def __init__(self, model: Model):
+        """Take the nodes.
+
+        Args:
+            model: The built scene.
+        """
+        self._nodes = model.nodes
+        self._rigid = [part for part in model.rigid if part.is_free]
+        self._first = model.nodes.kinds[0].first_unknown if model.nodes.kinds else 0
+
+    def at_rest(self) -> np.ndarray:
+        """See `Statics.at_rest`."""
+        velocities = np.zeros((self._nodes.free_node_count, 3))
+        for index, part in enumerate(self._rigid):
+            turning = np.array(part.entry.angular_velocity)
+            # The scene gives the velocity of the entry's origin, not of the centre of mass.
+            arm = part.rotation @ part.centre_of_mass
+            first = self._first
+            velocities[first + 2 * index] = part.entry.velocity + np.cross(turning, arm)
+            velocities[first + 2 * index + 1] = turning
+        return velocities
+
+    def end_step(
+        self, before: State, positions: np.ndarray, actuation: Actuation, time_step: float
+    ) -> Motion:
+        """See `Statics.end_step`."""
         velocities = self._nodes.displacement(before.positions, positions) / time_step
         return Motion(velocities, None, actuation)
