@@ -282,8 +282,7 @@ class ContactPair:
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m]."""
-        reach = np.array([float(margin)])
-        return found_by(lambda rows, span: self.write(positions, reach, rows, span))
+        return found_by(self.write, positions, margin=margin)
 
     def write(self, positions: np.ndarray, reach, rows: Proximities, span: np.ndarray) -> None:
         """Write what is near; a pair has this or `near`.
@@ -359,17 +358,18 @@ class TwoSurfaces(ContactPair):
     def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
         """Store the two sides; see `SurfaceAndShape`.
 
-        The detector is a `SurfacePairDetector`; one that needs the points of a surface only, such as
-        a `SelfDetector`, where both sides are the same.
+        The detector is a `SurfacePairDetector`; a `SelfDetector` or `FixedPairs` where both sides are
+        the same.
         """
         super().__init__(first, second, friction, names)
         self._detector, self.is_traceable = detector, getattr(detector, "is_traceable", False)
-        self._sides = (first,) if first is second else (first, second)
 
     def write(self, positions, reach, rows, span) -> None:
         """See `ContactPair.write`."""
-        points = [side.points(positions) for side in self._sides]
-        self._detector.write(*points, reach, rows, span)
+        x = y = self.first.points(positions)
+        if self.second is not self.first:
+            y = self.second.points(positions)
+        self._detector.write(x, y, reach, rows, span)
 
 
 class BallAndShape(ContactPair):

@@ -15,12 +15,10 @@ Where two edges cross or corners meet, no face is in contact, and a general sear
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
-from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.proximities import Proximities, empty_proximities
 from softrobot_twin.geometry.shapes.box import Box
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row, subtract
@@ -38,28 +36,6 @@ EDGE_BIAS, FACE_BIAS, SLIVER = 1.0e-2, 1.0e-3, 1.0e-4
 # below which two edges are parallel.
 SAME_NORMAL, ACROSS, PARALLEL = 0.9, 0.1, 1.0e-3
 _LABELS = 16
-
-
-class FaceContacts(NamedTuple):
-    """Buffer for the corners of a contact polygon.
-
-    Attributes:
-        first_positions: Positions on the first box [m], shape (MOST_CORNERS, 3).
-        second_positions: Positions on the second box [m], shape (MOST_CORNERS, 3).
-        normals: Unit vectors from the second to the first, shape (MOST_CORNERS, 3).
-        gaps: Signed distances along them [m], shape (MOST_CORNERS,).
-        keys: Numbers of the two faces and of the sides that meet, shape (MOST_CORNERS,).
-        polygons: Work array, shape (2, MOST_CORNERS, 3).
-        labels: Work array: sides before and after each corner, shape (2, MOST_CORNERS, 2).
-    """
-
-    first_positions: np.ndarray
-    second_positions: np.ndarray
-    normals: np.ndarray
-    gaps: np.ndarray
-    keys: np.ndarray
-    polygons: np.ndarray
-    labels: np.ndarray
 
 
 @njit(**INNER)
@@ -170,7 +146,7 @@ def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
 
 
 @njit(**KERNEL)
-def face_contacts(first, first_half, second, second_half, margin, found):
+def face_contacts(first, first_half, second, second_half, margin, corners, labels, found):
     """Find where a face of one box is near the other box.
 
     Args:
@@ -179,7 +155,10 @@ def face_contacts(first, first_half, second, second_half, margin, found):
         second: As for the first.
         second_half: As for the first.
         margin: Gap below which corners are returned [m].
-        found: Output: `FaceContacts`.
+        corners: Work array for two polygons [m], shape (2, MOST_CORNERS, 3).
+        labels: Work array for the sides before and after each corner, shape (2, MOST_CORNERS, 2).
+        found: Output: `Proximities` for MOST_CORNERS pairs. A key tells of the two faces and of the
+            sides that meet.
 
     Returns:
         Number of contacts; NO_FACE if the boxes are near each other but no face is.
@@ -219,8 +198,8 @@ def face_contacts(first, first_half, second, second_half, margin, found):
         at, axes, half, face = row(first, 0), first_axes, first_half, first_face
         facing_at, facing_axes, facing_half = row(second, 0), second_axes, second_half
     facing = _facing(facing_axes, normal)
-    polygon, labels = found.polygons[0], found.labels[0]
-    clipped, clipped_labels = found.polygons[1], found.labels[1]
+    polygon, clipped = corners[0], corners[1]
+    labels, clipped_labels = labels[0], labels[1]
     count = _corners(facing_at, facing_axes, facing_half, facing, polygon, labels)
     for side in range(6):
         if side // 2 == face // 2:
@@ -262,11 +241,10 @@ class BoxPairDetector:
             for box in (first, second)
         ]  # fmt: skip
         self._pose = np.empty(3), np.empty((3, 3))
-        size = MOST_CORNERS
-        places = (np.empty((size, 3)) for _ in range(3))
-        keys, labels = np.empty(size, np.int64), np.empty((2, size, 2), np.int64)
-        self._found = FaceContacts(*places, np.empty(size), keys, np.empty((2, size, 3)), labels)
-        self._no_points = np.full((size, 3), -1, np.int64), np.zeros((size, 3))
+        self._corners = np.empty((2, MOST_CORNERS, 3))
+        self._labels = np.empty((2, MOST_CORNERS, 2), np.int64)
+        self._found = empty_proximities(MOST_CORNERS)
+        self._found.first_points[:] = self._found.second_points[:] = -1
 
     def detect(self, first_pose, second_pose, margin: float) -> Proximities | None:
         """Finds the pairs of nearest points whose gap is below a margin.
@@ -286,9 +264,10 @@ class BoxPairDetector:
             self._pose[0][:], self._pose[1][:] = pose
             place_frame(at, axes, *self._pose, placed)
         (_, _, first_half, first), (_, _, second_half, second) = self._boxes
-        found = self._found
-        count = face_contacts(first, first_half, second, second_half, float(margin), found)
+        count = face_contacts(
+            first, first_half, second, second_half, float(margin), self._corners, self._labels,
+            self._found,
+        )  # fmt: skip
         if count == NO_FACE:
             return None
-        none, whole = (part[:count] for part in self._no_points)
-        return Proximities(none, whole, none, whole, *(part[:count].copy() for part in found[:5]))
+        return Proximities(*(part[:count].copy() for part in self._found))

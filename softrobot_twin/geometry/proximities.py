@@ -57,17 +57,19 @@ def empty_proximities(capacity: int) -> Proximities:
     )  # fmt: skip
 
 
-def found_by(write: Callable[[Proximities, np.ndarray], None]) -> Proximities:
+def found_by(write: Callable, *places: np.ndarray, margin: float) -> Proximities:
     """The pairs that a detector writes, in arrays of their own.
 
     Args:
-        write: Takes rows and span.
+        write: Takes places, reach, rows and span.
+        places: Points and poses [m], as `write` takes them.
+        margin: Gap below which pairs are found [m].
     """
-    rows, span = empty_proximities(0), np.zeros(2, np.int64)
-    write(rows, span)
+    reach, span, rows = np.array([float(margin)]), np.zeros(2, np.int64), empty_proximities(0)
+    write(*places, reach, rows, span)
     if span[1]:
         rows = empty_proximities(span[1])
-        write(rows, span)
+        write(*places, reach, rows, span)
     return rows
 
 

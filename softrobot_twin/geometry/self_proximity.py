@@ -25,28 +25,21 @@ from scipy.sparse.csgraph import dijkstra
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid, have_room
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
-    closed_surface,
     compute_normals,
     mean_edge_length,
     mean_normal,
 )
 from softrobot_twin.geometry.closest_features import closest_weights
-from softrobot_twin.geometry.proximities import Proximities, found_by, write_row
-from softrobot_twin.geometry.surface import checked_points
+from softrobot_twin.geometry.proximities import Proximities, write_row
+from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 from softrobot_twin.geometry.triangle_pairs import (
     FACING_SINE,
     NEIGHBOUR,
     SURROUNDED,
     TOUCHING,
     ExcludedPairs,
-    SurfaceSide,
-    feature_count,
-    find_ridges,
-    pair_edges,
-    pair_vertices,
 )
 from softrobot_twin.geometry.vector3 import (
     add_scaled,
@@ -170,53 +163,13 @@ def find_excluded_pairs(
         triangles=np.concatenate(triangles),
         codes=np.concatenate(codes).astype(np.int64),
         stamps=np.zeros(len(surface.links), dtype=np.int64),
+        points=points,
+        normals=normals,
+        near=max(float(alarm_distance), through),
     )
 
 
-@njit(**KERNEL)
-def pair_surface_with_itself(
-    side, edge_grid, reach, depth, rest, rest_points, rest_normals, near, rows, span
-):  # fmt: skip
-    """Find all pairs of one surface with itself.
-
-    Args:
-        side: The surface, a `SurfaceSide`.
-        edge_grid: Grid for its edges.
-        reach: See `proximities.py`.
-        depth: Largest depth of a pair [m].
-        rest: Excluded pairs.
-        rest_points: Points at rest [m].
-        rest_normals: Normals at rest.
-        near: Distance at rest below which edges must face each other across air [m].
-        rows: See `proximities.py`.
-        span: See there.
-
-    Returns:
-        The capacities that the grids of the triangles and of the edges need. If one of these
-        exceeds what is allocated, no row is written.
-    """
-    x, surface, margin = side.x, side.surface, reach[0]
-    region = bounding_box(x, surface.vertices)
-    compute_normals(x, surface.links, side.normals)
-    edge_depth = min(depth, find_ridges(x, surface.edges, side.normals, side.ridges))
-    need = fill_grid(
-        x, surface.links, 3, max(margin, depth), region, side.ridges[:0], side.grid
-    )  # fmt: skip
-    need_edges = fill_grid(
-        x, surface.edges, 2, max(margin, edge_depth), region, side.ridges, edge_grid
-    )  # fmt: skip
-    if need > len(side.grid.items) or need_edges > len(edge_grid.items):
-        return need, need_edges
-    count = pair_vertices(side, side, region, margin, depth, rest, False, 0, rows, span[0])
-    key = len(x) * feature_count(side)
-    span[1] = pair_edges(
-        side, side, edge_grid, margin, edge_depth, rest_points, rest_normals, near, key, rows,
-        count,
-    )  # fmt: skip
-    return need, need_edges
-
-
-class SelfDetector:
+class SelfDetector(SurfacePairDetector):
     """Detects contacts and small overlaps of a surface with itself.
 
     Attributes:
@@ -224,80 +177,29 @@ class SelfDetector:
     """
 
     def __init__(
-        self,
-        triangles: np.ndarray,
-        rest_points: np.ndarray,
-        alarm_distance: float,
+        self, triangles: np.ndarray, rest_points: np.ndarray, alarm_distance: float,
         depth: float | None = None,
-    ):
+    ):  # fmt: skip
         """Finds the pairs that can never collide.
 
         Args:
             triangles: Point indices, outward normals, shape (triangle_count, 3).
             rest_points: Points at rest [m], shape (point_count, 3).
             alarm_distance: Distance along the surface below which features that do not face each
-                other across air are neighbours [m]; at least the largest margin of `detect`.
+                other across air are neighbours [m]; at least the largest margin.
             depth: Largest depth of an overlap [m]; by default half the mean edge length.
 
         Raises:
-            MeshError: The surface is not closed or not consistently oriented, or the points have
-                another shape.
+            MeshError: The surface is not closed or not consistently oriented.
         """
-        rest_points = np.ascontiguousarray(rest_points, dtype=np.float64)
-        if rest_points.ndim != 2:
-            raise MeshError(None, f"surface points have shape {rest_points.shape}, not (n, 3)")
-        self._rest_points = checked_points(rest_points, len(rest_points)).copy()
-        surface = self._surface = closed_surface(triangles, len(rest_points))
-        if depth is None:
-            depth = _DEPTH_IN_EDGES * mean_edge_length(surface, rest_points)
-        self.depth = depth
-        self._near = max(float(alarm_distance), _THROUGH_THE_BODY * depth)
+        points, count = np.array(rest_points, float), len(rest_points)
+        super().__init__(triangles, count, triangles, count, depth)
+        surface = self._sides[0].surface
+        if self.depth is None:
+            self.depth = _DEPTH_IN_EDGES * mean_edge_length(surface, points)
         self._rest = find_excluded_pairs(
-            surface, rest_points, alarm_distance, _THROUGH_THE_BODY * depth
+            surface, points, alarm_distance, _THROUGH_THE_BODY * self.depth
         )
-        self._normals = np.empty((len(surface.links), 4))
-        self._rest_normals = np.empty_like(self._normals)
-        compute_normals(self._rest_points, surface.links, self._rest_normals)
-        self._ridges = np.empty(len(surface.edges), dtype=np.bool_)
-        self._no_leaders = np.empty(0, dtype=np.int64)
-        self._grids = [empty_grid(len(surface.links)), empty_grid(len(surface.edges))]
-
-    def detect(self, points: np.ndarray, margin: float) -> Proximities:
-        """Finds the pairs that are nearer than a margin.
-
-        Args:
-            points: Current points [m], shape (point_count, 3).
-            margin: Largest gap of a pair [m].
-
-        Returns:
-            The pairs; both sides refer to the same points.
-
-        Raises:
-            MeshError: The points have another shape.
-        """
-        x, reach = checked_points(points, len(self._rest_points)), np.array([float(margin)])
-        return found_by(lambda rows, span: self.write(x, reach, rows, span))
-
-    def write(self, x: np.ndarray, reach: np.ndarray, rows: Proximities, span: np.ndarray) -> None:
-        """Write the pairs that are near.
-
-        Args:
-            x: Current points [m], shape (point_count, 3).
-            reach: See `proximities.py`.
-            rows: See there.
-            span: See there.
-        """
-        while not have_room(self._grids, pair_surface_with_itself(
-            self._side(x), self._grids[1], reach, float(self.depth), self._rest,
-            self._rest_points, self._rest_normals, self._near, rows, span,
-        )):  # fmt: skip
-            pass  # With longer lists.
-
-    def _side(self, points: np.ndarray) -> SurfaceSide:
-        return SurfaceSide(
-            points, self._surface, self._normals, self._ridges, self._grids[0], self._no_leaders,
-            self._surface.vertices,
-        )  # fmt: skip
 
 
 @njit(**KERNEL)
@@ -365,25 +267,14 @@ class FixedPairs:
             raise MeshError(None, f"predefined pair {twice[0]} refers to a point twice")
         self._points, self._triangles = points, triangles
 
-    def detect(self, points: np.ndarray, margin: float) -> Proximities:
-        """Finds the pairs that are nearer than a margin.
-
-        Args:
-            points: Points [m], shape (point_count, 3).
-            margin: Largest gap of a pair [m].
-
-        Returns:
-            The pairs; the key is the index of the pair. A triangle without area has no normal, and
-            its pair is omitted.
-        """
-        x, reach = np.ascontiguousarray(points, dtype=np.float64), np.array([float(margin)])
-        return found_by(lambda rows, span: self.write(x, reach, rows, span))
-
-    def write(self, x: np.ndarray, reach: np.ndarray, rows: Proximities, span: np.ndarray) -> None:
+    def write(self, x, _, reach, rows: Proximities, span: np.ndarray) -> None:
         """Write the pairs that are near; may be traced.
+
+        The key is the index of a pair. A triangle without area has no normal, and its pair is omitted.
 
         Args:
             x: Points [m], shape (point_count, 3).
+            _: The same, as the points of the other side.
             reach: See `proximities.py`.
             rows: See there.
             span: See there.

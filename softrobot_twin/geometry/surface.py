@@ -61,19 +61,6 @@ def checked_triangles(triangles: np.ndarray, point_count: int, least: int = 0) -
     return triangles
 
 
-def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
-    """Checks points and returns them as a contiguous, writable array.
-
-    Raises:
-        MeshError: Their shape is not (point_count, 3).
-    """
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    if points.shape != (point_count, 3):
-        raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
-    # A read-only array is another type for numba, which would compile all kernels a second time.
-    return points if points.flags.writeable else points.copy()
-
-
 def half_edges(triangles: np.ndarray) -> HalfEdges:
     """The edges of triangles, of shape (triangle_count, 3)."""
     halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)

@@ -17,14 +17,15 @@ from softrobot_twin.geometry.broad_phase import (
     shared_box,
 )
 from softrobot_twin.geometry.closed_surface import (
+    ClosedSurface,
+    FlatRegions,
     apply_region_planes,
     closed_surface,
     compute_normals,
     flat_regions,
     mean_edge_length,
 )
-from softrobot_twin.geometry.proximities import Proximities, found_by
-from softrobot_twin.geometry.surface import checked_points
+from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.triangle_pairs import (
     SurfaceSide,
     feature_count,
@@ -57,15 +58,15 @@ def find_features(side):
 
 @njit(**KERNEL)
 def pair_surfaces(first, second, edge_grid, reach, depth, rest, rows, span):
-    """Find all pairs of two different surfaces.
+    """Find all pairs of two surfaces, or of one with itself.
 
     Args:
         first: First surface, a `SurfaceSide`.
-        second: Second surface.
+        second: Second surface; the first again if pairs of it are excluded.
         edge_grid: Grid for the edges of the second.
         reach: See `proximities.py`.
         depth: Largest depth of a pair [m].
-        rest: Result of `no_excluded_pairs`.
+        rest: Excluded pairs of one surface; `no_excluded_pairs` for two.
         rows: See `proximities.py`.
         span: See there.
 
@@ -73,16 +74,22 @@ def pair_surfaces(first, second, edge_grid, reach, depth, rest, rows, span):
         The capacities that the grids of the first surface, of the second and of the edges need. If
         one of these exceeds what is allocated, no row is written.
     """
-    margin = reach[0]
+    margin, same = reach[0], len(rest.offsets) > 0
+    if same:
+        second = first
     x, a, y, b = first.x, first.surface, second.x, second.surface
     box, other = bounding_box(x, a.vertices), bounding_box(y, b.vertices)
     region, other_region = shared_box(other, box, margin), shared_box(box, other, margin)
-    half_edge = min(find_features(first), find_features(second))
+    half_edge = find_features(first)
+    if not same:
+        half_edge = min(half_edge, find_features(second))
     far = max(margin, depth)
     edge_depth = min(depth, half_edge)
     every = first.ridges[:0]
     need_first = fill_grid(x, a.links, 3, far, other_region, every, first.grid)
-    need_second = fill_grid(y, b.links, 3, far, region, every, second.grid)
+    need_second = 0
+    if not same:
+        need_second = fill_grid(y, b.links, 3, far, region, every, second.grid)
     need_edges = fill_grid(
         y, b.edges, 2, max(margin, edge_depth), region, second.ridges, edge_grid
     )  # fmt: skip
@@ -94,13 +101,12 @@ def pair_surfaces(first, second, edge_grid, reach, depth, rest, rows, span):
         return need_first, need_second, need_edges
     count = pair_vertices(first, second, region, margin, depth, rest, False, 0, rows, span[0])
     key = len(x) * feature_count(second)
-    count = pair_vertices(
-        second, first, other_region, margin, depth, rest, True, key, rows, count
-    )  # fmt: skip
-    key += len(y) * feature_count(first)
-    span[1] = pair_edges(
-        first, second, edge_grid, margin, edge_depth, x[:0], first.normals, 0.0, key, rows, count
-    )
+    if not same:
+        count = pair_vertices(
+            second, first, other_region, margin, depth, rest, True, key, rows, count
+        )  # fmt: skip
+        key += len(y) * feature_count(first)
+    span[1] = pair_edges(first, second, edge_grid, margin, edge_depth, rest, key, rows, count)
     return need_first, need_second, need_edges
 
 
@@ -140,40 +146,14 @@ class SurfacePairDetector:
             MeshError: A surface is not closed or not consistently oriented.
         """
         self.depth = depth
-        self._counts = (first_point_count, second_point_count)
-        self._surfaces = (
+        surfaces = (
             closed_surface(first_triangles, first_point_count),
             closed_surface(second_triangles, second_point_count),
         )
-        self._normals = [np.empty((len(s.links), 4)) for s in self._surfaces]
-        self._features = [
-            _features(s, points) for s, points in zip(self._surfaces, rigid_points, strict=True)
-        ]
-        self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
-        self._grids.append(empty_grid(len(self._surfaces[1].edges)))
+        self._sides = [_side(*pair) for pair in zip(surfaces, rigid_points, strict=True)]
+        self._grids = [*(side.grid for side in self._sides), empty_grid(len(surfaces[1].edges))]
         self._has_searched = False
         self._rest = no_excluded_pairs()
-
-    def detect(
-        self, first_points: np.ndarray, second_points: np.ndarray, margin: float
-    ) -> Proximities:
-        """Finds the pairs that are nearer than a margin.
-
-        Args:
-            first_points: Points of the first body [m], shape (first_point_count, 3).
-            second_points: Points of the second body [m], shape (second_point_count, 3).
-            margin: Largest gap of a pair [m].
-
-        Returns:
-            The pairs; a key identifies a vertex and a feature, or two edges.
-
-        Raises:
-            MeshError: The points have another shape.
-        """
-        x = checked_points(first_points, self._counts[0])
-        y = checked_points(second_points, self._counts[1])
-        reach = np.array([float(margin)])
-        return found_by(lambda rows, span: self.write(x, y, reach, rows, span))
 
     def write(self, x, y, reach, rows: Proximities, span: np.ndarray) -> None:
         """Write the pairs that are near.
@@ -185,7 +165,7 @@ class SurfacePairDetector:
             rows: See there.
             span: See there.
         """
-        a, b = self._surfaces
+        a, b = (side.surface for side in self._sides)
         if self.depth is None:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
@@ -194,24 +174,22 @@ class SurfacePairDetector:
             span[1] = span[0]
             return
         self._has_searched = True
+        first, second = self._sides
         while not have_room(self._grids, pair_surfaces(
-            self._side(0, x), self._side(1, y), self._grids[2], reach, float(self.depth),
-            self._rest, rows, span,
+            first._replace(x=x, grid=self._grids[0]), second._replace(x=y, grid=self._grids[1]),
+            self._grids[2], reach, float(self.depth), self._rest, rows, span,
         )):  # fmt: skip
             pass  # With longer lists.
 
-    def _side(self, index: int, points: np.ndarray) -> SurfaceSide:
-        ridges, leaders, crests = self._features[index]
-        return SurfaceSide(
-            points, self._surfaces[index], self._normals[index], ridges, self._grids[index],
-            leaders, crests,
-        )  # fmt: skip
 
-
-def _features(surface, rigid_points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ridges, leaders and crests of a `SurfaceSide`; a deforming one gets its ridges later."""
+def _side(surface: ClosedSurface, rigid_points: np.ndarray | None) -> SurfaceSide:
+    """A surface that has no points yet; a deforming one gets its ridges with them."""
+    count = len(surface.links)
     if rigid_points is None:
         ridges = np.empty(len(surface.edges), dtype=np.bool_)
-        return ridges, np.empty(0, dtype=np.int64), surface.vertices
-    regions = flat_regions(surface, rigid_points)
-    return regions.ridges, regions.leaders, regions.crests
+        regions = FlatRegions(np.empty(0, dtype=np.int64), ridges, surface.vertices)
+    else:
+        regions = flat_regions(surface, rigid_points)
+    return SurfaceSide(
+        np.empty((0, 3)), surface, np.empty((count, 4)), empty_grid(count), *regions
+    )

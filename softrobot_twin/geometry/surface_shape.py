@@ -64,7 +64,7 @@ from softrobot_twin.geometry.closest_features import (
     squared_distance,
     triangle_normal,
 )
-from softrobot_twin.geometry.proximities import Proximities, found_by
+from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.distance_kernels import (
     BOX,
     CAPSULE,
@@ -75,7 +75,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import (
     shape_distance,
 )
 from softrobot_twin.geometry.shapes.shape import Shape
-from softrobot_twin.geometry.surface import checked_points, checked_triangles
+from softrobot_twin.geometry.surface import checked_triangles
 from softrobot_twin.geometry.vector3 import (
     add,
     add_scaled,
@@ -1047,7 +1047,7 @@ class SurfaceShapeDetector:
 
         Args:
             triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
-            point_count: Number of points that `detect` takes.
+            point_count: Number of points of the surface, used by triangles or not.
             shape: The shape, in the frame of its carrier.
             deforms: Whether the surface belongs to a deforming body.
 
@@ -1056,7 +1056,6 @@ class SurfaceShapeDetector:
         """
         triangles = checked_triangles(triangles, point_count, least=1)
         self.shape = shape
-        self.point_count = point_count
         self._vertices, own = np.unique(triangles, return_inverse=True)
         self._triangles = own.reshape(-1, 3).astype(np.int64)
         self._edges, self._sides = edges_and_sides(self._triangles)
@@ -1074,34 +1073,12 @@ class SurfaceShapeDetector:
         # Computed from the positions in the first call; neighbours stay neighbours.
         self._clusters: Clusters | None = None
 
-    def detect(
-        self, points: np.ndarray, origin: np.ndarray, rotation: np.ndarray, margin: float
-    ) -> Proximities:
-        """Finds the pairs of nearest points whose gap is below a margin.
+    def write(self, points, origin, rotation, reach, rows: Proximities, span: np.ndarray) -> None:
+        """Write the pairs that are near: of vertices, then edges, then triangles; may be traced.
 
         The gap of a vertex is its signed distance, and so is that of an edge or a triangle outside
         the shape. In overlap, the gap of an edge or a triangle is minus the shortest displacement
         that separates the two features.
-
-        Args:
-            points: Points of the surface [m], shape (point_count, 3).
-            origin: Origin of the shape's carrier in the world [m], shape (3,).
-            rotation: Its axes as columns, shape (3, 3).
-            margin: Gap below which pairs are returned [m].
-
-        Returns:
-            The pairs: vertices, then edges, then triangles, each in the order of the surface.
-
-        Raises:
-            MeshError: The number of points differs from `point_count`.
-        """
-        points = checked_points(points, self.point_count)
-        pose = np.array(origin, float), np.array(rotation, float, order="C")
-        reach = np.array([float(margin)])
-        return found_by(lambda rows, span: self.write(points, *pose, reach, rows, span))
-
-    def write(self, points, origin, rotation, reach, rows: Proximities, span: np.ndarray) -> None:
-        """Write the pairs that are near; may be traced.
 
         Args:
             points: Points of the surface [m], shape (point_count, 3).

@@ -17,7 +17,7 @@ Arguments of the kernels here:
     frame: Lower corner [m], upper corner [m] and cells per length [1/m], shape (3, 3).
     low, high: First and last cell along each axis, shape (3,).
     others: Edges of the other surface, shape (other_edge_count, 6).
-    rest: Points at rest [m], shape (point_count, 3), or (0, 3) for two surfaces.
+    rest: Excluded pairs of one surface, see `ExcludedPairs`.
     stamps: Marks of the triangles, shape (triangle_count,).
     w: Barycentric weights, three numbers.
     y: Points of the other surface [m], shape (other_point_count, 3).
@@ -72,18 +72,24 @@ class ExcludedPairs(NamedTuple):
         triangles: The excluded triangles of all points, concatenated.
         codes: Reason for each of them.
         stamps: Work array, shape (triangle_count,).
+        points: Points at rest [m], shape (point_count, 3).
+        normals: Normals at rest, see `SurfaceSide`.
+        near: Distance at rest below which two edges must face each other across air [m].
     """
 
     offsets: np.ndarray
     triangles: np.ndarray
     codes: np.ndarray
     stamps: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    near: float
 
 
 def no_excluded_pairs() -> ExcludedPairs:
     """No excluded pairs, for two different surfaces."""
     none = np.zeros(0, dtype=np.int64)
-    return ExcludedPairs(none, none, none, none)
+    return ExcludedPairs(none, none, none, none, np.empty((0, 3)), np.empty((0, 4)), 0.0)
 
 
 @njit(**INNER)
@@ -143,18 +149,18 @@ class SurfaceSide(NamedTuple):
         x: Points [m].
         surface: The surface.
         normals: Its unit normals and plane offsets, shape (triangle_count, 4).
-        ridges: Whether an edge is convex, shape (edge_count,).
         grid: Grid of its triangles.
         leaders: See `FlatRegions`; of length 0 if the surface deforms.
+        ridges: Whether an edge is convex, shape (edge_count,).
         crests: Points that may touch: those of `FlatRegions`, or all.
     """
 
     x: np.ndarray
     surface: ClosedSurface
     normals: np.ndarray
-    ridges: np.ndarray
     grid: CellGrid
     leaders: np.ndarray
+    ridges: np.ndarray
     crests: np.ndarray
 
 
@@ -425,14 +431,15 @@ def is_inside(side, start, end):
 
 
 @njit(**INNER)
-def face_across_air(x, edges, normals, e, f, near):
+def face_across_air(rest, edges, e, f):
     """Whether two edges of one surface are far apart, or face each other across air."""
+    x, normals = rest.points, rest.normals
     _, s, t, _ = crossing(x, edges, e, x, edges, f)
     p = point_at(x, edges, e, min(max(s, 0.0), 1.0))
     q = point_at(x, edges, f, min(max(t, 0.0), 1.0))
     away = subtract(p, q)
     distance = norm(away)
-    if distance > near:
+    if distance > rest.near:
         return True
     return (
         dot(away, edge_normal(normals, edges[f, 2], edges[f, 3])) > FACING_SINE * distance
@@ -441,9 +448,7 @@ def face_across_air(x, edges, normals, e, f, near):
 
 
 @njit(**INNER)
-def pair_edges(
-    a, b, edge_grid, margin, depth, rest, rest_normals, near, first_key, rows, count
-):
+def pair_edges(a, b, edge_grid, margin, depth, rest, first_key, rows, count):
     """Pair ridges of surface a with ridges of surface b.
 
     Args:
@@ -452,9 +457,7 @@ def pair_edges(
         edge_grid: Grid of the ridges of b, boxes enlarged by the larger of margin and depth.
         margin: Largest gap of a pair [m].
         depth: Largest depth of a pair [m].
-        rest: Points at rest if both are one surface [m], else of length 0.
-        rest_normals: Normals at rest.
-        near: Distance at rest below which edges must face each other across air [m].
+        rest: Excluded pairs of one surface.
         first_key: Key of the first pair.
         rows: Output, from row `count` on.
         count: Rows written before.
@@ -462,7 +465,7 @@ def pair_edges(
     Returns:
         End of the rows; those beyond the room were not written.
     """
-    same = len(rest) > 0
+    same = len(rest.offsets) > 0
     low = np.empty(3, dtype=np.int64)
     high = np.empty(3, dtype=np.int64)
     x, edges, normals, ridges = a.x, a.surface.edges, a.normals, a.ridges
@@ -495,7 +498,7 @@ def pair_edges(
                             continue
                         if gap < 0.0 and not overlap(a, b, e, s, f, t):
                             continue
-                        if same and not face_across_air(rest, edges, rest_normals, e, f, near):
+                        if same and not face_across_air(rest, edges, e, f):
                             continue
                         key = first_key + e * len(others) + f
                         write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, count)

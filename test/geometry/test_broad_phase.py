@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.geometry.broad_phase import CLUSTER_SIZE, Clusters, cluster_triangles
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
+from test.near_pairs import near
 
 MARGIN = 0.03
 ENDS = [[0.0, 0.0, -0.2], [0.0, 0.0, 0.2]]
@@ -57,8 +58,8 @@ def test_excluding_clusters_changes_no_bit(tube, shape):
         bent = points + 0.003 * rng.normal(size=points.shape)
         origin = rng.uniform([-0.4, -0.2, -0.2], [0.4, 0.2, 0.2])
         rotation = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
-        a = culled.detect(bent, origin, rotation, MARGIN)
-        b = whole.detect(bent, origin, rotation, MARGIN)
+        a = near(culled, bent, origin, rotation, MARGIN)
+        b = near(whole, bent, origin, rotation, MARGIN)
         found += len(a.gaps)
         for one, other in zip(a, b, strict=True):
             np.testing.assert_array_equal(one, other)

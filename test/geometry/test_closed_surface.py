@@ -15,6 +15,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import CYLINDER
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 from softrobot_twin.geometry.surface_shape import is_past_shape
+from test.near_pairs import near
 
 SCALES = [1e-3, 1.0, 10.0]
 FLOOR = Box([0.0, 0.0, -0.5], [4.0, 4.0, 1.0])
@@ -111,11 +112,11 @@ def test_all_contact_normals_on_a_flat_floor_equal_its_normal(cells, scale, seed
         yaw = Rotation.from_euler("z", random.uniform(0, 6))
         lying = yaw * Rotation.from_euler("y", np.pi / 2)
         low = [x, y, height + radius]
-        found = pair.detect(points, yaw.apply(cube) + low, 0.01 * scale)
+        found = near(pair, points, yaw.apply(cube) + low, 0.01 * scale)
         assert np.abs(found.normals - [0, 0, -1]).max() < 1e-5
         assert (np.abs(found.gaps - height) < PLANE * scale).sum() >= 4
         for detector, pose in zip(detectors, (yaw, lying, lying), strict=True):
-            found = detector.detect(points, np.array(low), pose.as_matrix(), 0.01 * scale)
+            found = near(detector, points, np.array(low), pose.as_matrix(), 0.01 * scale)
             assert len(found.gaps) >= (1 if detector is detectors[0] else 2)
             assert np.abs(found.normals - [0, 0, -1]).max() < 1e-5
             np.testing.assert_allclose(found.gaps, height, rtol=0, atol=PLANE * scale)
@@ -128,7 +129,7 @@ def test_a_ball_touches_a_table_by_its_face_edge_and_corner_alone():
         ([0.33, 0.11, 0.7], [0, 0, 1]), ([0.6, 0.13, 0.6], [1, 0, 1]), ([0.6] * 3, [1, 1, 1]),
         ([0.3, 0.2, 0.7], [0, 0, 1]), ([0.7, 0.5 - 1e-9, 0.2], [1, 0, 0]),
     ):  # fmt: skip
-        found = detector.detect(points, np.array(centre), UPRIGHT, 0.05)
+        found = near(detector, points, np.array(centre), UPRIGHT, 0.05)
         away = np.array(normal) / np.linalg.norm(normal)
         np.testing.assert_allclose(found.normals, np.tile(-away, (len(found.gaps), 1)), atol=1e-6)
         nearest = np.clip(centre, -0.5, 0.5)
@@ -139,7 +140,7 @@ def test_a_ball_touches_a_table_by_its_face_edge_and_corner_alone():
 def test_a_ball_whose_centre_is_behind_a_face_is_pushed_out_through_it():
     points, triangles = Box([0, 0, 0], [1.0, 1.0, 1.0]).surface(0.25)
     detector = SolidShapeDetector(triangles, points, Sphere([0, 0, 0], 0.1))
-    found = detector.detect(points, np.array([0.13, 0.21, 0.47]), UPRIGHT, 0.01)
+    found = near(detector, points, np.array([0.13, 0.21, 0.47]), UPRIGHT, 0.01)
     np.testing.assert_allclose(found.normals, np.tile([0, 0, -1.0], (len(found.gaps), 1)))
     np.testing.assert_allclose(found.gaps, -0.13, atol=1e-12)
 
@@ -150,7 +151,7 @@ def test_a_ball_in_a_groove_touches_both_flanks_and_not_its_bottom():
     points[groove, 2] -= 0.5
     detector = SolidShapeDetector(triangles, points, Sphere([0, 0, 0], 0.1))
     # Flanks fall by 45 degrees from x = -0.5 and 0.5 to the foot at z = 0.
-    found = detector.detect(points, np.array([0.0, 0.13, 0.1 * 2**0.5]), UPRIGHT, 0.01)
+    found = near(detector, points, np.array([0.0, 0.13, 0.1 * 2**0.5]), UPRIGHT, 0.01)
     np.testing.assert_allclose(np.abs(found.normals[:, 0]), 0.5**0.5, atol=1e-9)
     assert set(np.sign(found.normals[:, 0])) == {-1.0, 1.0}
     np.testing.assert_allclose(found.gaps, 0.0, atol=1e-9)

@@ -4,6 +4,7 @@ import pytest
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.self_proximity import FixedPairs, SelfDetector
 from softrobot_twin.geometry.surface import boundary_triangles
+from test.near_pairs import near
 
 MARGIN = 2e-3
 
@@ -46,27 +47,27 @@ def test_nothing_is_near_in_a_box_or_sheet_at_rest(block, size):
     mesh = block(size, (8, 8, 1), shake=0.0)
     detector = SelfDetector(boundary_triangles(mesh.cells), mesh.node_positions, 5e-3)
     for margin in (5e-4, 2e-3, 5e-3):
-        assert len(detector.detect(mesh.node_positions, margin).gaps) == 0
+        assert len(near(detector, mesh.node_positions, margin).gaps) == 0
 
 
 def test_a_squeezed_sheet_does_not_meet_itself_through_the_body(block):
     mesh = block((0.06, 0.06, 0.001), (8, 8, 1), shake=0.0)
     detector = SelfDetector(boundary_triangles(mesh.cells), mesh.node_positions, 3e-3)
     for thickness in (0.9, 0.5, 0.2):
-        assert len(detector.detect(mesh.node_positions * [1, 1, thickness], 2e-3).gaps) == 0
+        assert len(near(detector, mesh.node_positions * [1, 1, thickness], 2e-3).gaps) == 0
 
 
 def test_a_bent_strip_has_no_contact_with_its_neighbours(strip):
     points, triangles = strip
     detector = SelfDetector(triangles, points, 5e-3)
-    assert len(detector.detect(rolled_up(points, 0.06), MARGIN).gaps) == 0
+    assert len(near(detector, rolled_up(points, 0.06), MARGIN).gaps) == 0
 
 
 def test_the_ends_of_a_c_shape_meet_face_to_face(strip):
     points, triangles = strip
     detector = SelfDetector(triangles, points, 5e-3)
     ring = rolled_up(points, 1e-3)
-    found = detector.detect(ring, MARGIN)
+    found = near(detector, ring, MARGIN)
     assert len(found.gaps) >= 8
     # The first point of each pair lies on one end, the second on the other.
     first, second = (np.abs(points[i, 0] - 0.06) for i in (found.first_points, found.second_points))
@@ -86,7 +87,7 @@ def test_the_ends_of_a_c_shape_meet_face_to_face(strip):
 def test_ends_that_have_passed_through_each_other_are_pushed_apart(strip):
     points, triangles = strip
     detector = SelfDetector(triangles, points, 5e-3)
-    found = detector.detect(rolled_up(points, -5e-4), MARGIN)
+    found = near(detector, rolled_up(points, -5e-4), MARGIN)
     deep = found.gaps < -1e-4
     assert deep.sum() >= 8
     # The end of small x lies at negative angles of the other's, and must go to positive ones.
@@ -98,8 +99,8 @@ def test_ends_that_have_passed_through_each_other_are_pushed_apart(strip):
 def test_flanks_of_a_notch_face_each_other_and_nothing_else_does(notched):
     points, triangles = notched
     detector = SelfDetector(triangles, points, 5e-3)
-    assert len(detector.detect(points, 1.5e-3).gaps) == 0
-    found = detector.detect(points, 2.5e-3)
+    assert len(near(detector, points, 1.5e-3).gaps) == 0
+    found = near(detector, points, 2.5e-3)
     assert len(found.gaps) > 0
     np.testing.assert_allclose(found.gaps, 2e-3)
     np.testing.assert_allclose(np.abs(found.normals[:, 0]), 1.0)
@@ -108,7 +109,7 @@ def test_flanks_of_a_notch_face_each_other_and_nothing_else_does(notched):
 @pytest.mark.parametrize(("width", "count"), [(1e-3, 15), (1e-4, 15), (-1e-4, 6), (-4e-4, 6)])
 def test_the_gap_of_a_closing_notch_is_its_width(notched, width, count):
     points, triangles = notched
-    found = SelfDetector(triangles, points, 5e-3).detect(with_notch(points, width), 1.5e-3)
+    found = near(SelfDetector(triangles, points, 5e-3), with_notch(points, width), 1.5e-3)
     for flank, sign in ((0.024, -1.0), (0.026, 1.0)):
         vertices = set()
         for side, indices, weights in (
@@ -129,7 +130,7 @@ def test_normal_is_the_gradient_of_the_gap(notched):
     points, triangles = notched
     detector = SelfDetector(triangles, points, 5e-3)
     moved = with_notch(points, 5e-4) + 1e-5 * np.random.default_rng(0).normal(size=points.shape)
-    found = detector.detect(moved, 1e-3)
+    found = near(detector, moved, 1e-3)
     assert len(found.gaps) >= 20
     for row in range(0, len(found.gaps), 5):
         for axis in range(3):
@@ -141,7 +142,7 @@ def test_normal_is_the_gradient_of_the_gap(notched):
                     shifted[found.first_points[row, c], axis] = (
                         moved[found.first_points[row, c], axis] + step
                     )
-                after = detector.detect(shifted, 1e-3)
+                after = near(detector, shifted, 1e-3)
                 place = np.flatnonzero(after.keys == found.keys[row])
                 assert len(place) == 1
                 gaps.append(after.gaps[place[0]])
@@ -152,9 +153,9 @@ def test_normal_is_the_gradient_of_the_gap(notched):
 def test_same_points_give_the_same_bits(strip):
     points, triangles = strip
     detector = SelfDetector(triangles, points, 5e-3)
-    first = detector.detect(rolled_up(points, 5e-4), MARGIN)
-    detector.detect(rolled_up(points, 0.03), MARGIN)
-    second = detector.detect(rolled_up(points, 5e-4), MARGIN)
+    first = near(detector, rolled_up(points, 5e-4), MARGIN)
+    near(detector, rolled_up(points, 0.03), MARGIN)
+    second = near(detector, rolled_up(points, 5e-4), MARGIN)
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -167,7 +168,7 @@ POINTS = np.array(
 
 
 def test_gap_and_weights_are_exact():
-    found = FixedPairs([6, 7, 8], [[0, 1, 2], [3, 4, 5], [0, 1, 2]]).detect(POINTS, 1.0)
+    found = near(FixedPairs([6, 7, 8], [[0, 1, 2], [3, 4, 5], [0, 1, 2]]), POINTS, 1.0)
     np.testing.assert_allclose(found.gaps, [0.1, 0.2, -0.4])
     np.testing.assert_allclose(found.normals, np.tile([0, 0, 1.0], (3, 1)))
     np.testing.assert_allclose(
@@ -186,32 +187,32 @@ def test_normal_is_the_gradient_of_the_gap_on_a_tilted_triangle():
     points = np.random.default_rng(3).normal(size=(4, 3))
     points[3] = points[:3].mean(axis=0) + [0.1, -0.2, 0.3]
     pairs = FixedPairs([3], [[0, 1, 2]])
-    normal = pairs.detect(points, 10.0).normals[0]
+    normal = near(pairs, points, 10.0).normals[0]
     for axis in range(3):
         gaps = []
         for step in (1e-6, -1e-6):
             moved = points.copy()
             moved[3, axis] += step
-            gaps.append(pairs.detect(moved, 10.0).gaps[0])
+            gaps.append(near(pairs, moved, 10.0).gaps[0])
         assert (gaps[0] - gaps[1]) / 2e-6 == pytest.approx(normal[axis], abs=1e-8)
 
 
 def test_pairs_beyond_the_margin_are_omitted_and_keys_stay():
-    found = FixedPairs([6, 7, 8], [[0, 1, 2], [3, 4, 5], [0, 1, 2]]).detect(POINTS, 0.15)
+    found = near(FixedPairs([6, 7, 8], [[0, 1, 2], [3, 4, 5], [0, 1, 2]]), POINTS, 0.15)
     np.testing.assert_array_equal(found.keys, [0, 2])
     np.testing.assert_allclose(found.gaps, [0.1, -0.4])
 
 
 def test_a_point_beside_its_triangle_touches_the_rim():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.5, -0.5, 0.1]])
-    found = FixedPairs([3], [[0, 1, 2]]).detect(points, 1.0)
+    found = near(FixedPairs([3], [[0, 1, 2]]), points, 1.0)
     np.testing.assert_allclose(found.gaps, [0.1])
     np.testing.assert_allclose(found.second_positions, [[0.5, 0, 0]])
     assert (found.second_weights >= 0).all()
 
 
 def test_an_empty_list_of_pairs_gives_no_proximities():
-    found = FixedPairs(np.empty(0, int), np.empty((0, 3), int)).detect(POINTS, 1.0)
+    found = near(FixedPairs(np.empty(0, int), np.empty((0, 3), int)), POINTS, 1.0)
     assert found.gaps.shape == (0,)
     assert found.normals.shape == (0, 3)
 
