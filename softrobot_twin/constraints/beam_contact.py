@@ -176,11 +176,7 @@ class BeamAndShape(ContactPair):
 
     def write(self, positions, reach, rows, span) -> None:
         """See `ContactPair.write`."""
-        origin, rotation = self.second.pose(positions)
-        place_frame(
-            self._origin, self._axes, np.array(origin, float), np.array(rotation, float),
-            self._placed,
-        )  # fmt: skip
+        place_frame(self._origin, self._axes, *self.second.kept_pose(positions), self._placed)
         axis = self.first.axis(positions)
         pair_axis_with_shape(
             axis, self._excluded, self._shape.kind, self._extents, self._placed, reach, rows, span

@@ -174,9 +174,7 @@ def add_stiffness_kernel(
 
 
 @njit(**KERNEL)
-def write_matrices(
-    x, nodes, coefficients, constants, least, rounding, cable, tensions, matrices
-):
+def write_matrices(x, nodes, coefficients, constants, least, rounding, cable, tensions, matrices):
     """λ (1 - d dᵀ)/‖r‖ of every segment of a taut cable, 1/ρ where it is smoothed; else zero.
 
     Args:

@@ -121,49 +121,6 @@ def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, w
     return count
 
 
-@njit(**INNER)
-def add_facet(
-    x, nodes, weights, curvature, normal, force, slides, whole, keys, offsets, strides,
-    low_is_row, work, storage,
-):  # fmt: skip
-    """Add one facet's stiffness to the system matrix; see `write_facet_stiffness`.
-
-    Args:
-        x: Node positions [m], shape (node_count, 3).
-        nodes: Nodes of its corners, -1 where there is none, shape (3,).
-        weights: c of the corners at the contact point, shape (3,).
-        curvature: D_xx [1/m], shape (3, 3).
-        normal: The shape's normal n, shape (3,).
-        force: λ of the contact's normal row [N].
-        slides: Whether what moves across the normal moves along the shape.
-        whole: See `write_facet_stiffness`.
-        keys: Pairs of nodes low × node count + high, ascending, shape (block_count,).
-        offsets: Place of each pair's block in the storage, -1 for none, same shape.
-        strides: Distance between two columns of that block, same shape.
-        low_is_row: Whether the lower node of each pair is the block's row, same shape.
-        work: Memory for the stiffness [N/m], shape (9, 9).
-        storage: The factorization's storage [N/m]; added to.
-    """
-    write_facet_stiffness(
-        x, nodes, weights, curvature, normal, force, slides, whole, work
-    )
-    count = len(x)
-    for k in range(3):
-        for m in range(k, 3):
-            if nodes[k] < 0 or nodes[m] < 0:
-                continue
-            low, high = (k, m) if nodes[k] <= nodes[m] else (m, k)
-            place = np.searchsorted(keys, nodes[low] * count + nodes[high])
-            offset = offsets[place]
-            if offset < 0:
-                continue
-            row, column = (3 * low, 3 * high) if low_is_row[place] else (3 * high, 3 * low)
-            for j in range(3):
-                for i in range(3):
-                    storage[offset + i] += work[row + i, column + j]
-                offset += strides[place]
-
-
 @njit(**KERNEL)
 def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
     """D_xx where a round shape is touched; False where it is flat, and its curvature zero.
@@ -191,21 +148,80 @@ def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
 
 
 @njit(**KERNEL)
-def add_facets(
+def write_facets(
     x, pair, which, nodes, coefficients, directions, forces, radius, axis, is_straight,
-    has_round_ends, slides, whole, keys, offsets, strides, low_is_row, work, storage,
+    has_round_ends, slides, whole, facets, stiffness,
 ):  # fmt: skip
-    """Add the stiffness of all facets that press on the shape of one pair."""
-    curvature = np.zeros((3, 3))
+    """Write the stiffness of all facets that press on the shape of one pair.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        pair: The pair.
+        which: Pair of each contact, shape (count,) or longer.
+        nodes: Nodes of each contact, of which the first three count, -1 where there is none,
+            shape (capacity, width).
+        coefficients: c of these nodes, same shape.
+        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
+        forces: λ of the normal rows [N], shape (count,).
+        radius: See `write_curvature`.
+        axis: See there.
+        is_straight: See there.
+        has_round_ends: See there.
+        slides: See `write_facet_stiffness`.
+        whole: See there.
+        facets: Output: the contacts of these facets, shape (count,).
+        stiffness: Output: their stiffness [N/m], shape (count, 9, 9).
+
+    Returns:
+        Number of these facets.
+    """
+    curvature, count = np.zeros((3, 3)), 0
     for c in range(len(forces)):
         force, normal = forces[c], directions[c, 0]
         if which[c] != pair or not force > 0.0:
             continue
-        if write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
-            add_facet(
-                x, nodes[c, :3], coefficients[c, :3], curvature, normal, force, slides,
-                whole, keys, offsets, strides, low_is_row, work, storage,
-            )  # fmt: skip
+        if write_curvature(
+            normal, radius, axis, is_straight, has_round_ends, curvature
+        ) and write_facet_stiffness(
+            x, nodes[c, :3], coefficients[c, :3], curvature, normal, force, slides, whole,
+            stiffness[count],
+        ):  # fmt: skip
+            facets[count] = c
+            count += 1
+    return count
+
+
+@njit(**KERNEL)
+def add_facets(nodes, facets, stiffness, node_count, keys, offsets, strides, low_is_row, storage):
+    """Add the stiffness of facets to the system matrix.
+
+    Args:
+        nodes: Nodes of each contact, see `write_facets`.
+        facets: Contacts of the facets, shape (facet_count,).
+        stiffness: Their stiffness [N/m], shape (facet_count, 9, 9).
+        node_count: Number of nodes.
+        keys: Pairs of nodes low × node count + high, ascending, shape (block_count,).
+        offsets: Place of each pair's block in the storage, -1 for none, same shape.
+        strides: Distance between two columns of that block, same shape.
+        low_is_row: Whether the lower node of each pair is the block's row, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
+    for f in range(len(facets)):
+        own = nodes[facets[f]]
+        for k in range(3):
+            for m in range(k, 3):
+                if own[k] < 0 or own[m] < 0:
+                    continue
+                low, high = (k, m) if own[k] <= own[m] else (m, k)
+                place = np.searchsorted(keys, own[low] * node_count + own[high])
+                offset = offsets[place]
+                if offset < 0:
+                    continue
+                row, column = (3 * low, 3 * high) if low_is_row[place] else (3 * high, 3 * low)
+                for j in range(3):
+                    for i in range(3):
+                        storage[offset + i] += stiffness[f, row + i, column + j]
+                    offset += strides[place]
 
 
 @njit(**INNER)
@@ -250,64 +266,15 @@ def fold_facet(stiffness, points, derivatives, half, offsets, strides, storage):
 
 @njit(**KERNEL)
 def fold_facets(
-    x, pair, which, nodes, coefficients, directions, forces, radius, axis, is_straight,
-    has_round_ends, slides, whole, first_point, free_index, derivatives, half, offsets, strides,
-    work, storage,
-):  # fmt: skip
-    """Add the stiffness of all facets of a reduced body that press on the shape of one pair."""
-    curvature, points = np.zeros((3, 3)), np.zeros(3, np.int64)
-    for c in range(len(forces)):
-        force, normal = forces[c], directions[c, 0]
-        if which[c] != pair or not force > 0.0:
-            continue
-        if not write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
-            continue
-        corners = write_facet_stiffness(
-            x, nodes[c, :3], coefficients[c, :3], curvature, normal, force, slides, whole, work
-        )
-        if corners:
-            for k in range(3):
-                n = nodes[c, k]
-                points[k] = free_index[n] - first_point if n >= 0 else -1
-            fold_facet(work, points, derivatives, half, offsets, strides, storage)
-
-
-@njit(**KERNEL)
-def add_rows(
-    nodes, coefficients, directions, stiffness, node_count, keys, offsets, strides, storage
+    nodes, facets, stiffness, first_point, free_index, derivatives, half, offsets, strides, storage
 ):
-    """Add k h hᵀ of the normal rows h of contacts to the system matrix.
-
-    Args:
-        nodes: Nodes of each contact, of which the first three count, -1 where there is none,
-            shape (capacity, width).
-        coefficients: c of these nodes, same shape.
-        directions: Normal and tangents of each contact, shape (capacity, 3, 3).
-        stiffness: k of each contact [N/m], shape (count,).
-        node_count: Number of nodes.
-        keys: Pairs of nodes low × node count + high, ascending, shape (block_count,).
-        offsets: Place of each pair's block in the storage, -1 for none, same shape.
-        strides: Distance between two columns of that block, same shape.
-        storage: The factorization's storage [N/m]; added to.
-    """
-    for c in range(len(stiffness)):
-        if not stiffness[c] > 0.0:
-            continue
-        n = directions[c, 0]
+    """Add the stiffness of facets of a reduced body; see `add_facets` and `fold_facet`."""
+    points = np.zeros(3, np.int64)
+    for f in range(len(facets)):
         for k in range(3):
-            for m in range(k, 3):
-                if nodes[c, k] < 0 or nodes[c, m] < 0:
-                    continue
-                low, high = min(nodes[c, k], nodes[c, m]), max(nodes[c, k], nodes[c, m])
-                place = np.searchsorted(keys, low * node_count + high)
-                offset = offsets[place]
-                if offset < 0:
-                    continue
-                share = stiffness[c] * coefficients[c, k] * coefficients[c, m]
-                for j in range(3):
-                    for i in range(3):
-                        storage[offset + i] += share * n[i] * n[j]
-                    offset += strides[place]
+            n = nodes[facets[f], k]
+            points[k] = free_index[n] - first_point if n >= 0 else -1
+        fold_facet(stiffness[f], points, derivatives, half, offsets, strides, storage)
 
 
 class RoundPair(NamedTuple):
@@ -379,7 +346,6 @@ class ContactCurvature:
         self._pairs = pairs
         self._free_index, self._carried = free_index, carried
         self._blocks: dict[int, CoordinateBlocks] = {}
-        self._work = np.zeros((9, 9))
         self._half = np.zeros((9, 0 if carried is None else 3 * carried.unknowns.shape[1]))
         self.with_sliding = self.is_whole = False
 
@@ -401,18 +367,19 @@ class ContactCurvature:
         count = len(self._free_index)
         edges = [np.sort(triangles[:, c], axis=1) for c in ([0, 1], [1, 2], [2, 0])]
         low, high = np.concatenate([*edges, np.tile(np.unique(triangles)[:, None], 2)]).T
-        self._keys = np.unique(low * count + high)
-        ends = self._free_index[np.stack(np.divmod(self._keys, count))]
+        keys = np.unique(low * count + high)
+        ends = self._free_index[np.stack(np.divmod(keys, count))]
         # Facets on nodes without an unknown of their own are left out: this term is never negative.
         free = ((ends >= 0) & (ends < len(elimination_rank))).all(axis=0)
         ranks = elimination_rank[ends[:, free]]
-        self._low_is_row = np.ones(len(self._keys), dtype=np.bool_)
-        self._low_is_row[free] = ranks[0] >= ranks[1]
+        low_is_row = np.ones(len(keys), dtype=np.bool_)
+        low_is_row[free] = ranks[0] >= ranks[1]
         rows = np.where(ranks[0] >= ranks[1], ends[0, free], ends[1, free])
         columns = np.where(ranks[0] >= ranks[1], ends[1, free], ends[0, free])
-        self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
-        self._strides = np.zeros(len(self._keys), dtype=np.int64)
-        self._offsets[free], self._strides[free] = slots(rows, columns)
+        offsets = np.full(len(keys), -1, dtype=np.int64)
+        strides = np.zeros(len(keys), dtype=np.int64)
+        offsets[free], strides[free] = slots(rows, columns)
+        self._of_nodes = count, keys, offsets, strides, low_is_row
         # Nothing is left to be compiled at the first touch: where nothing touches, it adds nothing.
         for pair in self._pairs:
             self._add_pair(
@@ -428,9 +395,7 @@ class ContactCurvature:
             return None
         return self._carried.shared_unknowns(points)
 
-    def add(
-        self, contacts, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray
-    ) -> None:
+    def add(self, contacts, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray) -> None:
         """Add the stiffness of the contacts detected last.
 
         Args:
@@ -467,27 +432,31 @@ class ContactCurvature:
                 shape (count,).
             storage: The factorization's storage [N/m]; added to.
         """
-        add_rows(
-            contacts.nodes, contacts.coefficients, contacts.directions, stiffness,
-            len(self._free_index), self._keys, self._offsets, self._strides, storage,
-        )  # fmt: skip
+        facets = np.flatnonzero(stiffness > 0.0)
+        weights, normals = contacts.coefficients[facets, :3], contacts.directions[facets, 0]
+        shares = stiffness[facets, None, None] * weights[:, :, None] * weights[:, None, :]
+        # Of k_cm and k_mc round-off would make two numbers.
+        shares = np.triu(shares) + np.triu(shares, 1).transpose(0, 2, 1)
+        rows = shares[:, :, None, :, None] * normals[:, None, :, None, None]
+        blocks = (rows * normals[:, None, None, None, :]).reshape(-1, 9, 9)
+        add_facets(contacts.nodes, facets, blocks, *self._of_nodes, storage)
 
     def _add_pair(
         self, pair, positions, axis, which, nodes, coefficients, directions, forces, storage
     ) -> None:
+        count = len(forces)
+        facets, stiffness = np.empty(count, np.int64), np.empty((count, 9, 9))
+        count = write_facets(
+            positions, pair.index, which, nodes, coefficients, directions, forces, pair.radius,
+            axis, pair.axis is not None, pair.has_round_ends, self.with_sliding and pair.stands,
+            self.is_whole, facets, stiffness,
+        )  # fmt: skip
+        facets, stiffness = facets[:count], stiffness[:count]
         blocks = self._blocks.get(pair.index)
-        if blocks is not None:
-            fold_facets(
-                positions, pair.index, which, nodes, coefficients, directions, forces,
-                pair.radius, axis, pair.axis is not None, pair.has_round_ends,
-                self.with_sliding and pair.stands, self.is_whole,
-                self._unknown_count, self._free_index, self._carried.derivatives, self._half,
-                *blocks, self._work, storage,
-            )  # fmt: skip
+        if blocks is None:
+            add_facets(nodes, facets, stiffness, *self._of_nodes, storage)
             return
-        add_facets(
-            positions, pair.index, which, nodes, coefficients, directions, forces,
-            pair.radius, axis, pair.axis is not None, pair.has_round_ends,
-            self.with_sliding and pair.stands, self.is_whole, self._keys,
-            self._offsets, self._strides, self._low_is_row, self._work, storage,
+        fold_facets(
+            nodes, facets, stiffness, self._unknown_count, self._free_index,
+            self._carried.derivatives, self._half, *blocks, storage,
         )  # fmt: skip

@@ -341,9 +341,7 @@ class TwoBoxes(ContactPair):
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m]."""
-        found = self._faces.detect(
-            self.first.pose(positions), self.second.pose(positions), margin
-        )
+        found = self._faces.detect(self.first.pose(positions), self.second.pose(positions), margin)
         # The general search runs in the first call too: it is compiled before bodies touch.
         if found is None or not self._has_searched:
             self._has_searched = True

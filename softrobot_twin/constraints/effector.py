@@ -93,9 +93,7 @@ class Effectors(ConstraintTerm):
     group = "effectors"
     is_traceable = True
 
-    def __init__(
-        self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray, size: float
-    ):
+    def __init__(self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray, size: float):
         """Lay out the rows.
 
         Args:

@@ -279,7 +279,7 @@ class PosedEffectors(Effectors):
 
     Attributes:
         orientations: The orientations.
-        row_lengths: ℓ of each row of an orientation [m/rad], shape (turn_row_count,).
+        row_lengths: ℓ of each row of an orientation [m/rad], shape (turn rows,).
     """
 
     def __init__(
@@ -342,11 +342,6 @@ class PosedEffectors(Effectors):
         nodes = free_index[self._patch_nodes[self._entry_arm]]
         self.entry_nodes = np.concatenate([self.entry_nodes, nodes])
 
-    @property
-    def turn_row_count(self) -> int:
-        """Number of rows of orientations."""
-        return self.row_count - self.position_row_count
-
     def forget_targets(self) -> None:
         """Set all targets to the orientations at rest."""
         count = len(self.orientations)
@@ -406,7 +401,7 @@ class PosedEffectors(Effectors):
 
         Returns:
             The wanted value τ of each row of an orientation [m], NaN where free,
-            shape (turn_row_count,).
+            shape (turn rows,).
 
         Raises:
             CommandError: A quaternion is no rotation, or is given for an effector without

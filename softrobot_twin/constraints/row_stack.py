@@ -109,9 +109,7 @@ class RowStack:
     def is_traceable(self) -> bool:
         """Whether `evaluate` and `add_stiffness` may be traced; see `traced_stage.py`."""
         is_carried = self._carried is not None and not self._carried.points.is_traceable
-        return not is_carried and all(
-            getattr(term, "is_traceable", False) for term in self.terms
-        )
+        return not is_carried and all(getattr(term, "is_traceable", False) for term in self.terms)
 
     @property
     def reaches_carried_points(self) -> bool:

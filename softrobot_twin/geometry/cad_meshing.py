@@ -433,7 +433,7 @@ def _in_words(error: dict) -> str:
 def _made(path: Path, made: dict, notes: list[str]) -> CadMesh:
     """The mesh that gmsh made, with its cavities and regions."""
     positions = 1e-3 * made["nodes"]
-    oriented = orient_tets(positions, made["tets"]).tets
+    oriented, _ = orient_tets(positions, made["tets"])
     nodes = drop_unused_nodes(positions, oriented)
     try:
         mesh = TetMesh(nodes.node_positions, nodes.tets)

@@ -176,11 +176,13 @@ class SomeCells(NamedTuple):
         node_positions: Positions of all nodes of the mesh at rest [m], shape (node_count, 3).
         cells: Node indices, shape (cell_count, nodes of a cell).
         shape_functions: The cells' shape functions.
+        points: Their own gradients and volumes; None for those of the shape functions.
     """
 
     node_positions: np.ndarray
     cells: np.ndarray
     shape_functions: ShapeFunctions
+    points: IntegrationPoints | None = None
 
 
 class CellBlock(NamedTuple):
@@ -219,9 +221,7 @@ def points_of(mesh: CellMesh) -> IntegrationPoints:
         The mesh's own `points`, or those of its shape functions if it has none.
     """
     own = getattr(mesh, "points", None)
-    if own is not None:
-        return own
-    return integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions)
+    return own or integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions)
 
 
 def node_counts_of(mesh: CellMesh) -> np.ndarray:
@@ -244,6 +244,5 @@ def cells_of(mesh: CellMesh, cells: np.ndarray | None) -> CellMesh | SomeCells:
     Returns:
         The cells, over all nodes of the mesh; the mesh itself for all.
     """
-    if cells is None:
-        return mesh
-    return SomeCells(mesh.node_positions, mesh.cells[cells], mesh.shape_functions)
+    every = cells is None
+    return mesh if every else SomeCells(mesh.node_positions, mesh.cells[cells], mesh.shape_functions)

@@ -71,9 +71,7 @@ def _grow(seed, size, number, tets, behind, patch, free, beside) -> None:
     for _ in range(size):
         if not rim:
             break
-        cell = min(
-            rim, key=lambda k: (sum(int(n) not in nodes for n in tets[k]), int(free[k]), k)
-        )
+        cell = min(rim, key=lambda k: (sum(int(n) not in nodes for n in tets[k]), int(free[k]), k))
         rim.discard(cell)
         patch[cell] = number
         nodes.update(map(int, tets[cell]))

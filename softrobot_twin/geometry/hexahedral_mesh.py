@@ -303,23 +303,6 @@ def _of_bilinear(placed: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Hexahedra:
-    """Some enhanced hexahedra of a mesh, as far as elements need a mesh; see `SomeCells`.
-
-    Attributes:
-        node_positions: Positions of all nodes of the mesh at rest [m], shape (node_count, 3).
-        cells: Node indices, shape (cell_count, 13).
-        points: Their integration points.
-    """
-
-    node_positions: np.ndarray
-    cells: np.ndarray
-    points: IntegrationPoints
-
-    shape_functions = ENHANCED_HEXAHEDRON
-
-
-@dataclass(frozen=True, eq=False)
 class EnhancedMesh(InnerNodesMesh):
     """Enhanced hexahedra, and linear tetrahedra beside them. Arrays are read-only.
 
@@ -384,7 +367,7 @@ class EnhancedMesh(InnerNodesMesh):
             blocks.append(CellBlock(some, tets, self.volumes[tets], shares))
         if len(own):
             points = IntegrationPoints(*(array[own] for array in self._points))
-            some = Hexahedra(self.node_positions, self.hexahedra[own], points)
+            some = SomeCells(self.node_positions, self.hexahedra[own], ENHANCED_HEXAHEDRON, points)
             loads, masses = self._shares
             blocks.append(CellBlock(some, own + tet_count, self.volumes[own + tet_count],
                                     loads[own], masses[own]))  # fmt: skip

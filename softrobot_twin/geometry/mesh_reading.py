@@ -36,8 +36,8 @@ from softrobot_twin.geometry.mesh_parts import (
 from softrobot_twin.geometry.mesh_repair import (
     coincident_pairs,
     component_labels,
-    drop_degenerate_tets,
     drop_unused_nodes,
+    enclose_volume,
     first_of_duplicates,
     first_of_repeated_tets,
     first_of_touching_parts,
@@ -159,9 +159,7 @@ def _solids(
                         f"of 8 ({held}), which are not simulated")  # fmt: skip
     if sum(len(block) for block in [*tets, *hexahedra]) == 0:
         held = ", ".join(f"{count} {kind}" for kind, count in sorted(dropped.items()))
-        raise MeshError(
-            path, f"has no tetrahedra or hexahedra, only {held or 'no cells at all'}"
-        )
+        raise MeshError(path, f"has no tetrahedra or hexahedra, only {held or 'no cells at all'}")
     positions = np.asarray(content.points, dtype=np.float64)
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise MeshError(path, f"has nodes of shape {positions.shape}, not (n, 3)")
@@ -265,25 +263,27 @@ def read_solid_mesh(
     positions = turn.apply(scale * file.node_positions) + np.asarray(translation, dtype=float)
     representatives, why = np.arange(len(positions)), ""
     if merge_tolerance is None:
-        tets = np.concatenate([file.tets, file.hexahedra[:, INTO_TETS].reshape(-1, 4)])
-        representatives = first_of_touching_parts(positions, tets)
+        every = np.concatenate([file.tets, file.hexahedra[:, INTO_TETS].reshape(-1, 4)])
+        representatives = first_of_touching_parts(positions, every)
         why = ": they cut the mesh into separate parts (merge_distance: 0 keeps the cut)"
     elif merge_tolerance > 0.0:
         representatives = first_of_duplicates(positions, merge_tolerance)
     merged = np.flatnonzero(representatives != np.arange(len(positions)))
     _note(notes, merged, "node", f"Merged {{}} with coincident ones{why}.")
 
-    kept = drop_degenerate_tets(positions, representatives[file.tets])
-    _note(notes, kept.degenerate, "tetrahedron", "Dropped {} without volume.")
-    if len(kept.tets) == 0 and len(file.hexahedra) == 0:
+    tets = representatives[file.tets]
+    enclosing = enclose_volume(positions, tets)
+    _note(notes, np.flatnonzero(~enclosing), "tetrahedron", "Dropped {} without volume.")
+    if not enclosing.any() and len(file.hexahedra) == 0:
         raise MeshError(path, "has only tetrahedra without volume")
-    once = first_of_repeated_tets(kept.tets)
-    _note(notes, np.delete(kept.kept, once), "tetrahedron", _REPEATED)
-    file_tets = kept.kept[once]
-    oriented = orient_tets(positions, kept.tets[once])
-    _note(notes, file_tets[oriented.inverted], "inverted tetrahedron", "Reoriented {}.")
+    kept = np.flatnonzero(enclosing)
+    once = first_of_repeated_tets(tets[kept])
+    _note(notes, np.delete(kept, once), "tetrahedron", _REPEATED)
+    file_tets = kept[once]
+    oriented, inverted = orient_tets(positions, tets[file_tets])
+    _note(notes, file_tets[inverted], "inverted tetrahedron", "Reoriented {}.")
     hexahedra = _upright_hexahedra(path, positions, representatives[file.hexahedra], notes)
-    nodes = drop_unused_nodes(positions, oriented.tets, hexahedra)
+    nodes = drop_unused_nodes(positions, oriented, hexahedra)
     mesh_node_indices = nodes.new_indices[representatives]
     mids = None
     if file.mid_nodes is not None:
@@ -299,7 +299,7 @@ def read_solid_mesh(
     notes += _oddity_notes(mesh, nodes.old_indices, file_tets)
     parts = MeshParts(path, {}, {}, {}, {}, file.parts.unnamed)
     if not file.parts.is_empty:
-        cells = cell_of_each(representatives[file.tets], kept.tets[once])
+        cells = cell_of_each(tets, tets[file_tets])
         of_hexahedra = cell_of_each(representatives[file.hexahedra], hexahedra)
         cells = np.concatenate([cells, of_hexahedra + len(once)])
         parts = placed_parts(path, file.parts, cells, mesh_node_indices)

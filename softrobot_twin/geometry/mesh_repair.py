@@ -23,32 +23,6 @@ _FLAT = 1e-12
 _TOUCHING = 1e-6
 
 
-class OrientedTets(NamedTuple):
-    """Tetrahedra of positive volume.
-
-    Attributes:
-        tets: Node indices, shape (tet_count, 4).
-        inverted: Indices of those that were reoriented.
-    """
-
-    tets: np.ndarray
-    inverted: np.ndarray
-
-
-class KeptTets(NamedTuple):
-    """Tetrahedra that enclose a volume.
-
-    Attributes:
-        tets: Node indices, shape (kept_count, 4).
-        kept: Index of each among those given, shape (kept_count,).
-        degenerate: Indices, among those given, of the ones dropped.
-    """
-
-    tets: np.ndarray
-    kept: np.ndarray
-    degenerate: np.ndarray
-
-
 class RenumberedNodes(NamedTuple):
     """The used nodes, and the mapping between old and new indices.
 
@@ -65,7 +39,7 @@ class RenumberedNodes(NamedTuple):
     new_indices: np.ndarray
 
 
-def orient_tets(node_positions: np.ndarray, tets: np.ndarray) -> OrientedTets:
+def orient_tets(node_positions: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Reorients inverted tetrahedra by swapping their last two nodes.
 
     Args:
@@ -73,32 +47,30 @@ def orient_tets(node_positions: np.ndarray, tets: np.ndarray) -> OrientedTets:
         tets: Node indices, shape (tet_count, 4).
 
     Returns:
-        The tetrahedra in the same order, and which were inverted.
+        The tetrahedra in the same order, and the indices of those that were inverted.
     """
     inverted = np.flatnonzero(tet_volumes(node_positions, tets) < 0.0)
     oriented = tets.copy()
     oriented[inverted] = oriented[inverted][:, [0, 1, 3, 2]]
-    return OrientedTets(oriented, inverted)
+    return oriented, inverted
 
 
-def drop_degenerate_tets(node_positions: np.ndarray, tets: np.ndarray) -> KeptTets:
-    """Drops tetrahedra without volume: flat ones, and those that refer to a node twice.
+def enclose_volume(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Whether tetrahedra enclose a volume: flat ones and those that refer to a node twice do not.
 
-    They contain no material, and material laws cannot be evaluated on them.
+    Those contain no material, and material laws cannot be evaluated on them.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
         tets: Node indices, shape (tet_count, 4).
 
     Returns:
-        The others in the same order, and which were dropped.
+        Shape (tet_count,).
     """
     corners = node_positions[tets]
     edges = corners[:, [1, 2, 3, 2, 3, 3]] - corners[:, [0, 0, 0, 1, 1, 2]]
     longest = np.linalg.norm(edges, axis=2).max(axis=1)
-    enclosing = np.abs(tet_volumes(node_positions, tets)) > _FLAT * longest**3
-    kept = np.flatnonzero(enclosing)
-    return KeptTets(tets[kept], kept, np.flatnonzero(~enclosing))
+    return np.abs(tet_volumes(node_positions, tets)) > _FLAT * longest**3
 
 
 def first_of_repeated_tets(tets: np.ndarray) -> np.ndarray:

@@ -138,9 +138,7 @@ def face_key(first_key, kind, feature, triangle_count, edge_count, point):
 
 
 @njit(**INNER)
-def search_ball(
-    p, radius, end, x, links, edges, fans, normals, margin, first_key, found, count
-):  # fmt: skip
+def search_ball(p, radius, end, x, links, edges, fans, normals, margin, first_key, found, count):
     """Find the candidates of a ball of the shape against the planes of the surface.
 
     A centre inside the surface has one candidate: the nearest plane.
@@ -196,9 +194,7 @@ def search_rim_point(
     reach = max(margin, min(extents[0], extents[1]))
     if out_of_reach(x, links[t, 0], links[t, 1], links[t, 2], p, reach):
         return count
-    touched, feature, w, foot, n, gap = plane_under(
-        p, x, links, edges, fans, normals, t, reach
-    )  # fmt: skip
+    touched, feature, w, foot, n, gap = plane_under(p, x, links, edges, fans, normals, t, reach)
     if touched == NONE or gap >= margin:
         return count
     # A point below the plane has penetrated only if its foot point is not past the shape.
@@ -210,9 +206,7 @@ def search_rim_point(
 
 
 @njit(**INNER)
-def search_rims(
-    kind, extents, x, links, edges, fans, normals, margin, first_key, found, count
-):  # fmt: skip
+def search_rims(kind, extents, x, links, edges, fans, normals, margin, first_key, found, count):
     """Find the rim points nearest to each plane, or points all around a cap parallel to it."""
     radius, half = extents[0], extents[1]
     reach = max(margin, min(radius, half))

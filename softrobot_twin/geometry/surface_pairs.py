@@ -90,9 +90,7 @@ def pair_surfaces(first, second, edge_grid, reach, depth, rest, rows, span):
     need_second = 0
     if not same:
         need_second = fill_grid(y, b.links, 3, far, region, every, second.grid)
-    need_edges = fill_grid(
-        y, b.edges, 2, max(margin, edge_depth), region, second.ridges, edge_grid
-    )  # fmt: skip
+    need_edges = fill_grid(y, b.edges, 2, max(margin, edge_depth), region, second.ridges, edge_grid)
     if (
         need_first > len(first.grid.items)
         or need_second > len(second.grid.items)
@@ -190,6 +188,4 @@ def _side(surface: ClosedSurface, rigid_points: np.ndarray | None) -> SurfaceSid
         regions = FlatRegions(np.empty(0, dtype=np.int64), ridges, surface.vertices)
     else:
         regions = flat_regions(surface, rigid_points)
-    return SurfaceSide(
-        np.empty((0, 3)), surface, np.empty((count, 4)), empty_grid(count), *regions
-    )
+    return SurfaceSide(np.empty((0, 3)), surface, np.empty((count, 4)), empty_grid(count), *regions)

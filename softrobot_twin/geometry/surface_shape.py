@@ -55,7 +55,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
-from softrobot_twin.geometry.broad_phase import Clusters, cluster_triangles
+from softrobot_twin.geometry.broad_phase import Clusters, bounding_box, cluster_triangles
 from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
 from softrobot_twin.geometry.closest_features import (
     height_above,
@@ -75,7 +75,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import (
     shape_distance,
 )
 from softrobot_twin.geometry.shapes.shape import Shape
-from softrobot_twin.geometry.surface import checked_triangles
+from softrobot_twin.geometry.surface import checked_triangles, half_edges
 from softrobot_twin.geometry.vector3 import (
     add,
     add_scaled,
@@ -83,7 +83,6 @@ from softrobot_twin.geometry.vector3 import (
     divided,
     dot,
     is_zero,
-    lower,
     negated,
     norm,
     row,
@@ -91,7 +90,6 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
     unit,
-    upper,
 )
 
 # The keys of the candidates of one feature start at KEY_STRIDE times the number of the feature.
@@ -206,12 +204,9 @@ def move_candidate(found, source, target):
 @njit(**INNER)
 def bounding_ball(x, vertices):
     """Centre and radius [m] of the ball around the bounding box of some points of x."""
-    low = row(x, vertices[0])
-    high = low
-    for k in range(1, len(vertices)):
-        p = row(x, vertices[k])
-        low, high = lower(low, p), upper(high, p)
-    half = scaled(subtract(high, low), 0.5)
+    box = bounding_box(x, vertices)
+    low = (box[0], box[1], box[2])
+    half = scaled(subtract((box[3], box[4], box[5]), low), 0.5)
     return add(low, half), norm(half)
 
 
@@ -470,9 +465,7 @@ def search_edge(
         number = MINIMUM
         if not both:
             number = LOW_END if high_end > bottom else HIGH_END if low_end < bottom else MINIMUM
-        count = add_edge_point(
-            found, count, first_key + number, a, b, bottom, margin, gap, normal
-        )
+        count = add_edge_point(found, count, first_key + number, a, b, bottom, margin, gap, normal)
     return count
 
 
@@ -667,15 +660,15 @@ def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, fou
 
 
 @njit(**INNER)
-def add_axis_point(kind, extents, x, triangle, normal, z, margin, key, found, count):
-    """Add the point of a triangle opposite the axis point z, with the distance of the shape."""
+def add_axis_point(extents, x, triangle, normal, z, margin, key, found, count):
+    """Add the point of a triangle opposite the axis point z of a capsule, with its distance."""
     a, b, c = triangle[0], triangle[1], triangle[2]
     weights = plane_weights(x, a, b, c, (0.0, 0.0, z))
     if not lies_inside(weights):
         return count
     height = (z - x[a, 2]) * normal[2] - x[a, 0] * normal[0] - x[a, 1] * normal[1]
     foot = add_scaled((0.0, 0.0, z), normal, -height)
-    distance, gradient = shape_distance(kind, extents, foot)
+    distance, gradient = shape_distance(CAPSULE, extents, foot)
     if distance >= margin:
         return count
     if abs(height) <= ON_AXIS * extents[0]:
@@ -684,14 +677,14 @@ def add_axis_point(kind, extents, x, triangle, normal, z, margin, key, found, co
 
 
 @njit(**INNER)
-def add_axis_crossing(kind, extents, x, triangle, normal, margin, key, found, count):
-    """Add the point where the axis crosses a triangle, deeper than the radius from both ends."""
+def add_axis_crossing(extents, half, x, triangle, normal, margin, key, found, count):
+    """Add the point where the axis crosses a triangle, nearer than `half` [m] to its middle."""
     a, b, c = triangle[0], triangle[1], triangle[2]
     if normal[2] == 0.0:
         return count
     z = x[a, 2] + (x[a, 0] * normal[0] + x[a, 1] * normal[1]) / normal[2]
-    radius, half = extents[0], extents[1]
-    if not abs(z) < (half if kind == CAPSULE else half - radius):
+    radius = extents[0]
+    if not abs(z) < half:
         return count
     weights = plane_weights(x, a, b, c, (0.0, 0.0, z))
     if -radius >= margin or not lies_inside(weights):
@@ -713,23 +706,17 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
     """
     half = extents[1]
     if half == 0.0:
-        return add_axis_point(
-            CAPSULE, extents, x, triangle, normal, 0.0, margin, key, found, count
-        )
+        return add_axis_point(extents, x, triangle, normal, 0.0, margin, key, found, count)
     middle = -dot(row(x, triangle[0]), normal)
     low, high = middle - half * normal[2], middle + half * normal[2]
     parallel = abs(normal[2]) <= PARALLEL_FACE
     one_side = low * high >= 0.0
     if parallel or one_side and abs(low) <= abs(high):
-        count = add_axis_point(
-            CAPSULE, extents, x, triangle, normal, -half, margin, key, found, count
-        )
+        count = add_axis_point(extents, x, triangle, normal, -half, margin, key, found, count)
     if parallel or one_side and abs(high) < abs(low):
-        count = add_axis_point(
-            CAPSULE, extents, x, triangle, normal, half, margin, key + 1, found, count
-        )
+        count = add_axis_point(extents, x, triangle, normal, half, margin, key + 1, found, count)
     return add_axis_crossing(
-        CAPSULE, extents, x, triangle, normal, margin, key + AXIS_CROSSING, found, count
+        extents, half, x, triangle, normal, margin, key + AXIS_CROSSING, found, count
     )
 
 
@@ -779,8 +766,9 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         # Rules out most triangles: their bounding box does not contain the axis.
         if min(x[a, i], x[b, i], x[c, i]) > 0.0 or max(x[a, i], x[b, i], x[c, i]) < 0.0:
             return count
+    half = extents[1] - extents[0]
     return add_axis_crossing(
-        CYLINDER, extents, x, triangles[t], normal, margin, key + AXIS_CROSSING, found, count
+        extents, half, x, triangles[t], normal, margin, key + AXIS_CROSSING, found, count
     )
 
 
@@ -839,9 +827,7 @@ def search_triangles(
         elif kind == CYLINDER:
             count = search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         else:
-            count = search_capsule(
-                extents, x, triangles[t], normal, margin, key, found, count
-            )
+            count = search_capsule(extents, x, triangles[t], normal, margin, key, found, count)
     return count
 
 
@@ -889,9 +875,7 @@ def redirect_inside(extents, x, fans, v, normal, margin, i, found):
     for k in range(3):
         depth = extents[k] - abs(x[v, k])
         sign = 1.0 if x[v, k] >= 0.0 else -1.0
-        direction = (
-            sign if k == 0 else 0.0, sign if k == 1 else 0.0, sign if k == 2 else 0.0
-        )  # fmt: skip
+        direction = (sign if k == 0 else 0.0, sign if k == 1 else 0.0, sign if k == 2 else 0.0)
         if depth < best and crosses_surface(x, fans, v, normal, direction):
             best, axis = depth, k
     if axis < 0:
@@ -1112,19 +1096,15 @@ def edges_and_sides(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         Point indices, lower first, int64, shape (edge_count, 2), and two of the triangles that
         share the edge, -1 where there is only one, int64, shape (edge_count, 2).
     """
-    both = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    edges, index = np.unique(np.sort(both, axis=1), axis=0, return_inverse=True)
+    _, edges, place, counts = half_edges(triangles)
+    halves, first = np.argsort(place, kind="stable"), np.cumsum(counts) - counts
     sides = np.full((len(edges), 2), -1, np.int64)
-    for place, edge in enumerate(index.ravel()):
-        free = np.flatnonzero(sides[edge] < 0)
-        if len(free):
-            sides[edge, free[0]] = place % len(triangles)
+    sides[:, 0] = halves[first] // 3
+    sides[counts > 1, 1] = halves[first[counts > 1] + 1] // 3
     return edges.astype(np.int64), sides
 
 
-def edges_with_apexes(
-    edges: np.ndarray, sides: np.ndarray, triangles: np.ndarray
-) -> np.ndarray:
+def edges_with_apexes(edges: np.ndarray, sides: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Computes `ClosedSurface.edges` for a surface that need not be closed.
 
     Args:

@@ -227,9 +227,7 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
 
 
 @njit(**INNER)
-def pair_inside(
-    a, b, v, near, first, last, depth, rest, swap, first_key, rows, count
-):  # fmt: skip
+def pair_inside(a, b, v, near, first, last, depth, rest, swap, first_key, rows, count):
     """Pair a vertex inside b with the nearest feature to leave through; returns the rows written.
 
     `b.grid.near` lists `near` triangles, and positions `first` to `last` - 1 of the grid list the
@@ -303,9 +301,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             outward = mean_normal(own_fans, own_normals, v)
             stamp(rest, v)
         else:
-            distance = signed_distance(
-                p, x, links, fans, normals, boxes, items, first, last, reach
-            )  # fmt: skip
+            distance = signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach)
             if distance >= margin:
                 continue
             # Near an acute edge a vertex may be behind a triangle and still outside. For a vertex
@@ -335,9 +331,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
                     stamps_of_fully_excluded(v), x, links, normals, boxes,
                     items, first, last, reach, front, depth, found,
                 )  # fmt: skip
-                count = pair_inside(
-                    a, b, v, near, first, last, depth, rest, swap, key, rows, count
-                )  # fmt: skip
+                count = pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
     return count
 
 

@@ -28,7 +28,7 @@ def refine(mesh: TetMesh) -> tuple[TetMesh, np.ndarray]:
     """
     quadratic = add_mid_edge_nodes(mesh)
     tets = np.concatenate([quadratic.cells[:, _CORNERS].reshape(-1, 4), _octahedra(quadratic)])
-    upright = orient_tets(quadratic.node_positions, tets).tets
+    upright, _ = orient_tets(quadratic.node_positions, tets)
     return TetMesh(quadratic.node_positions, upright), quadratic.mid_edge_ends
 
 

@@ -290,7 +290,7 @@ def test_all_pairs_are_given_when_there_are_many():
 def test_an_edge_between_two_triangles_is_one_edge():
     edges, sides = edges_and_sides(np.array([[0, 1, 2], [2, 1, 3]]))
     np.testing.assert_array_equal(edges, [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
-    np.testing.assert_array_equal(sides, [[0, -1], [0, -1], [1, 0], [1, -1], [1, -1]])
+    np.testing.assert_array_equal(sides, [[0, -1], [0, -1], [0, 1], [1, -1], [1, -1]])
 
 
 def test_of_triangles_apart_only_the_nearest_is_the_nearest_way_out():
