@@ -276,9 +276,6 @@ class RowStack:
         parts = (*self._told_parts, *self._yielding)
         if not parts:
             return None
-        term, rows = parts[0]
-        if rows == self.groups.actuators:
-            return term.compliance.copy()
         count = self.groups.actuators.stop
         compliance = np.zeros((count, count))
         for term, rows in parts:

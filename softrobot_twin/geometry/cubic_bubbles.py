@@ -18,7 +18,6 @@ import numpy as np
 
 from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
 from softrobot_twin.geometry.shape_functions import EDGES, quadratic_slopes, quadratic_values
-from softrobot_twin.geometry.tet_mesh import TetMesh
 
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 FUNCTION_COUNT = 20
@@ -28,43 +27,19 @@ FACE_LOAD_SHARE = 1.0 / 120.0
 
 
 @dataclass(frozen=True, eq=False)
-class CubicMesh:
-    """A quadratic mesh with bubbles.
+class CubicMesh(QuadraticMesh):
+    """A quadratic mesh with bubbles; its nodes are those without them.
 
     Attributes:
-        quadratic: The mesh without bubbles.
-        first_bubble: Number of its first bubble, in the numbering of its nodes.
         functions: Nodes and bubbles of each tetrahedron, shape (tet_count, 20).
         signs: Sign of each function in each tetrahedron, shape (tet_count, 20).
         bubble_corners: Corners of the edge or face of each bubble, those of an edge with the
             second one twice, shape (bubble_count, 3).
     """
 
-    quadratic: QuadraticMesh
-    first_bubble: int
     functions: np.ndarray
     signs: np.ndarray
     bubble_corners: np.ndarray
-
-    @property
-    def corner_mesh(self) -> TetMesh:
-        """The same tetrahedra by their corners."""
-        return self.quadratic.corner_mesh
-
-    @property
-    def node_positions(self) -> np.ndarray:
-        """Nodes of the mesh without bubbles [m], shape (node_count, 3)."""
-        return self.quadratic.node_positions
-
-    @property
-    def volume(self) -> float:
-        """Volume of the body [m³]."""
-        return self.quadratic.volume
-
-    @property
-    def bounding_box(self) -> np.ndarray:
-        """Smallest and largest coordinates [m], shape (2, 3)."""
-        return self.quadratic.bounding_box
 
     def carriers(
         self, tets: np.ndarray, barycentric_weights: np.ndarray
@@ -119,4 +94,8 @@ def add_bubbles(mesh: QuadraticMesh, first_bubble: int | None = None) -> CubicMe
         [mesh.cells, first + edges, first + edge_count + face.reshape(-1, len(FACES))]
     )
     edge_corners = mesh.mid_edge_ends[:, [0, 1, 1]]
-    return CubicMesh(mesh, first, functions, signs, np.concatenate([edge_corners, face_corners]))
+    bubble_corners = np.concatenate([edge_corners, face_corners])
+    return CubicMesh(
+        mesh.corner_mesh, mesh.node_positions, mesh.cells, mesh.mid_edge_ends, functions, signs,
+        bubble_corners,
+    )  # fmt: skip

@@ -200,8 +200,7 @@ def free_faces(positions: np.ndarray, tets: np.ndarray, hexahedra: np.ndarray) -
         MeshError: Tetrahedra cover a quadrilateral along both diagonals.
     """
     quads, owners = _single_quads(hexahedra)
-    of_tets = boundary_faces(tets) if len(tets) else None
-    triangles = of_tets.triangles if len(tets) else np.empty((0, 3), np.int64)
+    triangles, of_triangles = boundary_faces(tets)
     halves = quads[:, DIAGONAL_HALVES]  # quad, diagonal, half, corner
     taken, covers = _matching(halves.reshape(-1, 3), triangles)
     taken = taken.reshape(len(quads), 2, 2)
@@ -219,12 +218,10 @@ def free_faces(positions: np.ndarray, tets: np.ndarray, hexahedra: np.ndarray) -
     every = np.arange(len(quads))
     kept = halves[every, chosen][~taken[every, chosen]]
     cells = np.repeat(owners // 6, 2).reshape(-1, 2)[~taken[every, chosen]]
-    own = triangles[~covers]
-    own_cells = of_tets.tets[~covers] if len(tets) else np.empty(0, np.int64)
     shared = np.stack(np.divmod(owners[is_shared], 6), axis=1)
     return FreeFaces(
-        np.concatenate([own, kept]), np.concatenate([own_cells, len(tets) + cells]), shared,
-        chosen[is_shared],
+        np.concatenate([triangles[~covers], kept]),
+        np.concatenate([of_triangles[~covers], len(tets) + cells]), shared, chosen[is_shared],
     )  # fmt: skip
 
 

@@ -35,7 +35,7 @@ def test_nodes_and_bubbles_together_carry_a_cubic_field(block):
     """Coefficients are found in some points; others then follow, in every tetrahedron."""
     mesh = add_bubbles(add_mid_edge_nodes(block(cells=(1, 2, 2))))
     rng = np.random.default_rng(5)
-    count = mesh.first_bubble + len(mesh.bubble_corners)
+    count = mesh.node_count + len(mesh.bubble_corners)
 
     def carried_by(points):
         found = locate_points(mesh.corner_mesh, points)
