@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.constraints.cable import ROUNDED, CablePath
-from softrobot_twin.constraints.reduced_cavities import BodyVolumes
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.laws.corotational import Corotational
@@ -48,6 +47,14 @@ NOT_BUILT = (
     "rigid_bodies", "mass_springs", "beams", "springs", "tubes", "fibres", "contact",
     "sealed_cavities", "motors", "touches",
 )  # fmt: skip
+# Keys of their entries that they do not know, and what these ask for.
+_REFUSED = (
+    ("cables", "friction", "friction along cables"),
+    ("cables", "axial_stiffness", "cables that stretch"), ("cavities", "flow", "limits of flow"),
+    ("cavities", "liquid_density", "liquid in cavities"),
+    ("effectors", "orientation", "a wanted orientation of an effector"),
+    ("effectors", "stiffness", "a wanted stiffness of an effector"),
+)
 # Laws that they know.
 LAWS = {"corotational": Corotational, "neo_hookean": NeoHookean}
 
@@ -124,23 +131,12 @@ def refuse_unexportable(scene: Scene) -> None:
     for section, entries in scene.actuator_entries.items():
         if entries and section not in ("cables", "cavities"):
             raise _refused(scene, section, _names_in(scene, section), f"scenes with {section}")
-    for index, cable in enumerate(scene.cables):
-        key = f"cables[{index}]"
-        if cable.friction:
-            raise _refused(scene, f"{key}.friction", cable.friction, "friction along cables")
-        if cable.axial_stiffness is not None and np.isfinite(cable.axial_stiffness):
-            raise _refused(scene, f"{key}.axial_stiffness", cable.axial_stiffness,
-                           "cables that stretch")  # fmt: skip
-    for index, cavity in enumerate(scene.cavities):
-        key = f"cavities[{index}]"
-        for name, words in (("flow", "limits of flow"), ("liquid_density", "liquid in cavities")):
-            if getattr(cavity, name) is not None:
-                raise _refused(scene, f"{key}.{name}", getattr(cavity, name), words)
-    for index, effector in enumerate(scene.effectors):
-        for name in ("orientation", "stiffness"):
-            if getattr(effector, name) is not None:
-                raise _refused(scene, f"effectors[{index}].{name}", effector.name,
-                               f"a wanted {name} of an effector")  # fmt: skip
+    for section, name, words in _REFUSED:
+        for index, entry in enumerate(getattr(scene, section)):
+            value = getattr(entry, name)
+            if value not in (None, 0.0, np.inf):
+                told = value if isinstance(value, float) else entry.name
+                raise _refused(scene, f"{section}[{index}].{name}", told, words)
 
 
 def _names_in(scene: Scene, section: str) -> str:
@@ -182,7 +178,8 @@ def controller_arrays(scene: Scene) -> dict[str, np.ndarray]:
     modes = PointModes(body.reduction, model.nodes.rest_positions)
     arrays = {
         "format": np.array(FORMAT), "name": np.array(scene.name),
-        **_elastic_arrays(scene, body), "load": _load(model, body),
+        **_elastic_arrays(scene, body),
+        "load": body.reduction.weights_of(body, np.array(scene.gravity)).ravel(),
         "coordinate_ranges": _coordinate_ranges(body.reduction),
         **_cable_arrays(scene, model, modes), **_cavity_arrays(model, modes.count),
         **_actuator_arrays(model), **_effector_arrays(model, modes), **_solver_arrays(model),
@@ -247,11 +244,6 @@ def _check_laws(scene: Scene, body: Body) -> None:
             raise _refused(scene, f"{part.key}.law", part.law, "a body of materials of two laws")
 
 
-def _load(model: Model, body: Body) -> np.ndarray:
-    """Weight on the coordinates [N], shape (mode_count,)."""
-    return body.reduction.weights_of(body, np.array(model.scene.gravity)).ravel()
-
-
 def _coordinate_ranges(nodes: ReducedNodes) -> np.ndarray:
     """Largest magnitude of each coordinate in the training, none zero [m], (mode_count,)."""
     ranges = nodes.reduction.ranges[: nodes.mode_count]
@@ -287,22 +279,16 @@ def _cavity_arrays(model: Model, mode_count: int) -> dict[str, np.ndarray]:
     """Coefficients of the growth of each cavity: g·q + ½ qᵀBq + ⅙ T(q, q, q)."""
     groups = [group for group in model.actuators.groups if group.kind.section == "cavities"]
     count = sum(len(group.names) for group in groups)
-    linear, quadratic = np.zeros((count, mode_count)), np.zeros((count, mode_count, mode_count))
-    cubic = np.zeros((count, mode_count, mode_count, mode_count))
-    for group in groups:
-        for volumes in group.term.bodies:
-            _write_polynomials(volumes, linear, quadratic, cubic)
+    linear, quadratic, cubic = (np.zeros((count, *[mode_count] * degree)) for degree in (1, 2, 3))
+    # They are read off the derivatives: ∂H/∂q = B + T(q) is linear in q.
+    for volumes in [one for group in groups for one in group.term.bodies]:
+        own = volumes.rows
+        volumes.evaluate(np.zeros((mode_count // 3, 3)))
+        linear[own], quadratic[own] = volumes.gradients, volumes.stiffness
+        for mode, q in enumerate(np.eye(mode_count)):
+            volumes.evaluate(q.reshape(-1, 3))
+            cubic[own, mode] = volumes.stiffness - quadratic[own]
     return {"cavity_linear": linear, "cavity_quadratic": quadratic, "cavity_cubic": cubic}
-
-
-def _write_polynomials(volumes: BodyVolumes, linear, quadratic, cubic) -> None:
-    """Read the coefficients off the derivatives: ∂H/∂q = B + T(q) is linear in q."""
-    own, count = volumes.rows, linear.shape[1]
-    volumes.evaluate(np.zeros((count // 3, 3)))
-    linear[own], quadratic[own] = volumes.gradients, volumes.stiffness
-    for mode, q in enumerate(np.eye(count)):
-        volumes.evaluate(q.reshape(-1, 3))
-        cubic[own, mode] = volumes.stiffness - quadratic[own]
 
 
 def _actuator_arrays(model: Model) -> dict[str, np.ndarray]:

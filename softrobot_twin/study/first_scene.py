@@ -315,19 +315,13 @@ def _cable_text(name: str, points: np.ndarray, hold_radius: float) -> str:
 
 def _number(value: float) -> str:
     """A number of four digits, with a point, so that YAML reads it as one."""
-    text = f"{float(value):.4g}"
-    return text if "." in text and "e" not in text else repr(float(text))
+    return np.format_float_positional(value, precision=4, fractional=False, trim="0")
 
 
 def _vector(values) -> str:
     """Three lengths, in steps of a micrometre."""
-    return "[" + ", ".join(_length(float(value)) for value in values) + "]"
-
-
-def _length(value: float) -> str:
-    text = f"{value + 0.0:.6f}".rstrip("0")
-    text = "0.0" if text in ("-0.", "0.") else text
-    return text + "0" if text.endswith(".") else text
+    return "[" + ", ".join(np.format_float_positional(value + 0.0, trim="0")
+                           for value in np.round(values, 6)) + "]"
 
 
 def _quoted(file: str) -> str:

@@ -98,16 +98,13 @@ class BodyReadouts:
         """The present values as names and values with units."""
         readouts = dict(zip(self.columns, self.read(), strict=True))
         simulation, lines = self._simulation, []
-        for body in self._bodies:
-            lines.append((f"{body.name}, largest displacement",
-                          f"{1e3 * readouts[f'{body.name}_moved_m']:.4g} mm"))
-            centre = [readouts[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
-            lines.append((f"{body.name}, centre of mass", _millimetres(centre)))
-        for beam in self._beams:
-            lines.append((f"{beam.name}, largest displacement",
-                          f"{1e3 * readouts[f'{beam.name}_moved_m']:.4g} mm"))
-            end = [readouts[f"{beam.name}_{beam.node_count - 1}_{axis}_m"] for axis in "xyz"]
-            lines.append((f"{beam.name}, end", _millimetres(end)))
+        watched = [(body.name, "centre of mass", "centre") for body in self._bodies]
+        watched += [(beam.name, "end", beam.node_count - 1) for beam in self._beams]
+        for name, words, place in watched:
+            lines.append((f"{name}, largest displacement",
+                          f"{1e3 * readouts[f'{name}_moved_m']:.4g} mm"))
+            at = [readouts[column] for column in position_columns(f"{name}_{place}")]
+            lines.append((f"{name}, {words}", _millimetres(at)))
         for part in simulation.model.rigid:
             origin, _ = part.entry_pose(simulation.state.positions)
             lines.append((f"{part.name}, position", _millimetres(origin)))

@@ -180,11 +180,8 @@ class LocalWorkers:
             for index, setpoints in samples:
                 yield SampleOutcome(index, compute(setpoints))
             return
-        pool = _Pool(job, count)
-        try:
+        with closing(_Pool(job, count)) as pool:
             yield from pool.run(samples)
-        finally:
-            pool.stop()
 
 
 class _Process:
@@ -234,7 +231,8 @@ class _Pool:
         """See `LocalWorkers.run`."""
         waiting, tries, left = list(reversed(samples)), {}, len(samples)
         while left:
-            for process in list(self._ready_ones()):
+            by_pipe = {process.pipe: process for process in self._processes}
+            for process in [by_pipe[pipe] for pipe in wait(list(by_pipe))]:
                 outcome = None
                 try:
                     answer = process.pipe.recv()
@@ -250,11 +248,6 @@ class _Pool:
             for process in self._processes:
                 if process.is_ready and process.sample is None and waiting:
                     process.give(waiting.pop())
-
-    def _ready_ones(self) -> Iterator[_Process]:
-        by_pipe = {process.pipe: process for process in self._processes}
-        for pipe in wait(list(by_pipe)):
-            yield by_pipe[pipe]
 
     def _replace(self, process: _Process, waiting: list, tries: dict) -> SampleOutcome | None:
         """Start another process; tells the sample that is given up."""
@@ -276,7 +269,7 @@ class _Pool:
             return None
         return SampleOutcome(sample[0], None, f"its process ended with code {code}")
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """End all processes."""
         for process in self._processes:
             process.process.terminate()
@@ -307,9 +300,7 @@ class DaskWorkers:
 
     def _connected(self):
         try:
-            return self._distributed.Client(
-                self.address, timeout=CONNECTION_TIMEOUT
-            )
+            return self._distributed.Client(self.address, timeout=CONNECTION_TIMEOUT)
         except (OSError, ValueError, TypeError) as error:
             # OSError is the base of the time-outs of sockets, too.
             raise SchedulerError(f"--scheduler {self.address}",

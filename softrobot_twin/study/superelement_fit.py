@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -51,12 +52,9 @@ def axial(matrix: np.ndarray) -> np.ndarray:
 
 def rotation_of(bend: np.ndarray) -> np.ndarray:
     """Rotation whose antisymmetric part has the axial vector ω, below 90°."""
-    sine = min(float(np.linalg.norm(bend)), 1.0)
-    if sine == 0.0:
-        return np.eye(3)
-    x, y, z = bend / sine
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + sine * across + (1.0 - np.sqrt(1.0 - sine**2)) * across @ across
+    sine = float(np.linalg.norm(bend))
+    angle = np.arcsin(min(sine, 1.0))
+    return Rotation.from_rotvec(angle / sine * bend if sine else bend).as_matrix()
 
 
 def deformations_between(turn: np.ndarray, chord: np.ndarray, rest: np.ndarray) -> np.ndarray:
@@ -118,29 +116,25 @@ class SoftPartModel:
             term.bind(every, lambda rows, columns: (np.zeros_like(rows), np.zeros_like(columns)))
         self._factorization = self._factorize_pattern()
         self.masses = division.body.node_masses()[part.inner]
-        self.rest_volumes = self.rest_areas = np.empty(0)
-        if self._cavities is not None:
-            self.rest_volumes = self._cavities.rest_volumes
-            self.rest_areas = self._cavities.rest_areas
+        cavities, none = self._cavities, np.empty(0)
+        self.rest_volumes = none if cavities is None else cavities.rest_volumes
+        self.rest_areas = none if cavities is None else cavities.rest_areas
 
     def _build(self, index: np.ndarray) -> tuple[list[ForceTerm], Cavities | None]:
         """Force terms and cavities for some numbering of unknowns."""
         division, part, body = self._division, self._part, self._division.body
         mesh, terms = body.mesh.renumbered(division.positions, 0), []
         for material in body.materials:
-            cells = part.cells if material.cells is None else np.intersect1d(
-                part.cells, material.cells
-            )
+            cells = part.cells
+            if material.cells is not None:
+                cells = np.intersect1d(cells, material.cells)
             if len(cells):
                 terms += strained_terms(mesh, material, cells, index, body.entry.has_patches)
         if not part.cavities:
             return terms, None
-        surfaces = [
-            joined_walls([
-                division.walls[w] for w in part.walls if division.walls[w].name == name
-            ], name)
-            for name in (division.cavities[c] for c in part.cavities)
-        ]
+        walls = [division.walls[w] for w in part.walls]
+        surfaces = [joined_walls([wall for wall in walls if wall.name == name], name)
+                    for name in (division.cavities[c] for c in part.cavities)]
         return terms, Cavities(tuple(surfaces), index, division.positions)
 
     def _factorize_pattern(self) -> Factorization:
@@ -150,9 +144,7 @@ class SoftPartModel:
         columns = [np.tile(own, (1, own.shape[1])).ravel() for own in couples]
         row, column = np.concatenate(rows), np.concatenate(columns)
         present = (row >= 0) & (column >= 0)
-        made = FACTORIZATIONS["multifrontal"](
-            row[present], column[present], len(self._part.inner)
-        )
+        made = FACTORIZATIONS["multifrontal"](row[present], column[present], len(self._part.inner))
         for term in terms:
             term.bind(made.elimination_rank, made.slots)
         return made

@@ -14,11 +14,13 @@ Superelements that are of the present mesh, material, vertebrae and walls are le
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
@@ -118,10 +120,8 @@ def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarra
     low, high = simulation.limits.setpoint_range(simulation.rest_setpoints)
     for name, least, most in zip(simulation.actuator_names, low, high, strict=True):
         if not (np.isfinite(least) and np.isfinite(most)):
-            raise ReductionError(
-                f"{name} has no limits: the range in which superelements are sampled is that of the "
-                "actuators"
-            )
+            raise ReductionError(f"{name} has no limits: the range in which superelements are "
+                                 "sampled is that of the actuators")
     points = qmc.Sobol(len(low), seed=seed).random_base2(int(np.ceil(np.log2(count))))
     return low + (high - low) * points[:count]
 
@@ -139,9 +139,8 @@ def brought_to(simulation: Simulation, setpoints: np.ndarray) -> bool:
 def rigid_pose(points: np.ndarray, at_rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotation from rest and middle of points that move nearly as a rigid body."""
     middle = points.mean(axis=0)
-    left, _, right = np.linalg.svd((points - middle).T @ (at_rest - at_rest.mean(axis=0)))
-    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return left @ mirror @ right, middle
+    turn, _ = Rotation.align_vectors(points - middle, at_rest - at_rest.mean(axis=0))
+    return turn.as_matrix(), middle
 
 
 def occurring_deformations(division: Division, positions: np.ndarray) -> np.ndarray:
@@ -173,10 +172,8 @@ def divisions(scene: Scene) -> list[Division]:
         for body, entry in zip(layout.bodies, scene.deformables, strict=True)
     ]
     found = whole_layout(scene, whole)
-    return [
-        divide(body, walls_on(body, found), scene)
-        for body in whole if body.entry.vertebrae is not None
-    ]  # fmt: skip
+    return [divide(body, walls_on(body, found), scene)
+            for body in whole if body.entry.vertebrae is not None]
 
 
 def reduce_body(
@@ -195,16 +192,14 @@ def reduce_body(
         They, and how each was made.
     """
     degree = division.body.entry.vertebrae.degree
-    volumes, areas = np.zeros(len(division.cavities)), np.zeros(len(division.cavities))
+    volumes, areas = np.zeros((2, len(division.cavities)))
     made = []
     for index, part in enumerate(division.parts):
         model = SoftPartModel(division, part)
         own = list(part.cavities)
         volumes[own] += model.rest_volumes
         areas[own] += model.rest_areas
-        within = range_of(
-            deformations[:, index], pressures[own], float(np.linalg.norm(model.rest))
-        )
+        within = range_of(deformations[:, index], pressures[own], float(np.linalg.norm(model.rest)))
         count = sample_count(model.variable_count, degree)
         samples, lost = sample(model, within, count, seed + index)
         made.append(fit_enthalpy(model, part, within, samples, degree, lost))
@@ -225,16 +220,12 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
         seed: Of the setpoints.
     """
     exact = full_scene(scene)
-    full, reduced = (
-        Simulation(chosen, with_warnings=False) for chosen in (without_vertebrae(exact), exact)
-    )
-    places = _watched(scene, full, reduced)
-    rest_full, rest_reduced = (
-        simulation.rest_setpoints for simulation in (full, reduced)
-    )
+    full, reduced = (Simulation(chosen, with_warnings=False)
+                     for chosen in (without_vertebrae(exact), exact))
+    names, own, others = zip(*_free_vertebrae(full, reduced), strict=True)
+    rest_full, rest_reduced = full.rest_setpoints, reduced.rest_setpoints
     brought_to(full, rest_full)
-    start, errors, displacements, ranges, estimates = places.of_full(), [], [], [], []
-    lost = 0
+    start, rows, lost = _places(full, own), [], 0
     for setpoints in tracked(setpoints_within(full, count, seed), "full and reduced model", count,
                              "states", "fewer --states shorten it"):
         if not brought_to(full, setpoints):
@@ -243,56 +234,34 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
         if not brought_to(reduced, setpoints - rest_full + rest_reduced):
             lost += 1
             continue
-        at = places.of_full()
-        errors.append(np.linalg.norm(places.of_reduced() - at, axis=1))
-        displacements.append(np.linalg.norm(at - start, axis=1))
-        states = reduced.reduction_state().values()
-        ranges.append(max(state.range for state in states))
-        estimates.append(max(state.error for state in states))
-    if not errors:
+        at, states = _places(full, own), reduced.reduction_state().values()
+        rows.append((np.linalg.norm(_places(reduced, others) - at, axis=1),
+                     np.linalg.norm(at - start, axis=1), max(state.range for state in states),
+                     max(state.error for state in states)))
+    if not rows:
         raise ReductionError(
             f"full and reduced model have an equilibrium in common at no setpoints of seed {seed}"
         )
-    return Accuracy(
-        places.names, np.array(errors), np.array(displacements), np.array(ranges),
-        np.array(estimates), seed, lost,
-    )  # fmt: skip
+    columns = map(np.array, zip(*rows, strict=True))
+    return Accuracy((*full.effector_names, *names), *columns, seed, lost)
 
 
-class _Watched(NamedTuple):
-    """Points that are compared: effectors, and middles of free vertebrae."""
-
-    names: tuple[str, ...]
-    full: Simulation
-    reduced: Simulation
-    nodes: tuple[np.ndarray, ...]
-    mappings: tuple
-
-    def of_full(self) -> np.ndarray:
-        x = self.full.state.positions
-        middles = [x[nodes].mean(axis=0) for nodes in self.nodes]
-        return np.vstack([self.full.effector_positions(), *middles])
-
-    def of_reduced(self) -> np.ndarray:
-        x = self.reduced.state.positions
-        middles = [mapping.positions(x).mean(axis=0) for mapping in self.mappings]
-        return np.vstack([self.reduced.effector_positions(), *middles])
-
-
-def _watched(scene: Scene, full: Simulation, reduced: Simulation) -> _Watched:
-    names, nodes, mappings = list(full.effector_names), [], []
+def _free_vertebrae(full: Simulation, reduced: Simulation) -> list[tuple]:
+    """Name of each free vertebra, and mappings of its nodes in the full and the reduced model."""
+    found = []
     for own, other in zip(full.model.bodies, reduced.model.bodies, strict=True):
-        if other.vertebrae is None:
-            continue
-        division = other.vertebrae.division
-        for name, at, is_fixed in zip(
-            division.names, division.nodes, division.is_fixed, strict=True
-        ):
-            if not is_fixed:
-                names.append(name)
-                nodes.append(at + own.first_node)
-                mappings.append(other.node_mapping(at))
-    return _Watched(tuple(names), full, reduced, tuple(nodes), tuple(mappings))
+        if other.vertebrae is not None:
+            division = other.vertebrae.division
+            found += [(name, own.node_mapping(at), other.node_mapping(at)) for name, at, is_fixed
+                      in zip(division.names, division.nodes, division.is_fixed) if not is_fixed]
+    return found
+
+
+def _places(simulation: Simulation, mappings: Sequence) -> np.ndarray:
+    """Points that are compared: effectors, and middles of nodes [m], shape (count, 3)."""
+    x = simulation.state.positions
+    middles = [mapping.positions(x).mean(axis=0) for mapping in mappings]
+    return np.vstack([simulation.effector_positions(), *middles])
 
 
 def reduce_vertebrae(scene_path, seed: int = 1, states: int = TEST_STATES, again: bool = False):
