@@ -291,8 +291,7 @@ class Training:
         rng = np.random.default_rng(self.options.seed + seed)
         pairs = rng.choice(reached, (count, 2))
         ends, shares = known.held(columns_of(self.simulation))[pairs], rng.random((count, 1))
-        samples = ends[:, 0].copy()
-        columns = columns_of(self.simulation)
+        samples, columns = ends[:, 0].copy(), columns_of(self.simulation)
         setpoints, (first, last) = columns.split(samples)[0], (
             columns.split(ends[:, end])[0] for end in range(2))
         setpoints[:] = first + shares * (last - first)
@@ -342,16 +341,10 @@ class Training:
 
     def judge(self, reduction: BodyReduction, name: str, truth: States) -> Judgement:
         """A reduced model against states of the full one, at the same setpoints and loads."""
-        columns = columns_of(self.simulation)
-        if self.way is not None:
-            held = truth.held(columns)
-            tours = [tour[truth.is_found[tour]] for tour in passes(len(held))]
-            tours = [tour for tour in tours if len(tour)]
-        else:
-            truth = truth.found()
-            held = truth.held(columns)
-            tours = chains(held, spread_of(held))
-        finder = self.finder(reduction, name)
+        truth = truth.found() if self.way is None else truth  # a pass keeps its states apart
+        held, finder = truth.held(columns_of(self.simulation)), self.finder(reduction, name)
+        tours = [tour[truth.is_found[tour]] for tour in self.tours(held)]
+        tours = [tour for tour in tours if len(tour)]
         own = joined([finder(held[tour]) for tour in tours])
         return self.compared(own.effectors, truth.effectors[np.concatenate(tours)])
 
@@ -380,13 +373,12 @@ class Training:
         return np.maximum(moved, LEAST_DISPLACEMENT * largest)
 
 
-def begin_training(path: Path, options: TrainingOptions, output: Path | None = None) -> Training:
+def begin_training(path: Path, options: TrainingOptions) -> Training:
     """Read a scene, refuse what cannot be reduced, and take up an interrupted run.
 
     Args:
         path: Scene file.
         options: What is asked.
-        output: File to write; None for that of the options.
     """
     scene = without_reductions(load_scene(path))
     names = [body.name for body in scene.deformables]
@@ -417,7 +409,7 @@ def begin_training(path: Path, options: TrainingOptions, output: Path | None = N
            "contact": sampling.in_contact}  # fmt: skip
     crew = workers_of(options.workers, options.scheduler)
     job = Job(FinderMaker(sampling), Path(path).resolve(), content)
-    store = StateStore(output or output_path(scene, body, options), run)
+    store = StateStore(output_path(scene, body, options), run)
     return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way)
 
 
@@ -425,26 +417,18 @@ def _way(scene: Scene, simulation: Simulation, options: TrainingOptions) -> Targ
     """The path of targets of a file."""
     table = read_targets(options.along, simulation)
     if table.kind != "targets":
-        raise TrainingError(
-            f"--along: {options.along} has no targets of effectors, but {table.kind}"
-        )
+        raise TrainingError(f"--along: {options.along} has no targets of effectors, but {table.kind}")
     return TargetWay(table.times, table.values, options.around)
 
 
 def _sampling(scene: Scene, body: Body, options: TrainingOptions) -> Sampling:
     points: list = []
     if options.load:
-        points = [(tuple(map(float, point)),) for point in options.load_points]
-        if options.spread_loads:
-            points += [(tuple(map(float, point)),)
-                       for point in spread_points(body, options.spread_loads)]  # fmt: skip
+        places = [*options.load_points, *spread_points(body, options.spread_loads)]
+        points = [(tuple(map(float, place)),) for place in places] or [
+            effector.points for effector in scene.effectors if effector.body in (None, body.name)]
         if not points:
-            points = [effector.points for effector in scene.effectors
-                      if effector.body in (None, body.name)]  # fmt: skip
-        if not points:
-            raise TrainingError(
-                f"--load: no effector is on {body.name}; name points by --load-points"
-            )
+            raise TrainingError(f"--load: no effector is on {body.name}; name points by --load-points")
     if options.tilt and not any(scene.gravity):
         raise TrainingError("--tilts: the scene has no gravity that could be tilted")
     if options.tilt and any(cavity.liquid_density for cavity in scene.cavities):

@@ -55,7 +55,6 @@ from softrobot_twin.study.accuracy_study import (
     write_rows,
     write_scene_copy,
 )
-from softrobot_twin.study.body_training import reduce
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.reduced_models import (
     STUDY,
@@ -67,6 +66,7 @@ from softrobot_twin.study.reduced_models import (
     own_file,
     reduced_models,
     reduced_row,
+    trained_model,
     with_ranges,
 )
 from softrobot_twin.study.terminal import (
@@ -108,7 +108,9 @@ class SettingClock:
 
     def measure(self, setting: Setting) -> Measured:
         """Time of a step on this machine, and the linearization error."""
-        self._add_rounds(setting, FIRST_ROUNDS)
+        steps = self._rounds(setting)
+        for _ in range(FIRST_ROUNDS):
+            self.timing.add_round(setting, steps)
         times = self.timing.spread(setting)
         if times.p99 > MARGIN / self._rate:
             return Measured(times.median, times.p99, float("nan"))
@@ -138,11 +140,6 @@ class SettingClock:
         measured = candidate.measured._replace(median=times.median, p99=times.p99)
         keeps = times.p99 <= MARGIN / self._rate and np.isfinite(measured.linearization_error)
         return candidate._replace(measured=measured, keeps_rate=bool(keeps))
-
-    def _add_rounds(self, setting: Setting, count: int) -> None:
-        steps = self._rounds(setting)
-        for _ in range(count):
-            self.timing.add_round(setting, steps)
 
     def _rounds(self, setting: Setting):
         scene = self._scene_of(setting)
@@ -330,7 +327,8 @@ def pick(
     margin = max(reference_uncertainty, _ALIKE * least)
     alike = [one for one in fitting if one.error <= least + margin]
     # An unknown error counts as infinite.
-    soundest = min(alike, key=lambda one: (np.nan_to_num(one.force_error, nan=np.inf), one.error)).setting
+    soundest = min(alike, key=lambda one: (np.nan_to_num(one.force_error, nan=np.inf),
+                                           one.error)).setting
     same = [one for one in alike if one.setting.model == soundest.model]
     least = min(one.error for one in same)
     return min((one for one in same if one.error <= (1.0 + _ALIKE) * least),
@@ -642,11 +640,7 @@ def _train(
     element = level.scene.body.element
     file = write.resolve().parent / f"{write.stem}_{level.name}_{element}{SUFFIX}"
     print_to_stderr(f"{file.name} is trained: {approximate_duration(wanted.seconds)}")
-    setting = Setting(level.name, element, wanted.row.law, 1)
-    write_scene_copy(write, original, level.scene, setting,
-                     [f"Made from {original.name} for a training by 'choose'"])  # fmt: skip
-    reduce(write, replace(options, output=file))
-    (model,) = reduced_models((file,), (), [level])
+    model = trained_model(write, original, level, replace(options, output=file))
     models.add(model)
     return model
 

@@ -173,9 +173,26 @@ def train_level(original: Path, level: MeshLevel, folder: Path) -> ReducedModel:
     if file.is_file() and (found := reduced_models((), (file,), [level])):
         return found[0]
     folder.mkdir(parents=True, exist_ok=True)
+    return trained_model(scene, original, level, study_options(level.scene, file))
+
+
+def trained_model(
+    scene: Path, original: Path, level: MeshLevel, options: TrainingOptions
+) -> ReducedModel:
+    """Write the scene of the full model of a mesh, and train its reduced model.
+
+    Args:
+        scene: Scene file to write.
+        original: The user's scene file.
+        level: The mesh with its element.
+        options: Of the training, with the file to write.
+
+    Raises:
+        SoftRobotTwinError: It cannot be trained or written.
+    """
     write_training_scene(scene, original, level)
-    reduce(scene, study_options(level.scene, file))
-    return reduced_models((file,), (), [level])[0]
+    reduce(scene, options)
+    return reduced_models((options.output,), (), [level])[0]
 
 
 def write_training_scene(path: Path, original: Path, level: MeshLevel) -> None:

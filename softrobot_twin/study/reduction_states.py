@@ -215,13 +215,9 @@ def samples_of(
     Returns:
         See `Columns`, shape (count, width).
     """
-    columns = columns_of(simulation)
     own = 3 * len(boxes) if boxes else len(axes)
     points = shifted_sobol(own + 5, count - 1, seed)
-    samples = np.zeros((count, columns.width))
-    setpoints, targets, forces, gravity = columns.split(samples)
-    setpoints[:], targets[:] = simulation.rest_setpoints, np.nan
-    gravity[:] = simulation.scene.gravity
+    samples, (setpoints, targets, forces, gravity) = _samples_at_rest(simulation, count)
     if boxes:
         names = simulation.effector_names
         for place, box in enumerate(boxes):
@@ -235,13 +231,25 @@ def samples_of(
         setpoints[1:] = setpoints_between(simulation, axes, points[:, :own])
     if sampling.load:
         loaded = np.arange(2, count, 2)
-        which = (loaded // 2) % columns.load_count
+        which = (loaded // 2) % forces.shape[1]
         vectors = _directions(points[loaded - 1, own : own + 2])
         sizes = sampling.load * points[loaded - 1, own + 2]
         forces[loaded, which] = sizes[:, None] * vectors
     if sampling.tilt:
         gravity[1:] = _tilted(gravity[0], sampling.tilt, points[:, own + 3 : own + 5])
     return samples
+
+
+def _samples_at_rest(
+    simulation: Simulation, count: int
+) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Samples of the rest shape, and the parts of them that `Columns.split` gives."""
+    columns = columns_of(simulation)
+    samples = np.zeros((count, columns.width))
+    setpoints, targets, _, gravity = parts = columns.split(samples)
+    setpoints[:], targets[:] = simulation.rest_setpoints, np.nan
+    gravity[:] = simulation.scene.gravity
+    return samples, parts
 
 
 def passes(count: int) -> list[np.ndarray]:
@@ -270,11 +278,7 @@ def samples_along(simulation: Simulation, way: TargetWay, count: int, seed: int)
     Returns:
         See `Columns`, shape (count, width).
     """
-    columns = columns_of(simulation)
-    samples = np.zeros((count, columns.width))
-    setpoints, targets, _, gravity = columns.split(samples)
-    setpoints[:], targets[:] = simulation.rest_setpoints, np.nan
-    gravity[:] = simulation.scene.gravity
+    samples, (_, targets, _, _) = _samples_at_rest(simulation, count)
     tours = passes(count)
     shifts = shifted_sobol(4, len(tours), seed)
     for tour, shift in zip(tours, shifts, strict=True):

@@ -5,6 +5,7 @@ The file contains, in this order: the columns of a file, the panels, the drawing
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -118,15 +119,15 @@ class Panel(NamedTuple):
 
     Attributes:
         title: The quantity, as it is written beside the axis.
+        factor: From the unit of the columns to that which is drawn.
         unit: Unit that is drawn.
-        factor: From the unit of the columns to it.
         lines: The lines.
         is_logarithmic: Whether the axis is logarithmic, as for residuals.
     """
 
     title: str
-    unit: str
     factor: float
+    unit: str
     lines: list[Line]
     is_logarithmic: bool = False
 
@@ -142,6 +143,17 @@ _FEW = ("position", "body position", "error", "orientation error", "stiffness", 
         "angle", "growth", "expansion", "displacement", "length", "pressure", "tension", "torque",
         "touch force", "moved", "energy", "pressing", "reduction error", "residual")
 """Quantities that are drawn where no columns are named, in this order."""
+
+_PARTS = {
+    end: word for made, word in (
+        (force_columns, "touch force"), (displacement_columns, "touch displacement"),
+        (quaternion_columns, "quaternion"), (stiffness_columns, "stiffness"),
+        (position_columns, "position"),
+    ) for end in made("")
+}  # fmt: skip
+"""Ends of columns that are a part of a vector, and the quantity."""
+_TRACKED = ("position", "quaternion", "stiffness")
+"""Those that may have targets."""
 
 _MOST_PANELS = 7
 """Most panels where no columns are named."""
@@ -161,16 +173,12 @@ def _quantity(name: str, names: Collection[str]) -> tuple[str, str]:
         return "pressing", bare.removeprefix("sum_of_magnitudes_").replace("_", " ", 1)
     if bare.startswith("force_on_"):
         return "contact force", bare.removeprefix("force_on_").replace("_", " ")
-    for made, word in ((force_columns, "touch force"), (displacement_columns, "touch displacement"),
-                       (quaternion_columns, "quaternion"), (stiffness_columns, "stiffness"),
-                       (position_columns, "position")):
-        for end in made(""):
-            if name.endswith(end):
-                owner, part = name.removesuffix(end), end.removesuffix(f"_{unit_of(end)}")[1:]
-                # Bodies have a pose, and no targets.
-                has_pose = f"{owner}_qx" in names and f"{owner}_error_m" not in names
-                is_body = word == "position" and has_pose
-                return "body position" if is_body else word, f"{owner} {part}"
+    for end, word in _PARTS.items():
+        if name.endswith(end):
+            owner, part = name.removesuffix(end), end.removesuffix(f"_{unit_of(end)}")[1:]
+            # Bodies have a pose, and no targets.
+            has_pose = f"{owner}_qx" in names and f"{owner}_error_m" not in names
+            return f"{'body ' * (word == 'position' and has_pose)}{word}", f"{owner} {part}"
     if unit_of(name) in ("N_per_m", "m_per_N"):  # Of workspaces.
         word = "stiffness" if unit_of(name) == "N_per_m" else "compliance"
         return word, bare.replace(f"_{word}_", " ")
@@ -210,30 +218,24 @@ def panels_of(series: Series, globs: Sequence[str] = ()) -> list[Panel]:
         quantity, label = _quantity(name, series.numbers)
         grouped.setdefault((quantity, unit_of(name)), []).append(
             Line(name, label, targets.get(name, "")))
-    panels = [Panel(quantity, *_drawn(unit), lines, quantity.endswith("residual"))
+    panels = [Panel(quantity, *SHOWN.get(unit, (1.0, unit)), lines, quantity.endswith("residual"))
               for (quantity, unit), lines in grouped.items()]
     return panels if globs else _few(panels)
 
 
 def _wanted(name: str) -> str:
     """Column of what was wanted of an effector's column; a name that no file has for others."""
-    for made in (position_columns, quaternion_columns, stiffness_columns):
-        for end in made(""):
-            if name.endswith(end):
-                return f"{target_name(name.removesuffix(end))}{end}"
+    for end, word in _PARTS.items():
+        if name.endswith(end) and word in _TRACKED:
+            return f"{target_name(name.removesuffix(end))}{end}"
     return ""
-
-
-def _drawn(unit: str) -> tuple[str, float]:
-    factor, drawn = SHOWN.get(unit, (1.0, unit))
-    return drawn, factor
 
 
 def _few(panels: list[Panel]) -> list[Panel]:
     """The panels that tell the most, in their order."""
     by_title = {panel.title: panel for panel in panels}
     # A length is told by how much of it is wound up, a volume by its growth.
-    shortened = {line.label for line in by_title.get("shortening", Panel("", "", 1.0, [])).lines}
+    shortened = {line.label for line in by_title.get("shortening", Panel("", 1.0, "", [])).lines}
     lengths = by_title.get("length")
     if lengths is not None:
         left = [line for line in lengths.lines if line.label not in shortened]
@@ -368,11 +370,8 @@ def _draw_band(axis, name: str, words: Sequence[str], edges: np.ndarray) -> None
 def _limits(series: Series) -> dict[str, list[bool]]:
     """In which rows each limit was active, the most frequent ones; the others together."""
     rows = [cell.split() for cell in series.texts[ACTIVE_LIMITS]]
-    counts: dict[str, int] = {}
-    for row in rows:
-        for name in dict.fromkeys(row):
-            counts[name] = counts.get(name, 0) + 1
-    most = sorted(counts, key=lambda name: -counts[name])
+    counts = Counter(name for row in rows for name in dict.fromkeys(row))
+    most = [name for name, _ in counts.most_common()]
     shown = most if len(most) <= _MOST_LIMITS else most[: _MOST_LIMITS - 1]
     found = {name: [name in row for row in rows] for name in shown}
     if len(shown) < len(most):
@@ -395,10 +394,8 @@ def _draw_limits(axis, limits: dict[str, list[bool]], edges: np.ndarray) -> None
 
 def _spans(is_inside: Sequence[bool], edges: np.ndarray) -> list[tuple[float, float]]:
     """Begin and width of each interval of rows that are inside."""
-    padded = np.concatenate([[0], np.array(is_inside, int), [0]])
-    begins = np.flatnonzero(np.diff(padded) == 1)
-    ends = np.flatnonzero(np.diff(padded) == -1)
-    return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in zip(begins, ends)]
+    changes = np.flatnonzero(np.diff(np.array(is_inside, int), prepend=0, append=0)).reshape(-1, 2)
+    return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in changes]
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from softrobot_twin.simulation import Simulation, Status
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.runs.run_columns import RunRow, pair_names, rigid_poses
 from softrobot_twin.study.length_units import SHOWN
+from softrobot_twin.study.terminal import by_key
 
 _SHOWN = 6
 """Most rows of things that are alike; more are put together."""
@@ -139,14 +140,9 @@ class RunSummary:
         times = self._values["time"]
         if not times:
             return [(self.unit, "0")]
-        lines = [(self.unit, f"{len(times)}, {times[-1]:.6g} s at their end")]
-        lines += self._of_effectors()
-        lines += self._of_bodies()
-        lines += self._of_actuators()
-        lines += self._of_contacts()
-        lines += self._of_limits()
-        lines += self._of_steps()
-        return lines
+        return [(self.unit, f"{len(times)}, {times[-1]:.6g} s at their end"), *self._of_effectors(),
+                *self._of_bodies(), *self._of_actuators(), *self._of_contacts(), *self._of_limits(),
+                *self._of_steps()]
 
     def _of_effectors(self) -> list[tuple[str, str]]:
         """Errors of the effectors that have targets; else where they are at the end."""
@@ -178,25 +174,26 @@ class RunSummary:
     def _of_bodies(self) -> list[tuple[str, str]]:
         """How high free bodies rose, and how far they crept; of many the one that did most."""
         begin, end = self._hold
-        heights, creep = self.heights(), self.creep()
-        lines = [(name, "highest", f"{1e3 * height:+.2f} mm at {time:.2f} s")
-                 for name, (height, time) in _most(heights, lambda name: heights[name][0])]
-        lines += [(name, "creep while held", f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
-                  for name, rise in _most(creep, creep.get)]
-        many = {"highest": len(heights) > _SHOWN, "creep while held": len(creep) > _SHOWN}
-        return [(f"{word} of {len(heights if word == 'highest' else creep)}" if many[word]
-                 else f"{name}, {word}", f"{name} {told}" if many[word] else told)
-                for name, word, told in lines]
+        lines = []
+        for word, found in (
+            ("highest", {name: (rise, f"{1e3 * rise:+.2f} mm at {time:.2f} s")
+                         for name, (rise, time) in self.heights().items()}),
+            ("creep while held", {name: (rise, f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
+                                  for name, rise in self.creep().items()}),
+        ):  # fmt: skip
+            if len(found) > _SHOWN:
+                most = max(found, key=lambda name: found[name][0])
+                lines.append((f"{word} of {len(found)}", f"{most} {found[most][1]}"))
+            else:
+                lines += [(f"{name}, {word}", told) for name, (_, told) in found.items()]
+        return lines
 
     def _of_actuators(self) -> list[tuple[str, str]]:
         """Ranges of displacement and effort of each actuator; those that are alike in one row."""
         displacements, efforts = self._series("displacements"), self._series("efforts")
         alike: dict[tuple[str, str], list[str]] = {}
-        kinds: dict[str, list[int]] = {}
-        for index, kind in enumerate(self._kinds.values()):
-            kinds.setdefault(kind.noun, []).append(index)
         names, of = tuple(self._kinds), tuple(self._kinds.values())
-        for noun, places in kinds.items():
+        for noun, places in by_key((kind.noun, index) for index, kind in enumerate(of)).items():
             if len(places) > _SHOWN:
                 both = displacements[:, places], efforts[:, places]
                 told = _ranges(of[places[0]], *both, [names[place] for place in places])
@@ -263,14 +260,6 @@ class RunSummary:
             end = ", the last too" if is_last else ""
             lines.append((f"status {name}", f"{count} {self.unit}{end}"))
         return lines
-
-
-def _most(found: dict, size: Callable) -> list[tuple]:
-    """All entries, or that with the largest size where they are many."""
-    entries = list(found.items())
-    if len(entries) <= _SHOWN:
-        return entries
-    return [max(entries, key=lambda entry: size(entry[0]))]
 
 
 def _largest(values: np.ndarray) -> float:

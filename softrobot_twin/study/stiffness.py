@@ -98,31 +98,55 @@ def actuation(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
         ActuationError: A column is unknown or twice there, or a value is no finite number.
     """
     drives = simulation.actuators.drives(simulation.rest_setpoints)
-    columns, set_by = actuator_column_places(simulation), {}
+    set_by: dict[int, str] = {}
     for text in given:
-        named, _, value = text.partition("=")
-        if named not in columns:
-            raise ActuationError(f"--at {text}", f"is no column of {', '.join(columns)}")
-        try:
-            number = float(value)
-        except ValueError:
-            raise ActuationError(f"--at {text}", "must end with a number") from None
-        if not np.isfinite(number):
-            raise ActuationError(f"--at {text}", "must be finite")
-        places, is_setpoint = columns[named]
+        places, (drive,) = column_drives(simulation, "--at", text)
         for place in places:
             if place in set_by:
                 raise ActuationError(f"--at {text}", f"moves what {set_by[place]} moves")
             set_by[place] = text
-        drives[places] = drive_at(simulation, places, number) if is_setpoint else number
+        drives[places] = drive
     return drives
 
 
-def drive_at(simulation: Simulation, places: list[int], setpoint: float) -> float:
-    """Displacement, or effort, of actuators that move alike at a setpoint; see `Actuators.drives`."""
-    setpoints = simulation.rest_setpoints.copy()
-    setpoints[places] = setpoint
-    return simulation.actuators.drives(setpoints)[places[0]]
+_ENDS = "a number", "two numbers, LOW:HIGH"
+
+
+def column_drives(
+    simulation: Simulation, option: str, text: str, count: int = 1
+) -> tuple[list[int], list[float]]:
+    """The actuators that a column of a commands file drives, and what holds them at its values.
+
+    Args:
+        simulation: The scene.
+        option: Option that has the text.
+        text: ``<column>=<number>``, or ``<column>=<low>:<high>``.
+        count: How many numbers it has.
+
+    Returns:
+        Places of the actuators, and increasing displacements or efforts; see `Actuators.drives`.
+
+    Raises:
+        ActuationError: The column is unknown, or the numbers are none, not finite or not in order.
+    """
+    named, _, ends = text.partition("=")
+    columns, given = actuator_column_places(simulation), f"{option} {text}"
+    if named not in columns:
+        raise ActuationError(given, f"is no column of {', '.join(columns)}")
+    try:
+        numbers = list(map(float, ends.split(":")))
+        if len(numbers) != count:
+            raise ValueError
+    except ValueError:
+        raise ActuationError(given, f"must end with {_ENDS[count - 1]}") from None
+    if not np.isfinite(numbers).all() or numbers != sorted(numbers):
+        raise ActuationError(given, f"must be finite{', the lower one first' * (count > 1)}")
+    places, is_setpoint = columns[named]
+    setpoints, drives = np.tile(simulation.rest_setpoints, (count, 1)), numbers
+    if is_setpoint:
+        setpoints[:, places] = np.array(numbers)[:, None]
+        drives = simulation.actuators.drives(setpoints)[:, places[0]].tolist()
+    return places, sorted(drives)
 
 
 def actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:

@@ -51,7 +51,7 @@ from softrobot_twin.study.sample_workers import (
     scene_fingerprint,
     workers_of,
 )
-from softrobot_twin.study.stiffness import ActuationError, actuator_column_places, drive_at
+from softrobot_twin.study.stiffness import column_drives
 from softrobot_twin.study.terminal import console, print_apart, table, terminal_status, warn
 
 
@@ -92,7 +92,7 @@ def sampled_axes(simulation: Simulation, ranges: Sequence[str] = ()) -> tuple[Ax
     """
     low, high = simulation.limits.drive_min.copy(), simulation.limits.drive_max.copy()
     for text in ranges:
-        places, bounds = _read_range(simulation, text)
+        places, bounds = column_drives(simulation, "--range", text, 2)
         low[places], high[places] = bounds
     axes = sorted(joint_axes(simulation, low, high), key=lambda axis: axis.places)
     for axis in axes:
@@ -130,24 +130,6 @@ def _check_axis(simulation: Simulation, axis: Axis) -> None:
         f"{kind.section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
         f"the scene, or by --range {column(axis.name, quantity)}=LOW:HIGH",
     )  # fmt: skip
-
-
-def _read_range(simulation: Simulation, text: str) -> tuple[list[int], tuple[float, float]]:
-    named, _, ends = text.partition("=")
-    columns = actuator_column_places(simulation)
-    option = f"--range {text}"
-    if named not in columns:
-        raise ActuationError(option, f"is no column of {', '.join(columns)}")
-    try:
-        low, high = map(float, ends.split(":"))
-    except ValueError:
-        raise ActuationError(option, "must end with two numbers, LOW:HIGH") from None
-    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise ActuationError(option, "must be finite, the lower one first")
-    places, is_setpoint = columns[named]
-    if is_setpoint:
-        low, high = sorted(drive_at(simulation, places, value) for value in (low, high))
-    return places, (low, high)
 
 
 def shifted_sobol(dimension: int, count: int, seed: int) -> np.ndarray:
