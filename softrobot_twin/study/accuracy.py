@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.study.accuracy_study import (
     ASSUMED_ORDER,
@@ -30,7 +30,6 @@ from softrobot_twin.study.accuracy_study import (
     check_one_body,
     hexahedral_family,
     mesh_family,
-    only_body,
     shown_progress,
     study_meshes,
     study_reduced,
@@ -337,8 +336,6 @@ def _plain_percent(axes) -> None:
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
-HOLD_SHARE = 0.0125
-"""Default radius over which a cable's force is spread, as a share of the body's size."""
 KNOB_STEPS = 100
 
 
@@ -368,7 +365,7 @@ def accuracy(
     make_folder(output)
     named = own_file(scene)
     scene = without_reductions(scene)
-    held = with_hold_radius(scene, hold_radius(scene))
+    held = with_hold_radius(scene)
     levels = mesh_family(held, output / "meshes")
     hexahedra = hexahedral_family(held)
     every = every_level(levels, hexahedra)
@@ -427,10 +424,3 @@ def _most_accurate(study: Study, levels: Sequence[MeshLevel]) -> MeshLevel:
     known = [row for row in study.rows if row.law == law and np.isfinite(row.error)]
     best = min(known, key=lambda row: row.error)
     return level_named(f"{best.mesh}:{best.element}", levels)
-
-
-def hold_radius(scene: Scene) -> float:
-    """Radius over which cable forces are spread [m]: the displacement under a point force grows
-    without bound as the mesh is refined.
-    """
-    return round(HOLD_SHARE * only_body(scene).size, 6)

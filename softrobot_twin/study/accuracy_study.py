@@ -31,7 +31,6 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
 from softrobot_twin.scene.entry import expanded
 from softrobot_twin.scene.loading import read_yaml, written_out
@@ -148,33 +147,36 @@ def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
     return scene.changed(solver={"newton_iterations": iterations, "residual_tolerance": tolerance})
 
 
-def with_hold_radius(scene: Scene, radius: float) -> Scene:
-    """The same scene; cable forces at points are spread over a radius [m]."""
-    return scene.changed(
-        cables=lambda cable: cable.changed(hold_radius=cable.hold_radius or radius))  # fmt: skip
+HOLD_SHARE = 0.0125
+"""Default radius over which a cable's force is spread, as a share of the body's size."""
 
 
-def unlimited(scene: Scene, efforts: bool = False, displacements: bool = False) -> Scene:
+def with_hold_radius(scene: Scene, radius: float | None = None) -> Scene:
+    """The same scene; cable forces at points are spread over a radius: the displacement under a
+    point force grows without bound as the mesh is refined.
+
+    Args:
+        scene: The scene.
+        radius: For cables without one [m]; None for a share of the body's size, `HOLD_SHARE`.
+    """
+    own = round(HOLD_SHARE * only_body(scene).size, 6) if radius is None else radius
+    return scene.changed(cables=lambda cable: cable.changed(hold_radius=cable.hold_radius or own))
+
+
+def unlimited(scene: Scene, exact: bool = False) -> Scene:
     """The same scene without limits on rates; the volumes of its cavities are commanded.
 
     Args:
         scene: The scene.
-        efforts: Whether limits on tension and pressure go too: stiff coarse meshes need large forces.
-        displacements: Whether those of displacements go too, which are free when forces are
-            prescribed.
+        exact: Whether limits on displacements and efforts go too: stiff coarse meshes need large
+            forces, and displacements are free when forces are prescribed.
     """
-
-    def of_cable(cable: Cable) -> Cable:
-        free: dict = {"rate": None}
-        if efforts:
-            free["tension"] = 0.0, 1e3 * cable.tension[1] or 1e3
-        return cable.changed(**free, **({"shortening": (-10.0, 10.0)} if displacements else {}))
-
+    of_cable: dict = {"rate": None}
     of_cavity: dict = {"rate": None, "flow": None, "control": "volume"}
-    if efforts:
-        of_cavity["pressure"] = -np.inf, np.inf
-    if displacements:
-        of_cavity |= {"growth": (-np.inf, np.inf), "volume": (0.0, np.inf)}
+    if exact:
+        anything = -np.inf, np.inf
+        of_cable |= {"tension": (0.0, 1.0e9), "shortening": (-10.0, 10.0)}
+        of_cavity |= {"pressure": anything, "growth": anything, "volume": (0.0, np.inf)}
     return scene.changed(cables=of_cable, cavities=of_cavity)
 
 
@@ -578,6 +580,8 @@ TENSION_SHARE = 0.15
 # Replaces a missing limit of a shortening, as a share of the cable's length, or of a growth, as a
 # share of the cavity's volume.
 OPEN_SHARE = 0.4
+# A growth of more than this multiple of a cavity's volume is that at which it bursts.
+_BURST_SHARE = 10.0
 # Parts of the way to a pose.
 _SHARES = (0.5, 1.0)
 _MOST_ITERATIONS = 25
@@ -617,7 +621,9 @@ def displacements(scene: Scene) -> np.ndarray:
     if not (scene.cables or scene.cavities) or not scene.effectors:
         raise AccuracyError(scene.name, "accuracy is measured at an effector that cables or "
                             "cavities move; this scene lacks cables and cavities, or effectors")
-    most = [_greatest_shortening(cable) for cable in scene.cables] + _greatest_growths(scene)
+    most = np.concatenate([
+        limited(group.displacement_bounds[:, 1], group.displacement_scale, group.kind.one_sided)
+        for group in build_groups(lay_out(scene, []), [])])
     poses = np.zeros((len(POSE_SHARES), len(most)))
     for index, greatest in enumerate(most):
         if index == len(scene.cables) - 1 and index > 0:
@@ -627,24 +633,18 @@ def displacements(scene: Scene) -> np.ndarray:
     return poses
 
 
-def _greatest_shortening(cable) -> float:
-    """Upper limit of a cable's shortening; without a limit, a share of its length [m]."""
-    if np.isfinite(cable.shortening[1]):
-        return cable.shortening[1]
-    stretches = np.diff(np.array([cable.pull_point, *cable.points]), axis=0)
-    return OPEN_SHARE * float(np.linalg.norm(stretches, axis=1).sum())
+def limited(greatest: np.ndarray, scale: np.ndarray, one_sided: np.ndarray | bool) -> np.ndarray:
+    """Greatest displacements of actuators; without a limit of the user, a share of their scale.
 
+    A cable without a limit is limited by its length at rest, a cavity by where it bursts.
 
-def _greatest_growths(scene: Scene) -> list[float]:
-    """Upper limit of each cavity's growth; without a limit, a share of its volume [m³]."""
-    if not scene.cavities:
-        return []
-    groups = build_groups(lay_out(scene, []), [])
-    (group,) = (group for group in groups if group.kind.section == "cavities")
-    open_growths = OPEN_SHARE * group.displacement_scale
-    # Without a limit of the user a cavity may grow until it bursts.
-    is_limited = [np.isfinite(min(cavity.growth[1], cavity.volume[1])) for cavity in scene.cavities]
-    return np.where(is_limited, group.displacement_bounds[:, 1], open_growths).tolist()
+    Args:
+        greatest: Upper limits of the displacements [m, m³], shape (count,).
+        scale: Their scale: the length of a cable, the volume of a cavity, same shape.
+        one_sided: Whether they are cables.
+    """
+    is_open = greatest >= np.where(one_sided, 1.0, _BURST_SHARE) * scale
+    return np.where(is_open, OPEN_SHARE * scale, greatest)
 
 
 def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
@@ -665,7 +665,7 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
     size = only_body(by_corners).size
     material = scene.body.material
     stiffness = law_at_rest(material, material.law).young_modulus * size**2
-    free = unlimited(scene, efforts=True)
+    free = unlimited(scene, exact=True)
     return Simulation(with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness), **parts)
 
 
@@ -695,7 +695,6 @@ def _given(scene: Scene, case: str, loads: Loads) -> tuple[Scene, bool, np.ndarr
     forces_given = case == "tensions"
     if case == "weightless":
         scene = scene.changed(gravity=(0.0, 0.0, 0.0))
-    scene = unlimited(scene, displacements=forces_given)
     return scene, forces_given, loads.pressed if forces_given else loads.moved
 
 # Speed of a cable without a rate limit [m/s]; otherwise half of its limit.
@@ -1278,7 +1277,7 @@ def _limits(scene: Scene, case: str, loads: Loads) -> np.ndarray:
         MeshErrorUnknown: The scene has no estimate of its mesh's error.
     """
     scene, forces_given, poses = _given(scene, case, loads)
-    free = unlimited(scene, efforts=True)
+    free = unlimited(scene, exact=True)
     estimator, actuators, found = MeshErrorEstimator(free), Simulation(free).actuators, []
     for pose in poses:
         wanted = [share * pose for share in _SHARES]

@@ -49,7 +49,7 @@ from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.symbolic import NONE
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
-from softrobot_twin.study.accuracy_study import with_mesh_file
+from softrobot_twin.study.accuracy_study import limited, with_mesh_file
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.machine_facts import (
     DenseSpeed,
@@ -181,10 +181,6 @@ CIRCLE_TIME_STEP = 0.01
 # Initial shortening of every cable and pressure of every cavity as a share of its limit, so that no
 # cable is slack.
 _PRETENSION_SHARE = 0.25
-# Displacement of an actuator without a limit, as a share of its displacement scale.
-_OPEN_SHARE = 0.4
-# A displacement of more than this multiple of its scale is that at which a cavity bursts.
-_BURST_SHARE = 10.0
 _PRETENSION_STEPS = 60
 _STEPS_A_ROUND = 500
 # Radius of the circle, as a share of the body's size.
@@ -200,11 +196,6 @@ class NothingToFollowError(NamedError):
                          f"limits where there is no effector; {reason}")
 
 
-_NO_ACTUATORS = "this scene has no actuators"
-_HAS_CONTACT = ("in contact neither is done: 'bench --commands FILE.csv' times this scene along a "
-                "commands file")
-
-
 def largest_drives(simulation: Simulation) -> np.ndarray:
     """What the setpoints hold at most: displacements, or efforts, shape (actuator_count,).
 
@@ -215,12 +206,9 @@ def largest_drives(simulation: Simulation) -> np.ndarray:
         NothingToFollowError: A pressure has no limit.
     """
     limits, actuators = simulation.limits, simulation.actuators
-    most = limits.drive_max.copy()
-    # A cable without a limit is limited by its length at rest, a cavity by where it bursts.
-    scales = np.where(actuators.one_sided, 1.0, _BURST_SHARE) * limits.displacement_scale
-    has_no_limit = most >= scales
-    is_open = ~actuators.is_effort_driven & has_no_limit
-    most[is_open] = _OPEN_SHARE * limits.displacement_scale[is_open]
+    most = np.where(
+        actuators.is_effort_driven, limits.drive_max,
+        limited(limits.drive_max, limits.displacement_scale, actuators.one_sided))
     for index in np.flatnonzero(~np.isfinite(most)):
         name, word = actuators.names[index], limits.drive_words[index]
         raise NothingToFollowError(simulation.scene.name, f"{name}.{word} has no upper limit")
@@ -289,9 +277,11 @@ def swept_setpoints(simulation: Simulation) -> Iterator[CommandSetpoints]:
 def _check_can_be_driven(simulation: Simulation) -> None:
     """Refuses scenes without actuators, and with contact."""
     if not simulation.actuator_names:
-        raise NothingToFollowError(simulation.scene.name, _NO_ACTUATORS)
+        raise NothingToFollowError(simulation.scene.name, "this scene has no actuators")
     if simulation.model.contacts is not None:
-        raise NothingToFollowError(simulation.scene.name, _HAS_CONTACT)
+        raise NothingToFollowError(
+            simulation.scene.name, "in contact neither is done: 'bench --commands FILE.csv' times "
+            "this scene along a commands file")
 
 
 RATE = 250.0
@@ -712,24 +702,20 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     factorization = without_rows(model.factorization)
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     reports = [step.report for step in record.steps]
+    times, faults = np.array(record.superlu).reshape(-1, 2).T
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
         simulation.dof_count, sum(one.mode_count for one in reductions),
         sum(len(one.sampled.cells) for one in reductions),
-        _median([step.row_count for step in record.steps]),
-        _median([report.contact_count for report in reports]),
-        _stages(record.steps, simulation.stages), steps, spread(np.array(record.superlu)),
-        len(record.superlu), _median(record.page_faults),
+        spread([step.row_count for step in record.steps]).median,
+        spread([report.contact_count for report in reports]).median,
+        _stages(record.steps, simulation.stages), steps, spread(times), len(times),
+        spread(faults).median,
         sum(step.time - step.worked > INTERRUPTION for step in record.steps) / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
-        _median(record.dense), _factor_bytes(factorization), resident,
+        spread(record.dense).median, _factor_bytes(factorization), resident,
         Counter(step.status.value for step in record.steps),
         Counter(report.qp_solver for report in reports), calls, kernel_share, beside)
-
-
-def _median(values: Sequence[float]) -> float:
-    """The median; NaN without any value."""
-    return float(np.median(values)) if values else math.nan
 
 
 def _commands_of(simulation: Simulation, case: BenchCase):
@@ -754,11 +740,10 @@ class _TimedStep(NamedTuple):
 
 
 class _Record(NamedTuple):
-    """Timed steps, and between them times of SuperLU [s], its page faults, and dense speeds."""
+    """Timed steps, and between them times of SuperLU [s] with its page faults, and dense speeds."""
 
     steps: list[_TimedStep]
-    superlu: list[float]
-    page_faults: list[int]
+    superlu: list[tuple[float, int]]
     dense: list[float]
 
 
@@ -773,7 +758,7 @@ def _stages(steps: Sequence[_TimedStep], names: Sequence[str]) -> dict[str, Spre
 
 def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) -> _Record:
     """Times steps, and between them dense products and, where it is asked for, SuperLU."""
-    dense, record, yardstick = DenseSpeed(), _Record([], [], [], []), None
+    dense, record, yardstick = DenseSpeed(), _Record([], [], []), None
     dense.measure()
     samples = _SUPERLU_SAMPLES
     if with_superlu:
@@ -784,9 +769,7 @@ def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) ->
     for number in range(steps):
         if number % interval == 0:
             if yardstick is not None:
-                time, faults = yardstick.factorize()
-                record.superlu.append(time)
-                record.page_faults.append(faults)
+                record.superlu.append(yardstick.factorize())
             record.dense.append(dense.measure())
             # They remove a step's data from the caches, so one more step runs before the next
             # timing.

@@ -24,7 +24,6 @@ from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.reduced_body import without_reductions
-from softrobot_twin.study.accuracy import hold_radius
 from softrobot_twin.study.accuracy_study import (
     MESH,
     REDUCED,
@@ -498,7 +497,7 @@ def choose(
         named = None
     scene = without_reductions(scene)
     options = with_ranges(options, scene)
-    held = with_hold_radius(scene, hold_radius(scene))
+    held = with_hold_radius(scene)
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     hexahedra = hexahedral_family(held)
     known = _rows(levels, hexahedra, accuracy_file)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from softrobot_twin.simulation import Simulation, Status
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
@@ -31,7 +32,7 @@ class Spread(NamedTuple):
     maximum: float
 
 
-def spread(values: np.ndarray) -> Spread:
+def spread(values: ArrayLike) -> Spread:
     """Median, 99th percentile and maximum over the finite values; NaN when there is none."""
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]

@@ -32,6 +32,7 @@ from softrobot_twin.simulation.building.cavity_walls import joined_walls
 from softrobot_twin.simulation.building.vertebrae import Division, SoftPart
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.factorization import Factorization
+from softrobot_twin.study.workspace import shifted_sobol
 
 # Steps from rest to a sample; each is a sample itself.
 STAGES = (0.35, 0.7, 1.0)
@@ -370,15 +371,12 @@ def sample(model: SoftPartModel, within: SampledRange, count: int, seed: int):
         model: The soft part.
         within: The box.
         count: Number of points.
-        seed: Of the scrambling.
+        seed: Of the shift of Sobol's sequence.
 
     Returns:
         The samples, and the number of points that were not reached.
     """
-    from scipy.stats import qmc  # it loads slowly
-
-    exponent = int(np.ceil(np.log2(count)))
-    points = qmc.Sobol(model.variable_count, seed=seed).random_base2(exponent)[:count]
+    points = shifted_sobol(model.variable_count, count, seed)
     samples, lost = [model.at_rest()], 0
     for variables in within.variables(2.0 * points - 1.0):
         found = model.sample_towards(variables)

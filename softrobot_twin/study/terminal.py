@@ -141,10 +141,6 @@ class PipedProgress:
             self._print()
         return 0
 
-    def advance(self, task: int, advance: float = 1) -> None:
-        """Counts parts that are done."""
-        self.update(task, advance=advance)
-
     def update(self, task: int, *, advance: float = 0, completed: float | None = None,
                note: str | None = None) -> None:
         """Counts parts that are done, and prints a line if it is time.

@@ -48,6 +48,7 @@ from softrobot_twin.study.superelement_fit import (
 )
 from softrobot_twin.study.terminal import console, table, tracked, warn
 from softrobot_twin.study.training_options import TEST_STATES
+from softrobot_twin.study.workspace import shifted_sobol
 
 # States of the full model that show which deformations occur.
 RANGE_STATES = 32
@@ -107,7 +108,7 @@ def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarra
     Args:
         simulation: The scene.
         count: How many.
-        seed: Of the Sobol sequence.
+        seed: Of the shift of Sobol's sequence.
 
     Returns:
         Setpoints, shape (count, actuator_count).
@@ -115,15 +116,12 @@ def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarra
     Raises:
         ReductionError: An actuator has no limits.
     """
-    from scipy.stats import qmc  # it loads slowly
-
     low, high = simulation.limits.setpoint_range(simulation.rest_setpoints)
     for name, least, most in zip(simulation.actuator_names, low, high, strict=True):
         if not (np.isfinite(least) and np.isfinite(most)):
             raise ReductionError(f"{name} has no limits: the range in which superelements are "
                                  "sampled is that of the actuators")
-    points = qmc.Sobol(len(low), seed=seed).random_base2(int(np.ceil(np.log2(count))))
-    return low + (high - low) * points[:count]
+    return low + (high - low) * shifted_sobol(len(low), count, seed)
 
 
 def brought_to(simulation: Simulation, setpoints: np.ndarray) -> bool:

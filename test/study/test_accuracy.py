@@ -12,7 +12,7 @@ from specimens import column_mesh
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study import accuracy_study, choice, reduced_models as reduced_models_study
-from softrobot_twin.study.accuracy import full_row, hold_radius, level_named
+from softrobot_twin.study.accuracy import full_row, level_named
 from softrobot_twin.study.accuracy_study import (
     MESH,
     NEWTON,
@@ -102,7 +102,7 @@ def no_trial(monkeypatch):
 @pytest.fixture(scope="module")
 def levels(family, tmp_path_factory):
     scene = load_scene(family)
-    held = with_hold_radius(scene, hold_radius(scene))
+    held = with_hold_radius(scene)
     return mesh_family(held, tmp_path_factory.mktemp("none"))
 
 
@@ -165,7 +165,7 @@ def test_every_reference_states_its_uncertainty(study):
 @pytest.mark.slow
 def test_on_the_diamond_displacements_have_smaller_errors_than_forces(tmp_path):
     scene = load_scene(default_scene_path())
-    held = with_hold_radius(scene, hold_radius(scene))
+    held = with_hold_radius(scene)
     levels = mesh_family(held, tmp_path)[:2]
     study = study_meshes(levels, Limits(1_500, 20_000, 8), lambda words: None)
     coarsest = study.rows[0]
