@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
@@ -19,6 +21,7 @@ from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
 from softrobot_twin.simulation.scene_warnings import scene_warnings, unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+from softrobot_twin.solvers.factorization import Factorization
 
 # Most unknowns of a matrix without zeros: beyond, those between several reduced bodies are worth more.
 MOST_DENSE = 400
@@ -67,7 +70,7 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     others = [term for term in (effectors, contacts) if term is not None]
     constraints = [*actuators.terms, *others]
     is_dense = _is_dense(layout)
-    factorization = _factorization(
+    factorization = bound_factorization(
         factorization_type or FACTORIZATIONS[scene.solver.factorization], [*forces, *constraints],
         nodes.free_node_count, is_dense,
     )  # fmt: skip
@@ -111,8 +114,17 @@ def _is_dense(layout: Layout) -> bool:
     return 3 * layout.nodes.free_node_count <= MOST_DENSE
 
 
-def _factorization(made_by: type, stiff: list, free_node_count: int, is_dense: bool):
-    """Lay out A for the pattern of the terms that add to it, or for all pairs."""
+def bound_factorization(
+    made_by: type, stiff: Sequence, free_node_count: int, is_dense: bool = False
+) -> Factorization:
+    """Lay out A for the pattern of the terms that add to it, or for all pairs, and bind the terms.
+
+    Args:
+        made_by: Class of the factorization.
+        stiff: Terms that add to A.
+        free_node_count: Number of free nodes.
+        is_dense: Whether all pairs of nodes have entries.
+    """
     pairs = [stencil_pairs(term.stencils()) for term in stiff]
     if is_dense:
         pairs = [stencil_pairs(np.arange(free_node_count)[None])]

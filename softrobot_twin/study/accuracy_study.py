@@ -580,8 +580,6 @@ TENSION_SHARE = 0.15
 # Replaces a missing limit of a shortening, as a share of the cable's length, or of a growth, as a
 # share of the cavity's volume.
 OPEN_SHARE = 0.4
-# A growth of more than this multiple of a cavity's volume is that at which it bursts.
-_BURST_SHARE = 10.0
 # Parts of the way to a pose.
 _SHARES = (0.5, 1.0)
 _MOST_ITERATIONS = 25
@@ -621,9 +619,7 @@ def displacements(scene: Scene) -> np.ndarray:
     if not (scene.cables or scene.cavities) or not scene.effectors:
         raise AccuracyError(scene.name, "accuracy is measured at an effector that cables or "
                             "cavities move; this scene lacks cables and cavities, or effectors")
-    most = np.concatenate([
-        limited(group.displacement_bounds[:, 1], group.displacement_scale, group.kind.one_sided)
-        for group in build_groups(lay_out(scene, []), [])])
+    most = [_greatest_shortening(cable) for cable in scene.cables] + _greatest_growths(scene)
     poses = np.zeros((len(POSE_SHARES), len(most)))
     for index, greatest in enumerate(most):
         if index == len(scene.cables) - 1 and index > 0:
@@ -633,18 +629,24 @@ def displacements(scene: Scene) -> np.ndarray:
     return poses
 
 
-def limited(greatest: np.ndarray, scale: np.ndarray, one_sided: np.ndarray | bool) -> np.ndarray:
-    """Greatest displacements of actuators; without a limit of the user, a share of their scale.
+def _greatest_shortening(cable) -> float:
+    """Upper limit of a cable's shortening; without a limit, a share of its length [m]."""
+    if np.isfinite(cable.shortening[1]):
+        return cable.shortening[1]
+    stretches = np.diff(np.array([cable.pull_point, *cable.points]), axis=0)
+    return OPEN_SHARE * float(np.linalg.norm(stretches, axis=1).sum())
 
-    A cable without a limit is limited by its length at rest, a cavity by where it bursts.
 
-    Args:
-        greatest: Upper limits of the displacements [m, m³], shape (count,).
-        scale: Their scale: the length of a cable, the volume of a cavity, same shape.
-        one_sided: Whether they are cables.
-    """
-    is_open = greatest >= np.where(one_sided, 1.0, _BURST_SHARE) * scale
-    return np.where(is_open, OPEN_SHARE * scale, greatest)
+def _greatest_growths(scene: Scene) -> list[float]:
+    """Upper limit of each cavity's growth; without a limit, a share of its volume [m³]."""
+    if not scene.cavities:
+        return []
+    groups = build_groups(lay_out(scene, []), [])
+    (group,) = (group for group in groups if group.kind.section == "cavities")
+    open_growths = OPEN_SHARE * group.displacement_scale
+    # Without a limit of the user a cavity may grow until it bursts.
+    is_limited = [np.isfinite(min(cavity.growth[1], cavity.volume[1])) for cavity in scene.cavities]
+    return np.where(is_limited, group.displacement_bounds[:, 1], open_growths).tolist()
 
 
 def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
@@ -658,7 +660,7 @@ def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
     return prescribed
 
 
-def exact_simulation(scene: Scene, **parts) -> Simulation:
+def exact_simulation(scene: Scene) -> Simulation:
     """A simulation that solves every step to rounding error, without limits of rate or effort."""
     # The size is that of the corners: linear tetrahedra have no other nodes.
     by_corners = scene if scene.body.element == HEXAHEDRAL else with_element(scene, "linear")
@@ -666,7 +668,8 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
     material = scene.body.material
     stiffness = law_at_rest(material, material.law).young_modulus * size**2
     free = unlimited(scene, exact=True)
-    return Simulation(with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness), **parts)
+    exact = with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness)
+    return Simulation(exact, with_warnings=False)
 
 
 def equilibria(scene: Scene, case: str, loads: Loads) -> Poses:
@@ -813,7 +816,8 @@ def rounds_of(
 
 def _ready(scene: Scene, iterations: int, parts: dict) -> Simulation:
     # With a tolerance that is never reached, every step makes all its iterations.
-    simulation = Simulation(with_newton(unlimited(scene), iterations, 1.0e-300), **parts)
+    timed = with_newton(unlimited(scene), iterations, 1.0e-300)
+    simulation = Simulation(timed, with_warnings=False, **parts)
     simulation.warm_up()
     return simulation
 
@@ -1278,7 +1282,7 @@ def _limits(scene: Scene, case: str, loads: Loads) -> np.ndarray:
     """
     scene, forces_given, poses = _given(scene, case, loads)
     free = unlimited(scene, exact=True)
-    estimator, actuators, found = MeshErrorEstimator(free), Simulation(free).actuators, []
+    estimator, actuators, found = MeshErrorEstimator(free), Simulation(free, with_warnings=False).actuators, []
     for pose in poses:
         wanted = [share * pose for share in _SHARES]
         values = wanted if forces_given else [actuators.setpoints(one) for one in wanted]

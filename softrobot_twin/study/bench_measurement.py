@@ -49,7 +49,7 @@ from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.symbolic import NONE
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
-from softrobot_twin.study.accuracy_study import limited, with_mesh_file
+from softrobot_twin.study.accuracy_study import OPEN_SHARE, with_mesh_file
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.machine_facts import (
     DenseSpeed,
@@ -181,6 +181,8 @@ CIRCLE_TIME_STEP = 0.01
 # Initial shortening of every cable and pressure of every cavity as a share of its limit, so that no
 # cable is slack.
 _PRETENSION_SHARE = 0.25
+# A displacement of more than this multiple of its scale is that at which a cavity bursts.
+_BURST_SHARE = 10.0
 _PRETENSION_STEPS = 60
 _STEPS_A_ROUND = 500
 # Radius of the circle, as a share of the body's size.
@@ -206,9 +208,10 @@ def largest_drives(simulation: Simulation) -> np.ndarray:
         NothingToFollowError: A pressure has no limit.
     """
     limits, actuators = simulation.limits, simulation.actuators
-    most = np.where(
-        actuators.is_effort_driven, limits.drive_max,
-        limited(limits.drive_max, limits.displacement_scale, actuators.one_sided))
+    # A cable without a limit is limited by its length at rest, a cavity by where it bursts.
+    scales = np.where(actuators.one_sided, 1.0, _BURST_SHARE) * limits.displacement_scale
+    is_open = ~actuators.is_effort_driven & (limits.drive_max >= scales)
+    most = np.where(is_open, OPEN_SHARE * limits.displacement_scale, limits.drive_max)
     for index in np.flatnonzero(~np.isfinite(most)):
         name, word = actuators.names[index], limits.drive_words[index]
         raise NothingToFollowError(simulation.scene.name, f"{name}.{word} has no upper limit")

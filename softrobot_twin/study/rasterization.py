@@ -142,9 +142,6 @@ def _draw(triangles: Triangles, window, shape: tuple[int, int], jump: float) -> 
     """Draws one layer with its edges and, where the depth jumps, outlines."""
     rows, columns = _FINER * shape[0], _FINER * shape[1]
     nearness = np.full((rows, columns), -np.inf, np.float32)
-    if not len(triangles.corners):
-        nothing = np.zeros((rows, columns, 3), np.float32)
-        return _Layer(nearness, nothing, np.zeros((rows, columns), bool))
     index = np.full((rows, columns), -1, np.int32)
     edge = np.ones((rows, columns), np.float32)
     left, right, bottom, top = window
@@ -152,7 +149,8 @@ def _draw(triangles: Triangles, window, shape: tuple[int, int], jump: float) -> 
     placed[..., 0] = (placed[..., 0] - left) * (columns / (right - left))
     placed[..., 1] = (top - placed[..., 1]) * (rows / (top - bottom))
     fill_triangles(placed, triangles.has_edges, nearness, index, edge)
-    colour = triangles.colours.astype(np.float32)[index]
+    # The last colour is that of nothing.
+    colour = np.vstack([triangles.colours, np.zeros((1, 3))]).astype(np.float32)[index]
     colour *= edge[..., None]
     is_line = edge < 1.0
     if np.isfinite(jump):

@@ -17,16 +17,19 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 
-from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
+from softrobot_twin.geometry.cell_mesh import CellBlock
+from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.reduced_elements import (
     ReducedElements,
     SampledPoints,
     all_points,
     point_gradients,
 )
+from softrobot_twin.simulation.build import bound_factorization
 from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.solvers.superlu import SuperLU
 
 # Points whose gradients are held at once: bounds the memory of points times modes.
 CHUNK = 4096
@@ -63,39 +66,13 @@ def rest_stiffness(body: Body) -> csr_array:
     Returns:
         [N/m], shape (3 node_count, 3 node_count); fixed nodes are not removed.
     """
-    size = 3 * body.mesh.node_count
-    total = csr_array((size, size))
-    for part in body.materials:
-        lame = part.lame_parameters
-        for block in body.mesh.strained_blocks(part.cells):
-            points = points_of(block.mesh)
-            for first in range(0, len(block.mesh.cells), CHUNK):
-                some = slice(first, first + CHUNK)
-                matrices = _cell_stiffness(points.gradients[some], points.weights[some], *lame)
-                total = total + _scattered(block.mesh.cells[some], matrices, size)
-    return total
-
-
-def _cell_stiffness(
-    gradients: np.ndarray, weights: np.ndarray, lame_lambda: float, shear_modulus: float
-) -> np.ndarray:
-    """Stiffness of cells of small strains, shape (cell_count, 3 nodes, 3 nodes)."""
-    weighted = weights[:, :, None, None] * gradients
-    pairs = np.einsum("cqai,cqbj->caibj", weighted, gradients)
-    dots = np.einsum("caibi->cab", pairs)
-    found = lame_lambda * pairs + shear_modulus * pairs.transpose(0, 1, 4, 3, 2)
-    for axis in range(3):
-        found[:, :, axis, :, axis] += shear_modulus * dots
-    count = 3 * gradients.shape[2]
-    return found.reshape(-1, count, count)
-
-
-def _scattered(cells: np.ndarray, matrices: np.ndarray, size: int) -> csr_array:
-    freedoms = (3 * cells[:, :, None] + np.arange(3)).reshape(len(cells), -1)
-    width = freedoms.shape[1]
-    rows = np.repeat(freedoms, width, axis=1).ravel()
-    columns = np.tile(freedoms, (1, width)).ravel()
-    return coo_array((matrices.ravel(), (rows, columns)), shape=(size, size)).tocsr()
+    mesh, count = body.mesh, body.mesh.node_count
+    terms = [Elements(block.mesh, np.arange(count), law) for block, law in blocks_of(body)]
+    made = bound_factorization(SuperLU, terms, count)
+    made.clear()
+    for term in terms:
+        term.add(mesh.node_positions, np.zeros((count, 3)), made.storage, False)
+    return made.matrix().tocsr()
 
 
 class Modes(NamedTuple):

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation.building.actuator_kinds import actuator_kinds
 from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
     STATUS,
@@ -21,7 +20,6 @@ from softrobot_twin.simulation.building.table_columns import (
     TIME,
     displacement_columns,
     force_columns,
-    name_today,
     position_columns,
     quaternion_columns,
     stiffness_columns,
@@ -29,7 +27,7 @@ from softrobot_twin.simulation.building.table_columns import (
     unit_of,
 )
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_cells
+from softrobot_twin.simulation.runs.input_tables import TableFileError, open_columns, take_old_names
 from softrobot_twin.simulation.runs.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
 from softrobot_twin.study.figure import figure_file, load_pyplot
 from softrobot_twin.study.length_units import SHOWN
@@ -65,36 +63,16 @@ def read_series(path: Path) -> Series:
     Raises:
         TableFileError: The file cannot be read, or is not of this kind.
     """
-    header, lines, cells = read_cells(path, f"{TIME},<effector>_x_m")
-    known = [quantity for kind in actuator_kinds()
-             for quantity in (kind.setpoint, kind.effort, kind.displacement)]
-    names = [name_today(name, known) for name in header] if "t" in header else header
-    over = next((name for name in (TIME, SAMPLE) if name in names), None)
+    columns = open_columns(path, f"{TIME},<effector>_x_m")
+    take_old_names(columns)
+    over = next((name for name in (TIME, SAMPLE) if name in columns), None)
     if over is None:
         raise TableFileError(path, "is nothing that a run writes or reads: the header has neither "
                              f"{TIME} nor {SAMPLE}", 1)
-    if len(set(names)) < len(names):
-        raise TableFileError(path, "the header has a column twice", 1)
-    for line, row in zip(lines, cells):
-        if len(row) != len(names):
-            raise TableFileError(
-                path, f"has {len(row)} cells where the header has {len(names)}", line)
-    numbers, texts = {}, {}
-    for place, name in enumerate(names):
-        own = [row[place] for row in cells]
-        if name in TEXT_COLUMNS:
-            texts[name] = own
-        else:
-            numbers[name] = np.array([_number(path, line, name, cell)
-                                      for line, cell in zip(lines, own)])
+    texts = {name: columns.texts(name) for name in columns.left if name in TEXT_COLUMNS}
+    numbers = {name: columns.pop(name, may_be_open=True)
+               for name in columns.left if name not in texts}
     return Series(path, over, numbers.pop(over), numbers, texts)
-
-
-def _number(path: Path, line: int, name: str, cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        raise TableFileError(path, "must be a number", line, name, cell, unit_of(name)) from None
 
 
 # --- the panels ----------------------------------------------------------------------------------

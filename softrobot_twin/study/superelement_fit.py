@@ -27,11 +27,11 @@ from softrobot_twin.mechanics.superelements import (
     DEFORMATIONS,
     SuperelementFit,
 )
+from softrobot_twin.simulation.build import bound_factorization
 from softrobot_twin.simulation.building.force_building import strained_terms
 from softrobot_twin.simulation.building.cavity_walls import joined_walls
 from softrobot_twin.simulation.building.vertebrae import Division, SoftPart
-from softrobot_twin.solvers import FACTORIZATIONS
-from softrobot_twin.solvers.factorization import Factorization
+from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.study.workspace import shifted_sobol
 
 # Steps from rest to a sample; each is a sample itself.
@@ -115,7 +115,8 @@ class SoftPartModel:
         for term in self._free_terms:
             # Of all nodes only the forces are asked for, which need no places of stiffness.
             term.bind(every, lambda rows, columns: (np.zeros_like(rows), np.zeros_like(columns)))
-        self._factorization = self._factorize_pattern()
+        walls = [] if self._cavities is None else [self._cavities]
+        self._factorization = bound_factorization(Multifrontal, [*self._terms, *walls], len(part.inner))
         self.masses = division.body.node_masses()[part.inner]
         cavities, none = self._cavities, np.empty(0)
         self.rest_volumes = none if cavities is None else cavities.rest_volumes
@@ -137,18 +138,6 @@ class SoftPartModel:
         surfaces = [joined_walls([wall for wall in walls if wall.name == name], name)
                     for name in (division.cavities[c] for c in part.cavities)]
         return terms, Cavities(tuple(surfaces), index, division.positions)
-
-    def _factorize_pattern(self) -> Factorization:
-        terms = [*self._terms, *([] if self._cavities is None else [self._cavities])]
-        couples = [term.stencils() for term in terms]
-        rows = [np.repeat(own, own.shape[1], axis=1).ravel() for own in couples]
-        columns = [np.tile(own, (1, own.shape[1])).ravel() for own in couples]
-        row, column = np.concatenate(rows), np.concatenate(columns)
-        present = (row >= 0) & (column >= 0)
-        made = FACTORIZATIONS["multifrontal"](row[present], column[present], len(self._part.inner))
-        for term in terms:
-            term.bind(made.elimination_rank, made.slots)
-        return made
 
     @property
     def variable_count(self) -> int:

@@ -199,23 +199,24 @@ class Columns:
         """Cells of a column, which stays."""
         return [str(row[self._places[name]]) for row in self._cells]
 
-    def pop(self, name: str) -> np.ndarray:
+    def pop(self, name: str, may_be_open: bool = False) -> np.ndarray:
         """Takes a column out.
 
         Args:
             name: One of `left`.
+            may_be_open: Whether values may be infinite, or NaN where they are unknown.
 
         Returns:
             Its values, shape (row_count,).
 
         Raises:
-            TableFileError: A cell is not a finite number.
+            TableFileError: A cell is not a number, or is not finite.
         """
         if name in self._made:
             values = self._made.pop(name)
         else:
             place = self._places.pop(name)
-            values = np.array([self._number(name, line, row[place])
+            values = np.array([self._number(name, line, row[place], may_be_open)
                                for line, row in zip(self.lines, self._cells, strict=True)])
         self.taken[name] = values
         return values
@@ -224,12 +225,12 @@ class Columns:
         """Adds a column that follows from others."""
         self._made[name] = values
 
-    def _number(self, name: str, line: int, cell) -> float:
+    def _number(self, name: str, line: int, cell, may_be_open: bool = False) -> float:
         try:
-            number, fault = float(cell), "must be finite"
+            number, fault = float(cell), "" if may_be_open else "must be finite"
         except (TypeError, ValueError):
             number, fault = math.nan, "must be a number"
-        if not math.isfinite(number):
+        if fault and not math.isfinite(number):
             raise TableFileError(self.source, fault, line, self.given(name), cell, unit_of(name))
         return number
 
@@ -365,7 +366,7 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
             or an effort that its kind cannot have.
     """
     columns = open_columns(source, TARGETS_EXAMPLE)
-    _take_old_names(columns, simulation.actuators.kind_of.values())
+    take_old_names(columns, simulation.actuators.kind_of.values())
     if columns.is_output and not keep_targets(columns, simulation.effector_names):
         _keep_what_drove(columns, simulation)
     times = columns.times()
@@ -403,7 +404,7 @@ def read_path(
         TableFileError: The file cannot be read or contains no path of the effector.
     """
     columns = open_columns(source, ",".join((TIME, *position_columns(effector))))
-    _take_old_names(columns)
+    take_old_names(columns)
     if columns.is_output:
         keep_targets(columns, (effector,))
     times = columns.times()
@@ -413,7 +414,7 @@ def read_path(
     return times, *(_wanted(columns, effector, channel) for channel in WANTED[:2]), columns.notes
 
 
-def _take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
+def take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
     """Gives the columns of a targets file of earlier versions the names of today."""
     if "t" not in columns or TIME in columns:
         return
