@@ -192,10 +192,11 @@ def mesh(
         unit: Unit of an STL file, which states none (default: mm).
         element: Elements whose step is measured (default: quadratic).
     """
-    from softrobot_twin.study.meshing import mesh_part, rate_step
+    from softrobot_twin.study.choice import MARGIN
+    from softrobot_twin.study.meshing import mesh_part
 
     return mesh_part(part, output or Path(f"{part.stem}.msh"), size=size,
-                     step=step_time if rate is None else rate_step(rate), unit=unit, element=element)
+                     step=step_time if rate is None else MARGIN / rate, unit=unit, element=element)
 
 
 def init(

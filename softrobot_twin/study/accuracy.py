@@ -135,7 +135,6 @@ _UPWARDS = {"linear": 6, "smoothed": -11, "quadratic": -11, "hexahedral": -11}
 _KNOB_COLOURS = {NEWTON: "#3a8f5c", QP: "#a03b76", PRECISION: "#7a5230"}
 _KNOB_LABELS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
                PRECISION: "precision of the factor (SuperLU)"}
-_DOUBT = "#9a9a9a"
 _RATES = (50, 100, 200, 500)
 # Smaller errors are drawn at this share.
 _FLOOR = 1.0e-9
@@ -190,17 +189,15 @@ def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
             errors = [100.0 * getattr(row, f"error_{case}") for row in shown]
             axes.plot(dofs, errors, "o", linestyle=_CASE_LINES[case], color=colour, markersize=4,
                       linewidth=1.6, label=f"{text}, {_CELLS[element]}")
-    uncertainty = _uncertainties(rows)
+    first = next(row for row in rows if row.knob == MESH)
+    uncertainty = {case: 100.0 * getattr(first, f"uncertainty_{case}") for case in _CASE_LABELS}
     low = min(uncertainty.values()) / 4.0
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
              ylabel="effector error [% of its displacement]",
              title="Error over the mesh (all cables but the last, and all cavities, actuated)")
     axes.set_ylim(low, 1500.0)  # space for the legend
     for case, value in uncertainty.items():
-        axes.axhspan(low, value, color=_DOUBT, alpha=0.16, linewidth=0)
-        axes.annotate(f"uncertainty, {_CASE_LABELS[case]}: {value:.2g} %", (0.0, value),
-                      (4, -2), xycoords=("axes fraction", "data"), textcoords="offset points",
-                      va="top", fontsize=7, color="#666666")
+        _draw_uncertainty(axes, low, value, f"uncertainty, {_CASE_LABELS[case]}", (0.0, 4))
     axes.legend(loc="upper center", ncols=2, fontsize=7.5)
     _plain_percent(axes)
 
@@ -242,11 +239,8 @@ def _draw_error_against_time(axes, rows: Sequence[AccuracyRow], error: str) -> N
              xlabel="median time of a step [ms]; numbers: nodes of the mesh",
              title=f"Error against time: {given}")
     value = 100.0 * getattr(next(row for row in rows if row.knob == MESH), doubt)
-    axes.axhspan(0.4 * value, value, color=_DOUBT, alpha=0.16, linewidth=0)
+    _draw_uncertainty(axes, 0.4 * value, value, "uncertainty of the reference", (1.0, -4))
     axes.set_ylim(0.4 * value, 4.0 * axes.get_ylim()[1])  # space for the legend
-    axes.annotate(f"uncertainty of the reference: {value:.2g} %", (1.0, value), (-4, -3),
-                  xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
-                  va="top", fontsize=8, color="#666666")
     _draw_rates(axes)
     _plain_percent(axes)
     axes.legend(loc="upper right", ncols=2, fontsize=7)
@@ -326,10 +320,14 @@ def _short(setting: str) -> str:
         ", SuperLU", "")
 
 
-def _uncertainties(rows: Sequence[AccuracyRow]) -> dict[str, float]:
-    """Uncertainty of the reference by load case [%]."""
-    first = next(row for row in rows if row.knob == MESH)
-    return {case: 100.0 * getattr(first, f"uncertainty_{case}") for case in _CASE_LABELS}
+def _draw_uncertainty(
+    axes, low: float, value: float, words: str, side: tuple[float, int]
+) -> None:
+    """A band below an uncertainty [%], told at one side: share of the width, and shift [point]."""
+    axes.axhspan(low, value, color="#9a9a9a", alpha=0.16, linewidth=0)
+    axes.annotate(f"{words}: {value:.2g} %", (side[0], value), (side[1], -3), va="top", fontsize=7.5,
+                  ha="right" if side[0] else "left", xycoords=("axes fraction", "data"),
+                  textcoords="offset points", color="#666666")
 
 
 def _plain_percent(axes) -> None:

@@ -87,11 +87,6 @@ class FlopCount(NamedTuple):
     factor: float
     solves: float
 
-    @property
-    def total(self) -> float:
-        """All of them."""
-        return self.factor + self.solves
-
 
 def flop_count(
     factorization: Factorization, row_nodes: np.ndarray, row_count: int
@@ -675,7 +670,7 @@ class SizeMeasurement:
     @property
     def limit(self) -> float:
         """Time of factor and solves if every operation ran at the speed of a dense product [s]."""
-        return float("nan") if self.flops is None else self.flops.total / self.dense_speed
+        return float("nan") if self.flops is None else sum(self.flops) / self.dense_speed
 
     @property
     def share_of_dense_speed(self) -> float:

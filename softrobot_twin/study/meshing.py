@@ -226,15 +226,6 @@ def scene_command(mesh: Path, largest: float) -> str:
     return f"softrobot_twin init {shlex.quote(str(mesh))}{unit}"
 
 
-def rate_step(rate: float) -> float:
-    """Time of a step that keeps a rate, a share of its period [s].
-
-    Args:
-        rate: [Hz].
-    """
-    return MARGIN / rate
-
-
 def _tried(made: CadMesh, size: float, file: Path, element: str) -> Trial:
     """Measures a step of a first scene with a mesh."""
     write_msh(file, made)

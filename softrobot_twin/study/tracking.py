@@ -147,9 +147,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], figures_of_twin
         ratio = figures["closed_loop"]["mean_error_mm"] / figures["open_loop"]["mean_error_mm"]
     return {
         "robot": robot,
-        "open_loop": figures.get("open_loop"),
-        "closed_loop": figures.get("closed_loop"),
-        "direct": figures.get("direct"),
+        **{name: figures.get(name) for name in ("open_loop", "closed_loop", "direct")},
         "closed_to_open_ratio": ratio,
         "published_open_loop_error_mm": PUBLISHED_ERRORS_MM.get(robot),
         **figures_of_twin,
