@@ -22,7 +22,7 @@ from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study.figure import MissingExtraError
 from softrobot_twin.study.rasterization import Triangles, camera_at, rasterize
-from softrobot_twin.study.scene_picture import Solid, layers_of, take_snapshot, tube
+from softrobot_twin.study.scene_picture import layers_of, take_snapshot
 from softrobot_twin.study.workspace import joint_axes
 
 try:
@@ -37,7 +37,7 @@ _FAR = 4.0
 _MOST_STEPS, _MOST_DRAWS = 100, 20
 # Rows and columns of a picture, where its eye is, and the colours of cables and cavities.
 _PICTURE, _CAMERA = (480, 640), camera_at(15.0, -70.0)
-_CABLE_COLOUR, _CAVITY_COLOUR = np.array([0.60, 0.15, 0.40]), np.array([0.80, 0.30, 0.25])
+_COLOURS = {"cable": np.array([0.60, 0.15, 0.40]), "cavity": np.array([0.80, 0.30, 0.25])}
 
 
 class Drive(NamedTuple):
@@ -296,10 +296,8 @@ def _drives_of(simulation: Simulation) -> tuple[Drive, ...]:
 def _layers(simulation: Simulation, targets: np.ndarray) -> dict[str, Triangles]:
     """What is drawn of a state: bodies, obstacles, cables, cavities, effectors and targets [m]."""
     shown = take_snapshot(simulation, None, "", targets)
-    solids = list(shown.solids)
-    solids += [Solid(tube(cable.points, 0.006 * shown.size, shown.size), _CABLE_COLOUR, "thin")
-               for cable in shown.cables]
-    solids += [Solid(walls.triangles, _CAVITY_COLOUR, "rigid") for walls in shown.cavities]
+    solids = [solid._replace(colour=_COLOURS.get(solid.kind, solid.colour))
+              for solid in shown.solids]
     direction = _CAMERA.eye - 0.4 * _CAMERA.right + 0.5 * _CAMERA.up
     direction /= np.linalg.norm(direction)
     return layers_of(solids, _CAMERA, lambda normals, _: (

@@ -9,7 +9,7 @@ in a picture, the drawing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,6 +27,7 @@ from softrobot_twin.study.figure import load_pyplot, write_figure
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize
 from softrobot_twin.study.terminal import by_key
+from softrobot_twin.view.colours import pressure_colours
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
@@ -36,34 +37,34 @@ if TYPE_CHECKING:
 _SIDES = 8
 
 
-def tube(path: np.ndarray, radius: float, segment_length: float) -> np.ndarray:
+def tube(path: np.ndarray, radius: float) -> np.ndarray:
     """Triangles of a tube along a polyline.
 
     Args:
         path: Points of the polyline [m], shape (point_count, 3).
         radius: Radius of the tube [m].
-        segment_length: Longest segment along the path [m]; short segments are sorted better by
-            depth.
 
     Returns:
         Corners of the triangles [m], shape (triangle_count, 3, 3).
     """
-    pieces = [_straight_tube(start, end, radius, segment_length)
-              for start, end in zip(path[:-1], path[1:]) if np.linalg.norm(end - start) > 0.0]
-    return np.concatenate(pieces) if pieces else np.empty((0, 3, 3))
+    return np.concatenate([np.empty((0, 3, 3)), *(
+        _swept(np.array(ends), (radius, radius)) for ends in zip(path[:-1], path[1:])
+        if np.linalg.norm(ends[1] - ends[0]) > 0.0)])  # fmt: skip
 
 
-def _straight_tube(start: np.ndarray, end: np.ndarray, radius: float,
-                   segment_length: float) -> np.ndarray:
-    direction = (end - start) / np.linalg.norm(end - start)
-    across = across_of(direction)
+def _swept(centres: np.ndarray, radii: Sequence[float]) -> np.ndarray:
+    """Triangles between rings of some radii on a straight axis."""
+    axis = centres[-1] - centres[0]
+    axis = axis / np.linalg.norm(axis)
+    across = across_of(axis)
     angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
-    ring = radius * (np.outer(np.cos(angles), across)
-                     + np.outer(np.sin(angles), np.cross(direction, across)))
-    count = max(1, int(np.ceil(np.linalg.norm(end - start) / segment_length)))
-    centres = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - start)
-    rings = centres[:, None, :] + ring[None, :, :]
-    return _grid_triangles(rings)
+    ring = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
+    rings = centres[:, None, :] + np.multiply.outer(np.asarray(radii), ring)
+    here, there = rings[:-1], rings[1:]
+    here_next, there_next = np.roll(here, -1, axis=1), np.roll(there, -1, axis=1)
+    lower = np.stack([here, here_next, there_next], axis=2)
+    upper = np.stack([here, there_next, there], axis=2)
+    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
 
 
 def across_of(axis: np.ndarray) -> np.ndarray:
@@ -81,15 +82,10 @@ def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
 def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
     """Triangles of an arrow, corners [m], shape (triangle_count, 3, 3)."""
     length = np.linalg.norm(vector)
-    if length == 0.0:
-        return np.empty((0, 3, 3))
     head = min(6.0 * radius, 0.6 * length)
-    neck = start + (1.0 - head / length) * vector
-    ring = _straight_tube(neck, start + vector, 0.5 * head, 2.0 * head)
-    # A cone is a tube whose far ring is a point.
-    tip = np.linalg.norm(ring - neck, axis=2) > 0.75 * head
-    ring[tip] = start + vector
-    return np.concatenate([tube(np.array([start, neck]), radius, length), ring])
+    neck = 1.0 - head / length
+    return _swept(start + np.multiply.outer([0.0, neck, neck, 1.0], vector),
+                  (radius, radius, 0.5 * head, 0.0))
 
 
 def ring_around(centre: np.ndarray, radius: float, axis: np.ndarray, width: float) -> np.ndarray:
@@ -98,13 +94,13 @@ def ring_around(centre: np.ndarray, radius: float, axis: np.ndarray, width: floa
     angles = np.linspace(0.0, 2.0 * np.pi, 25)
     points = centre + radius * (np.outer(np.cos(angles), across)
                                 + np.outer(np.sin(angles), np.cross(axis, across)))
-    return tube(points, 0.5 * width, radius)
+    return tube(points, 0.5 * width)
 
 
 def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
     """Triangles of three crossed bars along the axes, corners [m], (triangle_count, 3, 3)."""
     half = 0.5 * length * np.eye(3)
-    return np.concatenate([tube(np.array([centre - arm, centre + arm]), radius, 0.25 * length)
+    return np.concatenate([tube(np.array([centre - arm, centre + arm]), radius)
                            for arm in half])
 
 
@@ -130,15 +126,6 @@ def _normals(triangles: np.ndarray) -> np.ndarray:
     """Unit normals of triangles, shape (triangle_count, 3)."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-
-
-def _grid_triangles(rings: np.ndarray) -> np.ndarray:
-    """Two triangles for every cell between neighbouring rings."""
-    here, there = rings[:-1], rings[1:]
-    here_next, there_next = np.roll(here, -1, axis=1), np.roll(there, -1, axis=1)
-    lower = np.stack([here, here_next, there_next], axis=2)
-    upper = np.stack([here, there_next, there], axis=2)
-    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
 
 
 BODY_COLOUR = np.array([0.60, 0.78, 0.84])
@@ -181,34 +168,24 @@ class Solid(NamedTuple):
         look: ``mesh`` with edges and strong shading, ``clear`` the same but translucent, ``rigid``
             without edges, ``thin`` with weak shading, seen through what lies in front of it.
         kind: What it shows, as named in `LEGEND`; empty where the legend does not name it.
+        value: Tension of a cable [N] or gauge pressure of a cavity [kPa], by which a picture
+            colours it.
     """
 
     triangles: np.ndarray
     colour: np.ndarray
     look: str
     kind: str = ""
+    value: float = 0.0
 
 
-class CableLine(NamedTuple):
-    """A cable: its points [m], shape (point_count, 3), and its tension [N]."""
+class Ring(NamedTuple):
+    """A ring that faces the viewer: its kind in `LEGEND`, centre, radius and width [m]."""
 
-    points: np.ndarray
-    tension: float
-
-
-class CavityWalls(NamedTuple):
-    """A cavity: triangles of its walls [m], shape (triangle_count, 3, 3), and gauge pressure [Pa].
-    """
-
-    triangles: np.ndarray
-    pressure: float
-
-
-class Held(NamedTuple):
-    """A ball of material on which a cable acts: centre [m], shape (3,), and radius [m]."""
-
+    kind: str
     centre: np.ndarray
     radius: float
+    width: float
 
 
 class Label(NamedTuple):
@@ -224,31 +201,25 @@ class Snapshot(NamedTuple):
     Attributes:
         title: Title of the panel.
         size: Scales lines and marks [m], about the size of the largest body.
-        solids: Bodies, rigid bodies, obstacles, springs, fixed nodes, frames, markers, effectors
-            and targets.
-        cables: Cables.
-        held: Where cables act on a ball of material.
-        cavities: Cavities, inside bodies that are drawn translucent.
+        solids: All that has a shape; cavities lie inside bodies that are drawn translucent.
+        rings: Where cables act on a ball of material, and what may be touched.
         planes: Point [m] and unit normal of each plane.
-        forces: Contact points [m] and forces on the first body [N], both of shape
-            (contact_count, 3).
-        touches: Touched points [m] and forces on them [N], both of shape (touch_count, 3).
-        effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3),
-            or None.
+        forces: Points of contacts and touches [m] and forces on the first body [N], both of shape
+            (force_count, 3).
         labels: Names of everything.
     """
 
     title: str
     size: float
     solids: list[Solid]
-    cables: list[CableLine]
-    held: list[Held]
-    cavities: list[CavityWalls]
+    rings: list[Ring]
     planes: list[tuple[np.ndarray, np.ndarray]]
     forces: tuple[np.ndarray, np.ndarray]
-    touches: tuple[np.ndarray, np.ndarray]
-    effector_path: np.ndarray | None
     labels: list[Label]
+
+    def of_kind(self, kind: str) -> list[Solid]:
+        """Solids of a kind in `LEGEND`."""
+        return [solid for solid in self.solids if solid.kind == kind]
 
 
 def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title: str,
@@ -262,30 +233,25 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
         targets: Targets of the effectors [m], shape (effector_count, 3); NaN for none.
         effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3).
     """
-    size = _size(simulation)
-    shown = [] if targets is None else [t for t in targets if np.isfinite(t).all()]
-    solids = [*_bodies(simulation), *_fixed(simulation, size), *_beams(simulation),
-              *_rigid(simulation, size), *_springs(simulation, size)]
+    size, paths = _size(simulation), simulation.actuator_paths()
     obstacles, planes = _obstacles(simulation, size)
-    solids += obstacles
-    solids += _balls(simulation.marker_positions(), 0.008 * size, "marker")
-    solids += _balls(simulation.effector_positions(), 0.014 * size, "effector")
-    solids += _axes_of_effectors(simulation, size)
-    solids += [_mark(cross(point, 0.08 * size, 0.0035 * size), "target") for point in shown]
-    efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
-    paths, kind_of = simulation.actuator_paths(), simulation.actuators.kind_of
-    cables = [CableLine(path, float(efforts[name])) for name, path in paths.items()
-              if kind_of[name].effort.unit == "N"]
-    solids += [_mark(tube(path, 0.008 * size, 0.04 * size), "axis")
-               for name, path in paths.items() if kind_of[name].effort.unit != "N"]
-    cavities = [CavityWalls(points[skin.triangles], float(pressure))
-                for skin, points, pressure in zip(
-                    simulation.cavities.skins, simulation.cavity_positions(),
-                    simulation.cavities.pressures(simulation.state), strict=True)]
-    nothing = np.empty((0, 3))
-    forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
-    return Snapshot(title, size, solids, cables, list(_held(simulation, paths)), cavities, planes,
-                    forces, _touches(simulation), effector_path,
+    solids = [*_bodies(simulation), *_rigid(simulation, size), *_springs(simulation, size),
+              *obstacles, *_balls(simulation, size), *_axes_of_effectors(simulation, size),
+              *_actuators(simulation, size, paths)]
+    solids += [_mark(cross(point, 0.08 * size, 0.0035 * size), "target")
+               for point in (() if targets is None else targets) if np.isfinite(point).all()]
+    if effector_path is not None and len(effector_path) > 1:
+        solids += [Solid(tube(path, 0.0022 * size), LEGEND["effector"][1], "thin")
+                   for path in np.moveaxis(effector_path, 1, 0)]
+    touched, forces = _touches(simulation)
+    rings = [Ring("hold", place, cable.hold_radius, 0.004 * size)
+             for cable in simulation.scene.cables if cable.hold_radius > 0.0
+             for place in paths[cable.name][-len(cable.points):]]
+    rings += [Ring("touch", place, 0.02 * size, 0.006 * size) for place in touched]
+    if contacts is not None:
+        touched = np.concatenate([contacts.positions, touched])
+        forces = np.concatenate([contacts.forces, forces])
+    return Snapshot(title, size, solids, rings, planes, (touched, forces),
                     list(labels(simulation, paths, planes)))
 
 
@@ -307,14 +273,29 @@ def _size(simulation: Simulation) -> float:
     return whole or _SIZE_OF_A_POINT  # nothing but a single point mass
 
 
-def _bodies(simulation: Simulation) -> list[Solid]:
-    of_beams = sum(len(skin.triangles) for skin in _beam_skins(simulation))
-    triangles = simulation.surface_triangles[: len(simulation.surface_triangles) - of_beams]
-    if not len(triangles):
-        return []
-    surface = simulation.surface_positions()
-    look = "clear" if simulation.cavities.skins else "mesh"
-    return [Solid(surface[triangles], BODY_COLOUR, look)]
+def _bodies(simulation: Simulation) -> Iterator[Solid]:
+    """Bodies, beams and walls of cavities."""
+    cavities, soft = simulation.cavities, len(simulation.model.bodies)
+    looks = ["clear" if cavities.skins else "mesh"] * soft + ["rigid"] * len(simulation.model.beams)
+    for skin, points, look in zip(simulation.skins, simulation.skin_positions(), looks, strict=True):
+        yield Solid(points[skin.triangles], BODY_COLOUR, look)
+    for skin, points, pressure in zip(cavities.skins, simulation.cavity_positions(),
+                                      cavities.pressures(simulation.state), strict=True):
+        yield Solid(points[skin.triangles], LEGEND["cavity"][1], "rigid", "cavity", 1e-3 * pressure)
+
+
+def _actuators(
+    simulation: Simulation, size: float, paths: dict[str, np.ndarray]
+) -> Iterator[Solid]:
+    """Cables, and axes of motors."""
+    kind_of, efforts = simulation.actuators.kind_of, simulation.state.efforts
+    tensions = dict(zip(simulation.actuator_names, efforts, strict=True))
+    for name, path in paths.items():
+        if kind_of[name].effort.unit == "N":
+            yield _mark(tube(path, 0.004 * size), "cable")._replace(value=float(tensions[name]))
+            yield _mark(sphere(path[0], 0.010 * size), "pull point")
+        else:
+            yield _mark(tube(path, 0.008 * size), "axis")
 
 
 def _mark(triangles: np.ndarray, kind: str) -> Solid:
@@ -322,27 +303,17 @@ def _mark(triangles: np.ndarray, kind: str) -> Solid:
     return Solid(triangles, LEGEND[kind][1], "thin", kind)
 
 
-def _balls(places: Iterable[np.ndarray], radius: float, kind: str) -> list[Solid]:
-    """Marks at places."""
-    return [_mark(sphere(place, radius), kind) for place in places]
-
-
-def _fixed(simulation: Simulation, size: float) -> list[Solid]:
-    """Balls at the fixed nodes of the surfaces, and at fixed ends of beams."""
+def _balls(simulation: Simulation, size: float) -> Iterator[Solid]:
+    """Fixed nodes of surfaces, fixed ends of beams, markers and effectors."""
     model, positions = simulation.model, simulation.state.positions
     nodes = [place for body in model.bodies for place in fixed_places(body, positions)]
-    return [*_balls(nodes, 0.0055 * size, "fixed"),
-            *_balls(fixed_ends(model.beams), 0.014 * size, "fixed")]
-
-
-def _beam_skins(simulation: Simulation) -> tuple:
-    return simulation.skins[len(simulation.model.bodies):]
-
-
-def _beams(simulation: Simulation) -> list[Solid]:
-    positions = simulation.state.positions
-    return [Solid(skin.positions(positions)[skin.triangles], BODY_COLOUR, "rigid")
-            for skin in _beam_skins(simulation)]
+    for kind, radius, places in (
+        ("fixed", 0.0055, nodes), ("fixed", 0.014, fixed_ends(model.beams)),
+        ("marker", 0.008, simulation.marker_positions()),
+        ("effector", 0.014, simulation.effector_positions()),
+    ):  # fmt: skip
+        for place in places:
+            yield _mark(sphere(place, radius * size), kind)
 
 
 def _rigid(simulation: Simulation, size: float) -> Iterator[Solid]:
@@ -360,8 +331,8 @@ def _rigid(simulation: Simulation, size: float) -> Iterator[Solid]:
 
 def _frame(origin: np.ndarray, axes, colours, length: float) -> list[Solid]:
     """Bars along the axes of a frame."""
-    return [Solid(tube(np.array([origin, origin + length * axis]), 0.045 * length, length),
-                  colour, "thin", "frame") for axis, colour in zip(axes, colours, strict=True)]
+    return [Solid(tube(np.array([origin, origin + length * axis]), 0.045 * length), colour,
+                  "thin", "frame") for axis, colour in zip(axes, colours, strict=True)]
 
 
 def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> list[Solid]:
@@ -371,7 +342,7 @@ def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> li
     solids = [Solid(placed[triangles], colour, "rigid")]
     edges = creases(placed, triangles, _SHARP)
     if len(edges):
-        bars = np.concatenate([tube(edge, 0.0015 * size, size) for edge in edges])
+        bars = np.concatenate([tube(edge, 0.0015 * size) for edge in edges])
         solids.append(Solid(bars, 0.7 * colour, "rigid"))
     return solids
 
@@ -422,15 +393,7 @@ def _springs(simulation: Simulation, size: float) -> Iterator[Solid]:
         for own, radius, kind in ((ends[threads], 0.0015, "thread"),
                                   (np.delete(ends, threads, axis=0), 0.004, "spring")):
             if len(own):
-                yield _mark(np.concatenate([tube(pair, radius * size, size) for pair in own]), kind)
-
-
-def _held(simulation: Simulation, paths: dict[str, np.ndarray]) -> Iterator[Held]:
-    """Balls on which cables with a hold radius act: at each of their points on the body."""
-    for cable in simulation.scene.cables:
-        if cable.hold_radius > 0.0:
-            for place in paths[cable.name][-len(cable.points):]:
-                yield Held(place, cable.hold_radius)
+                yield _mark(np.concatenate([tube(pair, radius * size) for pair in own]), kind)
 
 
 def _touches(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
@@ -591,8 +554,9 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
     pyplot = load_pyplot()
     camera = camera_at(*(view or _VIEW))
     alone = len(snapshots) == 1
-    maps = ColourMaps(_tension_map(pyplot, snapshots), _pressure_map(pyplot, snapshots))
-    most = max((_most_force(snapshot) for snapshot in snapshots), default=0.0)
+    maps = _colour_maps(snapshots)
+    most = max((float(np.linalg.norm(snapshot.forces[1], axis=1).max(initial=0.0))
+                for snapshot in snapshots), default=0.0)
     box = _box_around(snapshots)
     scene = [_all_solids(snapshot, maps, camera, most) for snapshot in snapshots]
     window = _window(scene, snapshots, box, camera, alone)
@@ -614,13 +578,6 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
         _add_scale_bar(figure, sheet, camera)
     _hide_overlapping_numbers(figure)
     return figure
-
-
-class ColourMaps(NamedTuple):
-    """Maps from tension [N] and from gauge pressure [kPa] to colour."""
-
-    tension: object
-    pressure: object
 
 
 class _Sheet(NamedTuple):
@@ -664,38 +621,22 @@ class _Sheet(NamedTuple):
         return self.width / (self.window[1] - self.window[0])
 
 
-def _all_solids(snapshot: Snapshot, maps: ColourMaps, camera: Camera, most: float) -> list[Solid]:
-    """All that is drawn of a state, in the order of the layers."""
-    size, solids = snapshot.size, list(snapshot.solids)
-    for cable in snapshot.cables:
-        colour = np.array(maps.tension.to_rgba(cable.tension)[:3])
-        solids += [Solid(tube(cable.points, 0.004 * size, size), colour, "thin", "cable"),
-                   _mark(sphere(cable.points[0], 0.010 * size), "pull point")]
-    # Rings face the viewer.
-    solids += [_mark(ring_around(centre, radius, camera.eye, 0.004 * size), "hold")
-               for centre, radius in snapshot.held]
-    solids += [_mark(ring_around(place, 0.02 * size, camera.eye, 0.006 * size), "touch")
-               for place in snapshot.touches[0]]
-    for cavity in snapshot.cavities:
-        colour = np.array(maps.pressure.to_rgba(1e-3 * cavity.pressure)[:3])
-        solids.append(Solid(cavity.triangles, colour, "rigid", "cavity"))
-    if most > 0.0:
-        for positions, forces in (snapshot.forces, snapshot.touches):
-            arrows = forces * (_LONGEST_ARROW * size / most)
-            solids += [_mark(arrow(start, vector, 0.005 * size), "force")
-                       for start, vector in zip(positions, arrows) if vector.any()]
-    if snapshot.effector_path is not None and len(snapshot.effector_path) > 1:
-        solids += [Solid(tube(path, 0.0022 * size, size), LEGEND["effector"][1], "thin")
-                   for path in np.moveaxis(snapshot.effector_path, 1, 0)]
-    return solids
+def _all_solids(snapshot: Snapshot, maps: dict, camera: Camera, most: float) -> list[Solid]:
+    """All that is drawn of a state: its solids in their colours, rings, and forces as arrows."""
+    size = snapshot.size
+    solids = [solid._replace(colour=np.array(maps[solid.kind].to_rgba(solid.value)[:3]))
+              if solid.kind in maps else solid for solid in snapshot.solids]
+    solids += [_mark(ring_around(ring.centre, ring.radius, camera.eye, ring.width), ring.kind)
+               for ring in snapshot.rings]
+    return solids + [
+        _mark(arrow(start, force * (_LONGEST_ARROW * size / most), 0.005 * size), "force")
+        for start, force in zip(*snapshot.forces, strict=True) if force.any()]
 
 
 def _box_around(snapshots: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the box that contains all states [mm]."""
     corners = np.concatenate([solid.triangles.reshape(-1, 3)
-                              for snapshot in snapshots for solid in snapshot.solids]
-                             + [cable.points for snapshot in snapshots
-                                for cable in snapshot.cables])
+                              for snapshot in snapshots for solid in snapshot.solids])
     low, high = corners.min(axis=0), corners.max(axis=0)
     # A side of length zero cannot be drawn.
     thin = np.maximum(0.0, 0.05 * (high - low).max() - (high - low))
@@ -720,7 +661,7 @@ def _window(scene: list[list[Solid]], snapshots: Sequence[Snapshot], box, camera
 
 
 def _lay_out(figure, snapshots: Sequence[Snapshot], window: np.ndarray, camera: Camera,
-             maps: ColourMaps, kinds: set[str], most: float, labels: list[Label]) -> _Sheet:
+             maps: dict, kinds: set[str], most: float, labels: list[Label]) -> _Sheet:
     """Finds the size of the figure, adds legend and colour bars, and says where panels stand."""
     count, alone = len(snapshots), len(snapshots) == 1
     room = np.array(_ALONE if alone else _BESIDE)
@@ -730,9 +671,8 @@ def _lay_out(figure, snapshots: Sequence[Snapshot], window: np.ndarray, camera: 
     numbers = _NUMBERS if alone else 0.0
     names = _placed_labels(figure, labels, window, camera, scale)
     beside = max((label.width for label in names), default=0.0) + (0.2 if names else 0.0)
-    bars = _colour_bars(snapshots, maps)
-    if bars:  # They name what they show.
-        kinds = kinds - {"cable" if "tension" in text else "cavity" for _, text in bars}
+    bars = [kind for kind in maps if any(_values(snapshots, kind))]
+    kinds = kinds - set(bars)  # Colour bars name what they show.
     left = 0.12 + numbers + beside
     right = numbers + beside + 0.12 + _COLOUR_BAR * len(bars)
     gap = _GAP if alone else max(_GAP, 0.9 - width)
@@ -748,59 +688,37 @@ def _lay_out(figure, snapshots: Sequence[Snapshot], window: np.ndarray, camera: 
     high = bottom + height + above + _TITLE
     figure.set_size_inches(wide, high)
     edge = wide - _COLOUR_BAR * len(bars)
-    for place, (scale_map, text) in enumerate(bars):
+    for place, kind in enumerate(bars):
         tall = min(0.75 * height, 2.6)
         bar = figure.add_axes(((edge + place * _COLOUR_BAR) / wide,
                                (bottom + 0.5 * (height - tall)) / high, 0.13 / wide, tall / high))
-        figure.colorbar(scale_map, cax=bar)
-        bar.set_ylabel(text, fontsize=9)
+        figure.colorbar(maps[kind], cax=bar)
+        bar.set_ylabel(_BAR_TITLES[kind], fontsize=9)
         bar.tick_params(labelsize=8)
     return _Sheet(figure, window, width, height, left, bottom, above, gap, names)
 
 
-def _colour_bars(snapshots: Sequence[Snapshot], maps: ColourMaps) -> list[tuple[object, str]]:
-    """Scales of the tensions and pressures, where there are any."""
-    bars = []
-    if any(cable.tension for snapshot in snapshots for cable in snapshot.cables):
-        bars.append((maps.tension, "cable tension [N]"))
-    if any(cavity.pressure for snapshot in snapshots for cavity in snapshot.cavities):
-        bars.append((maps.pressure, "gauge pressure [kPa]"))
-    return bars
+_BAR_TITLES = {"cable": "cable tension [N]", "cavity": "gauge pressure [kPa]"}
 
 
-def _tension_map(pyplot, snapshots: Sequence[Snapshot]):
-    """The map from tension [N] to colour."""
-    from matplotlib.colors import Normalize
-    top = max((cable.tension for snapshot in snapshots for cable in snapshot.cables), default=0.0)
-    return pyplot.cm.ScalarMappable(Normalize(0.0, top if top > 0.0 else 1.0), "plasma")
+def _values(snapshots: Sequence[Snapshot], kind: str) -> list[float]:
+    """Values of the solids of a kind, and 0."""
+    return [0.0, *(solid.value for shot in snapshots for solid in shot.of_kind(kind))]
 
 
-# From the greatest pressure as a vacuum by way of no pressure to the greatest pressure; as in the
-# live view.
-_PRESSURE_COLOURS = ("#2b62c9", "#96989e", "#e2b042", "#d62020")
-_PRESSURE_PLACES = (0.0, 0.5, 0.75, 1.0)
-
-
-def _pressure_map(pyplot, snapshots: Sequence[Snapshot]):
-    """The map from gauge pressure [kPa] to colour: grey at 0, blue in a vacuum.
-
-    Pressures and vacuums of the same magnitude have colours of the same strength.
+def _colour_maps(snapshots: Sequence[Snapshot]) -> dict:
+    """Maps from tension [N] and from gauge pressure [kPa] to colour; pressures as in the live view.
     """
-    from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize
-    pressures = [1e-3 * cavity.pressure for shot in snapshots for cavity in shot.cavities]
-    low, high = min([0.0, *pressures]), max([0.0, *pressures])
-    if low == high:
-        high = 1.0
-    whole = LinearSegmentedColormap.from_list(
-        "pressure", list(zip(_PRESSURE_PLACES, _PRESSURE_COLOURS, strict=True)))
-    shares = np.linspace(low, high, 256) / max(-low, high)
-    colours = ListedColormap(whole(0.5 + 0.5 * shares))
-    return pyplot.cm.ScalarMappable(Normalize(low, high), colours)
-
-
-def _most_force(snapshot: Snapshot) -> float:
-    return max(float(np.linalg.norm(forces, axis=1).max(initial=0.0))
-               for forces in (snapshot.forces[1], snapshot.touches[1]))
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+    pressures = _values(snapshots, "cavity")
+    ends = min(pressures), max(pressures)
+    if ends[0] == ends[1]:
+        ends = 0.0, 1.0
+    scale = ListedColormap(pressure_colours(np.linspace(*ends, 256), ends) / 255.0)
+    tensions = Normalize(0.0, max(_values(snapshots, "cable")) or 1.0)
+    return {"cable": ScalarMappable(tensions, "plasma"),
+            "cavity": ScalarMappable(Normalize(*ends), scale)}
 
 
 def _sharpness(snapshots: Sequence[Snapshot]) -> int:

@@ -233,11 +233,11 @@ def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of
     simulation = simulation_of(add_cushion)
     simulation.step(CommandSetpoints([*simulation.rest_setpoints[:1], 400.0], 1.0))
     shot = take_snapshot(simulation, None, "now")
-    air, cushion = shot.cavities
-    assert air.pressure == pytest.approx(400.0)
-    assert 0.0 < cushion.pressure < 200.0
-    assert {solid.look for solid in shot.solids} == {"clear", "thin"}
-    tops = [cavity.triangles[..., 2].max() for cavity in shot.cavities]
+    air, cushion = cavities = shot.of_kind("cavity")
+    assert air.value == pytest.approx(0.4)
+    assert 0.0 < cushion.value < 0.2
+    assert {solid.look for solid in shot.solids if solid.kind != "cavity"} == {"clear", "thin"}
+    tops = [cavity.triangles[..., 2].max() for cavity in cavities]
     assert tops[0] > tops[1] > 0.04
     draw_snapshots([shot], tmp_path / "now.png", "now")
     colours = image.imread(tmp_path / "now.png")[..., :3].reshape(-1, 3)
@@ -248,7 +248,7 @@ def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of
 
 def test_a_picture_without_cavities_has_no_pressures(simulation_of):
     shot = take_snapshot(simulation_of(lambda content: content.pop("cavities")), None, "now")
-    assert shot.cavities == [] and "mesh" in {solid.look for solid in shot.solids}
+    assert shot.of_kind("cavity") == [] and "mesh" in {solid.look for solid in shot.solids}
 
 
 def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_limits(

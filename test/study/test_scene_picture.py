@@ -159,7 +159,8 @@ def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view
 def test_no_text_beside_several_states_is_clipped_or_overlaps_another(names, shots, check_texts):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pushed = [shots[name]._replace(
-        title=f"{index} s", cables=[line._replace(tension=1e3 * index) for line in shots[name].cables])
+        title=f"{index} s", solids=[solid._replace(value=1e3 * index) if solid.kind == "cable"
+                                    else solid for solid in shots[name].solids])
         for index, name in enumerate(names)]
     figure = figure_of(pushed, "")
     check_texts(figure)
@@ -188,8 +189,7 @@ def test_springs_are_drawn_between_their_ends(tmp_path):
         "mass_springs": [{"name": "ball", "points": [[0.0, 0.0, 0.1]], "masses": [0.1]}],
         "springs": [{"name": "hanger", "stiffness": 100.0, "ends": [
             {"point": [0.0, 0.0, 0.3]}, {"on": "ball", "point": [0.0, 0.0, 0.1]}]}]}))
-    (spring,) = [solid for solid in take_snapshot(simulation, None, "").solids
-                 if solid.kind == "spring"]
+    (spring,) = take_snapshot(simulation, None, "").of_kind("spring")
     assert np.ptp(spring.triangles[..., 2]) == pytest.approx(0.2)
     assert spring.triangles[..., 2].max() == pytest.approx(0.3)
 

@@ -451,4 +451,4 @@ def test_explain_lists_it_with_its_units(inflated):
 
 def test_a_picture_of_the_robot_with_it_is_drawn(inflated):
     shot = take_snapshot(inflated(), None, "now")
-    assert len(shot.cables) == 4
+    assert len(shot.of_kind("cable")) == 4
