@@ -20,7 +20,7 @@ from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.ros.message_bytes import Content, MarkerBytes
 from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.view import colours as palette
+from softrobot_twin.simulation import colours as palette
 from softrobot_twin.view.drawing_thread import RateLimit
 from softrobot_twin.view.frame import Frame
 from softrobot_twin.view.simulation_frames import SimulationFrames

@@ -22,12 +22,12 @@ from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.appearance import fixed_ends, fixed_places
 from softrobot_twin.simulation.building.scene_layout import build_shape
+from softrobot_twin.simulation.colours import pressure_colours
 from softrobot_twin.simulation.effects.touches import touch_term
 from softrobot_twin.study.figure import load_pyplot, write_figure
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize
 from softrobot_twin.study.terminal import by_key
-from softrobot_twin.view.colours import pressure_colours
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation

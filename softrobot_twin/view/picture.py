@@ -19,7 +19,7 @@ import rerun.blueprint as rrb
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.view.colours import (
+from softrobot_twin.simulation.colours import (
     CLEAR_SURFACE_COLOUR,
     EFFECTOR_COLOUR,
     OBSTACLE_COLOUR,

@@ -12,7 +12,7 @@ from softrobot_twin.ros.message_bytes import Content, MarkerBytes
 from softrobot_twin.ros.topics import NEWEST
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.ros.visualization import OBSTACLES_EVERY, RobotMarkers
-from softrobot_twin.view.colours import tension_colours
+from softrobot_twin.simulation.colours import tension_colours
 
 TOPIC = "/twin/visualization"
 

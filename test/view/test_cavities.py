@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from softrobot_twin.simulation import colours as module
+from softrobot_twin.simulation.colours import pressure_colours, pressure_legend
 from softrobot_twin.view import Surface, ViewError
-from softrobot_twin.view import colours as module
-from softrobot_twin.view.colours import pressure_colours, pressure_legend
 
 TRIANGLES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 CORNERS = 0.02 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)

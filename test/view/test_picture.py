@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.simulation.colours import tension_colours
 from softrobot_twin.view import ViewError
 from softrobot_twin.view.frame import OtherActuator
-from softrobot_twin.view.colours import tension_colours
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.view import colours as module
-from softrobot_twin.view.colours import tension_colours
+from softrobot_twin.simulation import colours as module
+from softrobot_twin.simulation.colours import tension_colours
 
 
 def test_slack_is_grey_and_the_limit_is_red():
