@@ -5,8 +5,8 @@ effectors and targets.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -20,9 +20,8 @@ from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.ros.message_bytes import Content, MarkerBytes
 from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation import colours as palette
 from softrobot_twin.view.drawing_thread import RateLimit
-from softrobot_twin.view.frame import Frame
+from softrobot_twin.view.frame import Drawn, Entity
 from softrobot_twin.view.simulation_frames import SimulationFrames
 
 CABLE_WIDTH = 0.006
@@ -37,20 +36,16 @@ LEAST_LIFETIME = 3.0
 longer."""
 
 
-# Of markers whose points, or which themselves, have colours that change.
-_WHITE = (255, 255, 255)
-
-
-class _Drawn(NamedTuple):
-    """What stays of a marker, and what changes of it."""
-
-    namespace: str
-    number: int
-    kind: int
-    colour: Sequence[int]
-    content: Content
-    width: float = 1.0
-    """Of its lines or spheres [m]."""
+_KINDS = {
+    "/robot/surface": ("surfaces", Marker.TRIANGLE_LIST, 0.0),
+    "/robot/cables": ("cables", Marker.LINE_LIST, CABLE_WIDTH),
+    "/robot/cavities": ("cavities", Marker.TRIANGLE_LIST, 0.0),
+    "/rigid_bodies": ("rigid_bodies", Marker.TRIANGLE_LIST, 0.0),
+    "/obstacles": ("obstacles", Marker.TRIANGLE_LIST, 0.0),
+    "/robot/effectors": ("effectors", Marker.SPHERE_LIST, EFFECTOR_WIDTH),
+    "/targets": ("targets", Marker.SPHERE_LIST, TARGET_WIDTH),
+}
+"""Namespace, kind and width, as a share of the robot's size, of the markers of entities at a path."""
 
 
 class RobotMarkers:
@@ -70,9 +65,7 @@ class RobotMarkers:
         self._frames, self._frame = SimulationFrames(simulation), frame_id
         self._lifetime = Duration(sec=int(lifetime), nanosec=int(lifetime % 1.0 * NANOSECONDS))
         self._size = simulation.model.nodes.size
-        stage = self._frames.stage
-        self._rigid = [body.points[body.triangles.ravel()] for body in stage.rigid_bodies]
-        self.obstacles = [body.points[body.triangles.ravel()] for body in stage.obstacles]
+        self.entities = self._frames.stage.entities
         # By the markers in a message: which obstacles, targets and shapes there are.
         self._forms: dict[tuple, MarkerBytes] = {}
 
@@ -87,67 +80,63 @@ class RobotMarkers:
             with_obstacles: Whether obstacles are in it, which do not move.
         """
         frame = self._frames.frame(0, 0, outcome.result, **outcome.shown())
-        # A body may have nothing to show.
-        drawn = [
-            _Drawn(namespace, number, kind, colour, content, width)
-            for namespace, kind, colour, width, contents in self._kinds(frame, with_obstacles)
-            for number, content in enumerate(contents) if len(content.points)
-        ]  # fmt: skip
-        key = tuple((one.namespace, one.number) for one in drawn)
-        if key not in self._forms:
-            self._forms[key] = MarkerBytes(
-                [self._marker(one) for one in drawn],
-                [one.content.colours is not None for one in drawn],
+        contents: dict[tuple[str, int], Content] = {}
+        entities: dict[tuple[str, int], Entity] = {}
+        numbers: Counter[str] = Counter()
+        for entity in self.entities:
+            namespace = _kind(entity)[0]
+            if not namespace or (namespace == "obstacles" and not with_obstacles):
+                continue
+            key = namespace, numbers[namespace]
+            numbers[namespace] += 1
+            content = _content(entity, frame.drawn.get(entity.path))
+            # A body may have nothing to show; a target that ended vanishes after its lifetime.
+            if len(content.points):
+                contents[key], entities[key] = content, entity
+        form = tuple(contents)
+        if form not in self._forms:
+            self._forms[form] = MarkerBytes(
+                [self._marker(entity, key[1]) for key, entity in entities.items()],
+                [content.colours is not None for content in contents.values()],
             )  # fmt: skip
-        return self._forms[key].message(stamp, [one.content for one in drawn])
+        return self._forms[form].message(stamp, list(contents.values()))
 
-    def _kinds(self, frame: Frame, with_obstacles: bool) -> Iterator[tuple]:
-        """Namespace, kind, colour, width [m] and contents of the markers of each namespace."""
-        stage, size, surface = self._frames.stage, self._size, Marker.TRIANGLE_LIST
-        colour = palette.CLEAR_SURFACE_COLOUR if stage.cavities else palette.SURFACE_COLOUR
-        yield "surfaces", surface, colour, 1.0, [
-            Content(points[body.triangles.ravel()])
-            for body, points in zip(stage.bodies, frame.surface_positions, strict=True)
-        ]  # fmt: skip
-        lines = [np.repeat(path, 2, axis=0)[1:-1] for path in frame.cable_paths]
-        colours = palette.tension_colours(frame.cable_tensions, stage.tension_range) / 255.0
-        yield "cables", Marker.LINE_LIST, _WHITE, CABLE_WIDTH * size, [Content(
-            np.concatenate(lines), np.repeat(colours, [len(line) for line in lines], axis=0)
-        )] if lines else []  # fmt: skip
-        colours = palette.pressure_colours(frame.cavity_pressures, stage.pressure_range)
-        yield "cavities", surface, _WHITE, 1.0, [
-            Content(points[cavity.triangles.ravel()], colour=_shares(own))
-            for cavity, points, own in zip(
-                stage.cavities, frame.cavity_positions, colours, strict=True
-            )
-        ]  # fmt: skip
-        yield "rigid_bodies", surface, palette.RIGID_COLOUR, 1.0, [
-            Content(corners, position=position, quaternion=quaternion)
-            for corners, position, quaternion in zip(
-                self._rigid, frame.rigid_positions, frame.rigid_quaternions, strict=True
-            )
-        ]  # fmt: skip
-        yield ("effectors", Marker.SPHERE_LIST, palette.EFFECTOR_COLOUR, EFFECTOR_WIDTH * size,
-               [Content(frame.effector_positions)])  # fmt: skip
-        if with_obstacles:
-            yield ("obstacles", surface, palette.OBSTACLE_COLOUR, 1.0,
-                   map(Content, self.obstacles))  # fmt: skip
-        # One that ended vanishes after its lifetime.
-        targets = frame.targets[np.isfinite(frame.targets).all(axis=1)]
-        yield ("targets", Marker.SPHERE_LIST, palette.TARGET_COLOUR, TARGET_WIDTH * size,
-               [Content(targets)])  # fmt: skip
-
-    def _marker(self, drawn: _Drawn) -> Marker:
+    def _marker(self, entity: Entity, number: int) -> Marker:
         """The message of a marker, without points."""
-        r, g, b, a = _shares(drawn.colour)
-        width = float(drawn.width)
+        namespace, kind, share = _kind(entity)
+        r, g, b, a = _shares(entity.colour or (255, 255, 255))
+        width = float(share * self._size) or 1.0
         marker = Marker(
-            header=Header(frame_id=self._frame), ns=drawn.namespace, id=drawn.number,
-            type=drawn.kind, action=Marker.ADD, scale=Vector3(x=width, y=width, z=width),
+            header=Header(frame_id=self._frame), ns=namespace, id=number,
+            type=kind, action=Marker.ADD, scale=Vector3(x=width, y=width, z=width),
             color=ColorRGBA(r=r, g=g, b=b, a=a), lifetime=self._lifetime,
         )  # fmt: skip
         marker.pose.orientation.w = 1.0
         return marker
+
+
+def _kind(entity: Entity) -> tuple[str, int, float]:
+    """Namespace, kind and width of an entity's markers; no namespace for what has none."""
+    nothing = "", 0, 0.0
+    return _KINDS.get(entity.path) or _KINDS.get(entity.path.rpartition("/")[0], nothing)
+
+
+def _content(entity: Entity, drawn: Drawn | None) -> Content:
+    """What a frame has of an entity, as points of a marker."""
+    corners = entity.triangles.ravel()
+    if drawn is None or entity.shape == "solid":
+        pose = () if drawn is None else (drawn.points, drawn.vectors)
+        return Content(entity.points[corners], None, None, *pose)
+    colours = None
+    if entity.colours_of is not None:
+        colours = entity.colours_of(drawn.values) / 255.0
+    if entity.shape == "surface":
+        return Content(drawn.points[corners], colour=None if colours is None else colours[0])
+    if entity.shape == "lines":
+        lines = [np.repeat(path, 2, axis=0)[1:-1] for path in drawn.points]
+        counts = [len(line) for line in lines]
+        return Content(np.concatenate(lines), np.repeat(colours, counts, axis=0))
+    return Content(drawn.points[np.isfinite(drawn.points).all(axis=1)])
 
 
 def _shares(colour: Sequence[int]) -> tuple[float, float, float, float]:

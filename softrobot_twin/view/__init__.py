@@ -3,7 +3,7 @@
 A control loop makes a `Stage` once, a `RerunMirror` for it, and offers a `Frame` at each tick.
 """
 
-from softrobot_twin.view.frame import Frame, Stage, Surface, ViewError
+from softrobot_twin.view.frame import Drawn, Entity, Frame, Plot, Stage, ViewError
 from softrobot_twin.view.mirror import RerunMirror
 
-__all__ = ["Frame", "RerunMirror", "Stage", "Surface", "ViewError"]
+__all__ = ["Drawn", "Entity", "Frame", "Plot", "RerunMirror", "Stage", "ViewError"]

@@ -13,6 +13,7 @@ from softrobot_twin.ros.topics import NEWEST
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.ros.visualization import OBSTACLES_EVERY, RobotMarkers
 from softrobot_twin.simulation.colours import tension_colours
+from softrobot_twin.view import Entity
 
 TOPIC = "/twin/visualization"
 
@@ -236,7 +237,9 @@ def test_a_body_with_nothing_to_show_is_left_out(make_twin):
     twin.stop()
     twin.tick()
     markers = RobotMarkers(twin.loop.simulation, "base_link", 3.0)
-    markers.obstacles = [np.empty((0, 3)), np.ones((3, 3))]
+    triangles, points = np.array([[0, 1, 2]]), np.ones((3, 3))
+    markers.entities = [Entity(f"/obstacles/{many}", "solid", triangles=triangles[:many], points=points)
+                        for many in (0, 1)]
     found = deserialize_message(
         markers.message(twin.window.newest, (1, 2), True), MarkerArray
     ).markers

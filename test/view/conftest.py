@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softrobot_twin.view import Frame, Stage, Surface
+from softrobot_twin.simulation.colours import tension_colours
+from softrobot_twin.view import Drawn, Entity, Frame, Plot, Stage
 
 # The names that rerun gave components before 0.24.
 OLD_NAMES = {
@@ -132,29 +134,57 @@ def read_recording():
 def stage() -> Stage:
     """A tetrahedron with two cables, one effector and three markers."""
     triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-    return Stage("tetrahedron", (Surface("body", triangles),), ("left", "right"), (0.0, 20.0), ("tip",),
-                 np.array([4, 7, 9]))
+    markers, tip, white = ("4", "7", "9"), ("tip",), (255, 255, 255)
+    return Stage("tetrahedron", "tetrahedron", (
+        Entity("/robot/surface/body", "surface", white, triangles=triangles),
+        Entity("/robot/cables", "lines", size=2.5, labels=("left", "right"),
+               colours_of=partial(tension_colours, tension_range=(0.0, 20.0))),
+        Entity("/robot/effectors", "points", white, labels=tip),
+        Entity("/robot/effector_trail", "trail", white),
+        Entity("/targets", "points", white, labels=tip, may_miss=True),
+        Entity("/markers/predicted", "points", white, labels=markers),
+        Entity("/markers/measured", "points", white, labels=markers, may_miss=True),
+    ), (Plot("Cable lengths [mm]", "/plots/cable_lengths", ("left", "right")),
+        Plot("Residual [N]", "/plots/residual", ("residual",))))  # fmt: skip
 
 
 @pytest.fixture
 def make_frame():
-    """Makes a frame of the stage, different at each step; fields may be replaced."""
+    """Makes a frame of the stage, different at each step; entities and fields may be replaced."""
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
 
-    def make(step: int, **changes) -> Frame:
+    def make(step: int, drawn=(), **changes) -> Frame:
         shift = 0.001 * step
         tip = corners[3:] + [shift, 0.0, 0.0]
+        paths = (np.array([[0, 0, 0.1], [0, 0, 0.2]]) + [shift, 0, 0],
+                 np.array([[0.1, 0, 0], [0.1, 0, 0.1], [0.1, 0, 0.2]]))
         fields = dict(
             step=step, time_ns=1_800_000_000_000_000_000 + step * 5_000_000,
-            surface_positions=(corners + corners[:, 2:] * [shift, 0.0, 0.0] * 10,),
-            cable_paths=(np.array([[0, 0, 0.1], [0, 0, 0.2]]) + [shift, 0, 0],
-                         np.array([[0.1, 0, 0], [0.1, 0, 0.1], [0.1, 0, 0.2]])),
-            cable_lengths=np.array([0.1 + shift, 0.2]), cable_tensions=np.array([0.0, 20.0]),
-            effector_positions=tip, targets=tip + [0.0, 0.002, 0.0],
-            predicted_markers=corners[1:] + [0.0, 0.0, shift],
-            measured_markers=corners[1:] + [0.0, 0.001, shift],
-            effector_error=0.002, linearization_error=0.0005, discretization_error=0.003, stage_times={"assembly": 0.001, "factor": 0.0015},
-            compute_time=0.003, status="ok", residual=1e-6)
+            drawn={
+                "/robot/surface/body": Drawn(corners + corners[:, 2:] * [10.0 * shift, 0.0, 0.0]),
+                "/robot/cables": Drawn(paths, values=np.array([0.0, 20.0])),
+                "/robot/effectors": Drawn(tip), "/robot/effector_trail": Drawn(tip),
+                "/targets": Drawn(tip + [0.0, 0.002, 0.0]),
+                "/markers/predicted": Drawn(corners[1:] + [0.0, 0.0, shift]),
+                "/markers/measured": Drawn(corners[1:] + [0.0, 0.001, shift]), **dict(drawn)},
+            curves={"/plots/cable_lengths": [100.0 + step, 200.0], "/plots/residual": [1e-6]},
+            times={"whole step": 0.003, "assembly": 0.001, "factor": 0.0015}, status="ok")
         return Frame(**{**fields, **changes})
 
     return make
+
+
+@pytest.fixture
+def draw(stage, tmp_path, read_recording):
+    """Draws frames into a file, one by one, and reads it back."""
+    from softrobot_twin.view import picture, recording
+
+    def draw(frames, stage=stage):
+        path = tmp_path / "drawn.rrd"
+        drawn = picture.Picture(recording.record_to(path, "test", picture.layout(stage)), stage)
+        for frame in frames:
+            drawn.log(frame)
+        drawn.close(10.0)
+        return read_recording(path)
+
+    return draw

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
+from softrobot_twin.view import Drawn, Entity, Frame, RerunMirror, Stage
 from softrobot_twin.view.recording import CAN_SERVE
 
 pytestmark = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safely")
@@ -65,13 +65,12 @@ def heavy_stage_and_frames(node_count: int):
     random = np.random.default_rng(0)
     positions = random.random((node_count, 3))
     triangles = random.integers(0, node_count, (2 * node_count, 3))
-    stage = Stage("heavy", (Surface("body", triangles),), (), (0.0, 1.0), ("tip",), np.arange(0))
-    nothing, point = np.zeros((0, 3)), np.zeros((1, 3))
+    path = "/robot/surface/body"
+    stage = Stage("heavy", "heavy", (Entity(path, "surface", triangles=triangles),), ())
 
     def make(step: int) -> Frame:
         moved = positions + 1e-3 * random.random((node_count, 3))
-        return Frame(step, step * 10_000_000, (moved,), (), np.zeros(0), np.zeros(0), point, point,
-                     nothing, nothing, 0.0, {}, 1e-3, "ok", 0.0)
+        return Frame(step, step * 10_000_000, {path: Drawn(moved)}, {}, {"whole step": 1e-3}, "ok")
 
     return stage, make
 
@@ -99,10 +98,11 @@ def test_a_viewer_that_connects_late_receives_the_stage_and_past_frames(
     viewer.kill()
     recorded = read_recording(path)
     assert recorded.static("/robot/surface/body", "Mesh3D:triangle_indices") == \
-        stage.bodies[0].triangles.tolist()
+        stage.entities[0].triangles.tolist()
     positions = recorded.at_steps("/robot/surface/body", "Mesh3D:vertex_positions")
     assert positions.keys() == set(range(11))
-    assert np.array(positions[10]) == pytest.approx(make_frame(10).surface_positions[0], abs=1e-8)
+    assert np.array(positions[10]) == pytest.approx(
+        make_frame(10).drawn["/robot/surface/body"].points, abs=1e-8)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from softrobot_twin.view import RerunMirror, ViewError
+from softrobot_twin.view import Drawn, RerunMirror, ViewError
 from softrobot_twin.view.recording import CAN_SERVE
 
 serving = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safely")
@@ -60,7 +60,8 @@ def test_a_file_holds_the_offered_frames(stage, make_frame, tmp_path, read_recor
     assert mirror.failure is None and mirror.address is None
     positions = read_recording(path).at_steps("/robot/surface/body", "Mesh3D:vertex_positions")
     assert positions.keys() == set(range(5))
-    assert np.array(positions[4]) == pytest.approx(frames[4].surface_positions[0], abs=1e-8)
+    last = frames[4].drawn["/robot/surface/body"].points
+    assert np.array(positions[4]) == pytest.approx(last, abs=1e-8)
 
 
 def test_a_file_can_be_thinned(stage, make_frame, tmp_path, read_recording):
@@ -75,8 +76,9 @@ def test_a_frame_that_does_not_fit_the_stage_is_reported_and_the_run_continues(
     stage, make_frame, tmp_path, read_recording
 ):
     with RerunMirror(stage, serve=False, record=tmp_path / "run.rrd") as mirror:
-        offer_all(mirror, [make_frame(0), make_frame(1, cable_tensions=np.ones(3)), make_frame(2)])
-        assert "cable_tensions" in mirror.failure
+        wrong = {"/targets": Drawn(np.ones((3, 3)))}
+        offer_all(mirror, [make_frame(0), make_frame(1, wrong), make_frame(2)])
+        assert "/targets" in mirror.failure
     assert (mirror.frames_logged, mirror.frames_failed) == (2, 1)
     steps = read_recording(tmp_path / "run.rrd").at_steps("/plots/residual", "Scalars:scalars") \
         or read_recording(tmp_path / "run.rrd").curves("/plots/residual")

@@ -1,31 +1,13 @@
 """Content of an .rrd file after frames have been drawn into it."""
 
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.colours import tension_colours
-from softrobot_twin.view import ViewError
-from softrobot_twin.view.frame import OtherActuator
-
-
-@pytest.fixture
-def draw(stage, tmp_path, read_recording):
-    """Draws frames into a file, one by one, and reads it back."""
-    from softrobot_twin.view import picture, recording
-    from softrobot_twin.view.picture import Picture
-
-    def draw(frames, path: Path = tmp_path / "drawn.rrd", stage=stage):
-        file = recording.record_to(path, "test", picture.layout(stage))
-        drawn = Picture(file, stage)
-        for frame in frames:
-            drawn.log(frame)
-        drawn.close(10.0)
-        return read_recording(path)
-
-    return draw
+from softrobot_twin.simulation.colours import pressure_colours, tension_colours
+from softrobot_twin.view import Drawn, Entity
 
 
 def test_a_recording_holds_the_robot_its_surroundings_and_its_curves(draw, make_frame):
@@ -33,8 +15,7 @@ def test_a_recording_holds_the_robot_its_surroundings_and_its_curves(draw, make_
     assert {"/robot/surface/body", "/robot/cables", "/robot/effectors", "/robot/effector_trail",
             "/targets", "/markers/predicted", "/markers/measured", "/status"} <= entities
     plots = {"/".join(path.split("/")[:3]) for path in entities if path.startswith("/plots/")}
-    assert plots == {f"/plots/{name}" for name in (
-        "effector_error", "cable_lengths", "cable_tensions", "stage_times", "residual")}
+    assert plots == {f"/plots/{name}" for name in ("cable_lengths", "stage_times", "residual")}
 
 
 def test_space_is_right_handed_with_z_up(draw, make_frame):
@@ -48,11 +29,12 @@ def test_triangles_are_logged_once_and_positions_at_each_step(draw, make_frame, 
     frames = [make_frame(step) for step in (3, 4, 8)]
     recorded = draw(frames)
     assert recorded.static("/robot/surface/body", "Mesh3D:triangle_indices") == \
-        stage.bodies[0].triangles.tolist()
+        stage.entities[0].triangles.tolist()
     positions = recorded.at_steps("/robot/surface/body", "Mesh3D:vertex_positions")
     assert positions.keys() == {3, 4, 8}
     for frame in frames:
-        assert np.array(positions[frame.step]) == pytest.approx(frame.surface_positions[0], abs=1e-8)
+        assert np.array(positions[frame.step]) == pytest.approx(
+            frame.drawn["/robot/surface/body"].points, abs=1e-8)
 
 
 def test_the_surface_has_unit_normals_that_follow_it(draw, make_frame):
@@ -63,46 +45,36 @@ def test_the_surface_has_unit_normals_that_follow_it(draw, make_frame):
 
 
 def test_cables_are_lines_coloured_by_tension(draw, make_frame, stage):
-    frame = make_frame(5, cable_tensions=np.array([3.0, 19.0]))
-    recorded = draw([frame])
+    cables = make_frame(5).drawn["/robot/cables"]._replace(values=np.array([3.0, 19.0]))
+    recorded = draw([make_frame(5, {"/robot/cables": cables})])
     strips = recorded.at_steps("/robot/cables", "LineStrips3D:strips")[5]
-    for strip, path in zip(strips, frame.cable_paths, strict=True):
+    for strip, path in zip(strips, cables.points, strict=True):
         assert np.array(strip) == pytest.approx(path, abs=1e-8)
     colours = np.array(recorded.at_steps("/robot/cables", "LineStrips3D:colors")[5], dtype=">u4")
-    expected = tension_colours(frame.cable_tensions, stage.tension_range)
+    expected = tension_colours(cables.values, (0.0, 20.0))
     assert colours.view(np.uint8).reshape(-1, 4).tolist() == expected.tolist()
-    assert recorded.static("/robot/cables", "LineStrips3D:labels") == list(stage.cable_names)
+    assert recorded.static("/robot/cables", "LineStrips3D:labels") == ["left", "right"]
 
 
-def test_pull_points_are_the_beginnings_of_the_cables(draw, make_frame):
-    frame = make_frame(5)
-    places = draw([frame]).at_steps("/robot/pull_points", "Points3D:positions")
-    assert places.keys() == {5}
-    assert np.array(places[5]) == pytest.approx(np.array([p[0] for p in frame.cable_paths]), abs=1e-8)
-
-
-def test_fixed_points_are_logged_once_and_only_where_there_are_any(draw, make_frame, stage):
+def test_points_that_never_move_are_logged_once(draw, make_frame, stage):
     fixed = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.02]])
-    recorded = draw([make_frame(0)], stage=replace(stage, fixed_points=fixed))
+    entity = Entity("/robot/fixed", "points", (0, 0, 0), points=fixed)
+    recorded = draw([make_frame(0)], replace(stage, entities=(*stage.entities, entity)))
     assert np.array(recorded.static("/robot/fixed", "Points3D:positions")) == pytest.approx(fixed)
-    assert "/robot/fixed" not in draw([make_frame(0)]).entities
 
 
 def test_points_are_at_the_positions_of_the_frame(draw, make_frame):
     frame = make_frame(2)
     recorded = draw([frame])
-    for entity, positions in (("/robot/effectors", frame.effector_positions),
-                              ("/targets", frame.targets),
-                              ("/markers/predicted", frame.predicted_markers),
-                              ("/markers/measured", frame.measured_markers)):
+    for entity in ("/robot/effectors", "/targets", "/markers/predicted", "/markers/measured"):
         logged = recorded.at_steps(entity, "Points3D:positions")[2]
-        assert np.array(logged) == pytest.approx(positions, abs=1e-8), entity
+        assert np.array(logged) == pytest.approx(frame.drawn[entity].points, abs=1e-8), entity
 
 
 def test_a_hidden_marker_is_omitted_and_the_others_keep_their_names(draw, make_frame):
-    markers = make_frame(0).measured_markers
+    markers = make_frame(0).drawn["/markers/measured"].points
     markers[1] = np.nan
-    recorded = draw([make_frame(0, measured_markers=markers)])
+    recorded = draw([make_frame(0, {"/markers/measured": Drawn(markers)})])
     logged = recorded.at_steps("/markers/measured", "Points3D:positions")[0]
     assert np.array(logged) == pytest.approx(markers[[0, 2]], abs=1e-8)
     assert recorded.at_steps("/markers/measured", "Points3D:labels")[0] == ["4", "9"]
@@ -111,7 +83,7 @@ def test_a_hidden_marker_is_omitted_and_the_others_keep_their_names(draw, make_f
 
 def test_a_removed_target_is_no_longer_shown(draw, make_frame):
     nowhere = np.full((1, 3), np.nan)
-    recorded = draw([make_frame(0), make_frame(1, targets=nowhere, effector_error=np.nan)])
+    recorded = draw([make_frame(0), make_frame(1, {"/targets": Drawn(nowhere)})])
     positions = recorded.at_steps("/targets", "Points3D:positions")
     assert len(positions[0]) == 1
     assert positions[1] == []
@@ -120,34 +92,31 @@ def test_a_removed_target_is_no_longer_shown(draw, make_frame):
 def test_the_trail_ends_at_the_effector(draw, make_frame):
     frames = [make_frame(step) for step in (0, 10, 20)]
     (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
-    expected = np.vstack([frame.effector_positions for frame in frames])
+    expected = np.vstack([frame.drawn["/robot/effectors"].points for frame in frames])
     assert np.array(effector_path) == pytest.approx(expected, abs=1e-8)
 
 
 def test_an_effector_of_nan_position_does_not_break_the_trail(draw, make_frame):
     lost = np.full((1, 3), np.nan)
-    frames = [make_frame(0), make_frame(10, effector_positions=lost), make_frame(20)]
+    frames = [make_frame(0), make_frame(10, {"/robot/effector_trail": Drawn(lost)}), make_frame(20)]
     (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
     assert np.isfinite(effector_path).all()
 
 
-def test_curves_have_their_names_and_display_units(draw, make_frame, stage):
-    frame = make_frame(4)
-    recorded = draw([frame])
-    assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
-    assert recorded.curve_names("/plots/cable_tensions") == list(stage.cable_names)
+def test_curves_have_their_names_and_times_are_milliseconds(draw, make_frame):
+    recorded = draw([make_frame(4)])
+    assert recorded.curve_names("/plots/cable_lengths") == ["left", "right"]
     assert recorded.curves("/plots/cable_lengths")[4] == pytest.approx([104.0, 200.0])
-    assert recorded.curves("/plots/cable_tensions")[4] == pytest.approx([0.0, 20.0])
-    assert recorded.curves("/plots/effector_error")[4] == pytest.approx([2.0, 0.5, 3.0])
     assert recorded.curves("/plots/residual")[4] == pytest.approx([1e-6])
     assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "factor"]
     assert recorded.curves("/plots/stage_times")[4] == pytest.approx([3.0, 1.0, 1.5])
 
 
 def test_a_stage_that_appears_later_gets_its_own_curve(draw, make_frame):
-    recorded = draw([make_frame(0, stage_times={"assembly": 0.001}),
-                     make_frame(1, stage_times={"contact": 0.002, "assembly": 0.001}),
-                     make_frame(2, stage_times={"contact": 0.002})])
+    whole = {"whole step": 0.003}
+    recorded = draw([make_frame(0, times={**whole, "assembly": 0.001}),
+                     make_frame(1, times={**whole, "contact": 0.002, "assembly": 0.001}),
+                     make_frame(2, times={**whole, "contact": 0.002})])
     assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "contact"]
     curves = recorded.curves("/plots/stage_times")
     assert curves[0] == pytest.approx([3.0, 1.0])
@@ -161,36 +130,53 @@ def test_the_status_is_logged_when_it_changes(draw, make_frame):
     assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}
 
 
-def test_other_actuators_than_cables_have_curves_in_their_own_units(draw, make_frame, stage):
-    others = (OtherActuator("platform", "m", "N"), OtherActuator("cavity", "m3", "Pa"))
-    moved = replace(stage, other_actuators=others)
-    setpoints, efforts = np.array([0.012, 2e-6]), np.array([-1.5, 3e4])
-    frame = make_frame(3, other_setpoints=setpoints, other_efforts=efforts)
-    recorded = draw([frame], stage=moved)
-    names = ["platform [mm]", "platform [N]", "cavity [m3]", "cavity [Pa]"]
-    assert recorded.curve_names("/plots/actuators") == names
-    assert recorded.curves("/plots/actuators")[3] == pytest.approx([12.0, -1.5, 2e-6, 3e4])
-    assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
+def test_a_solid_is_logged_once_with_sharp_edges_and_its_pose_in_each_frame(
+    draw, make_frame, stage
+):
+    corners, triangles = make_frame(0).drawn["/robot/surface/body"].points, stage.entities[0].triangles
+    solids = [Entity(path, "solid", (0, 0, 0), triangles=triangles, points=corners)
+              for path in ("/rigid_bodies/stone", "/obstacles/floor")]
+    moved = [Drawn(np.array([0.1, 0.2, 0.01 * step]), np.array([0.0, 0.0, np.sin(step), np.cos(step)]))
+             for step in range(3)]
+    recorded = draw([make_frame(step, {"/rigid_bodies/stone": one}) for step, one in enumerate(moved)],
+                    replace(stage, entities=(*stage.entities, *solids)))
+    for solid in solids:
+        mesh = np.array(recorded.static(solid.path, "Mesh3D:vertex_positions"))
+        assert mesh == pytest.approx(corners[triangles].reshape(-1, 3), abs=1e-8)
+        normals = np.array(recorded.static(solid.path, "Mesh3D:vertex_normals"))
+        outward = mesh.reshape(-1, 3, 3).mean(axis=1) - mesh.mean(axis=0)
+        assert (np.einsum("ti,ti->t", outward, normals[::3]) > 0.0).all()
+        assert normals[0] == pytest.approx(normals[1]) and normals[0] == pytest.approx([0, 0, -1])
+        assert recorded.at_steps(solid.path, "Mesh3D:vertex_positions") == {}
+    places = recorded.at_steps("/rigid_bodies/stone", "Transform3D:translation")
+    turns = recorded.at_steps("/rigid_bodies/stone", "Transform3D:quaternion")
+    for step, one in enumerate(moved):
+        assert places[step][0] == pytest.approx(one.points, abs=1e-7)
+        assert turns[step][0] == pytest.approx(one.vectors, abs=1e-7)
 
 
-def test_orientations_of_effectors_and_targets_are_drawn_as_axes(draw, make_frame, stage):
-    half = np.sqrt(0.5)
-    turned, none = np.array([[0.0, 0.0, half, half]]), np.full((1, 4), np.nan)
-    posed = replace(stage, axis_length=0.02)
-    frames = [make_frame(0, effector_orientations=turned, target_orientations=none),
-              make_frame(1, effector_orientations=turned, target_orientations=turned)]
-    recorded = draw(frames, stage=posed)
-    axes = recorded.at_steps("/robot/effector_axes", "Arrows3D:vectors")
-    np.testing.assert_allclose(axes[0], 0.02 * np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
-                               atol=1e-8)
-    wanted = recorded.at_steps("/target_axes", "Arrows3D:vectors")
-    assert len(wanted[0]) == 0 and len(wanted[1]) == 3
+def test_arrows_have_their_origins_and_vanish_with_what_they_show(draw, make_frame, stage):
+    arrows = Entity("/contacts/forces", "arrows", (0, 0, 0))
+    places, forces = np.array([[0.01, 0.02, 0.03]]), np.array([[0.0, 0.1, 0.2]])
+    nothing = Drawn(np.empty((0, 3)), np.empty((0, 3)))
+    recorded = draw([make_frame(0, {arrows.path: Drawn(places, forces)}),
+                     make_frame(1, {arrows.path: nothing})],
+                    replace(stage, entities=(*stage.entities, arrows)))
+    drawn = recorded.at_steps(arrows.path, "Arrows3D:vectors")
+    assert np.array(drawn[0]) == pytest.approx(forces, abs=1e-7) and drawn[1] == []
+    origins = recorded.at_steps(arrows.path, "Arrows3D:origins")
+    assert np.array(origins[0]) == pytest.approx(places, abs=1e-7)
 
 
-def test_nothing_is_drawn_of_orientations_that_no_effector_asks_for(draw, make_frame):
-    assert not any("axes" in path for path in draw([make_frame(0)]).entities)
-
-
-def test_orientations_must_fit_the_stage(make_frame, stage):
-    with pytest.raises(ViewError, match="effector_orientations"):
-        make_frame(0).check_against(replace(stage, axis_length=0.02))
+def test_the_colour_of_a_surface_is_that_of_its_value(draw, make_frame, stage):
+    cavity = replace(stage.entities[0], path="/robot/cavities/left", colour=None,
+                     colours_of=partial(pressure_colours, pressure_range=(-5.0e3, 20.0e3)))
+    points = make_frame(0).drawn["/robot/surface/body"].points
+    frames = [make_frame(step, {cavity.path: Drawn(points, values=np.array([pressure]))})
+              for step, pressure in enumerate((0.0, 20.0e3))]
+    recorded = draw(frames, replace(stage, entities=(*stage.entities, cavity)))
+    colours = recorded.at_steps(cavity.path, "Mesh3D:albedo_factor")
+    for step, frame in enumerate(frames):
+        (colour,) = pressure_colours(frame.drawn[cavity.path].values, (-5.0e3, 20.0e3)).astype(int)
+        red, green, blue, alpha = map(int, colour)
+        assert colours[step] == [red << 24 | green << 16 | blue << 8 | alpha]
