@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import meshio
 import numpy as np
@@ -16,42 +18,20 @@ from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.study.output_file import OutputError, output_file
 
 
-class _Parts:
-    """Collects points and cells of the parts of a robot."""
+class _Part(NamedTuple):
+    """A part of a robot.
 
-    def __init__(self) -> None:
-        self.names: list[str] = []
-        self._now: list[np.ndarray] = []
-        self._rest: list[np.ndarray] = []
-        self._cells: list[tuple[str, np.ndarray]] = []
-        self._part_of_cells: list[np.ndarray] = []
-        self._count = 0
+    Attributes:
+        name: Its name.
+        now: Its points [m], shape (point_count, 3).
+        rest: The same at rest.
+        cells: Kind and nodes of its cells, numbered from 0.
+    """
 
-    def add(
-        self, name: str, now: np.ndarray, rest: np.ndarray, cells: list[tuple[str, np.ndarray]]
-    ) -> None:
-        """Adds a part.
-
-        Args:
-            name: Its name.
-            now: Its points [m], shape (point_count, 3).
-            rest: The same at rest.
-            cells: Kind and nodes of its cells, numbered from 0.
-        """
-        number = len(self.names)
-        self.names.append(name)
-        self._now.append(now)
-        self._rest.append(rest)
-        for kind, nodes in cells:
-            self._cells.append((kind, np.asarray(nodes, np.int64) + self._count))
-            self._part_of_cells.append(np.full(len(nodes), number, np.int64))
-        self._count += len(now)
-
-    def mesh(self) -> meshio.Mesh:
-        """All parts as one mesh."""
-        now, rest = np.concatenate(self._now), np.concatenate(self._rest)
-        return meshio.Mesh(now, self._cells, point_data={"displacement": now - rest},
-                           cell_data={"part": self._part_of_cells})
+    name: str
+    now: np.ndarray
+    rest: np.ndarray
+    cells: list[tuple[str, np.ndarray]]
 
 
 def export_mesh(simulation: Simulation, path: Path | str) -> tuple[str, ...]:
@@ -70,33 +50,18 @@ def export_mesh(simulation: Simulation, path: Path | str) -> tuple[str, ...]:
     Raises:
         OutputError: The file cannot be written, or meshio knows no such format.
     """
-    parts, model = _Parts(), simulation.model
-    now, rest = simulation.state.positions, model.nodes.rest_positions
-    for body in model.bodies:
-        nodes = body.shown_nodes(np.arange(_point_count(body)))
-        parts.add(body.name, nodes.positions(now), nodes.positions(rest), _cells(body))
-    for beam in model.beams:
-        nodes = beam.nodes_mapping()
-        lines = np.column_stack([np.arange(beam.node_count - 1), np.arange(1, beam.node_count)])
-        parts.add(beam.name, nodes.positions(now), nodes.positions(rest), [("line", lines)])
-    for skin, here, there in zip(
-        simulation.rigid_skins(), _frames(simulation, now), _frames(simulation, rest), strict=True
-    ):
-        triangles = [("triangle", skin.triangles)]
-        parts.add(skin.name, _placed(skin.points, *here), _placed(skin.points, *there), triangles)
-    first = sum(body.scene_node_count for body in model.bodies)
-    for entry in simulation.scene.mass_springs:
-        own = slice(first, first + len(entry.points))
-        first += len(entry.points)
-        springs = [("line", np.array(entry.springs, np.int64))] if entry.springs else []
-        vertices = ("vertex", np.arange(len(entry.points))[:, None])
-        parts.add(entry.name, now[own], rest[own], [vertices, *springs])
-    at_rest = model.actuators.paths(rest)
-    for name, points in simulation.actuator_paths().items():
-        if len(points) == len(at_rest[name]) > 1:
-            lines = np.column_stack([np.arange(len(points) - 1), np.arange(1, len(points))])
-            parts.add(name, points, at_rest[name], [("line", lines)])
-    mesh = parts.mesh()
+    parts = list(_parts(simulation))
+    now = np.concatenate([part.now for part in parts])
+    rest = np.concatenate([part.rest for part in parts])
+    firsts = np.cumsum([0, *(len(part.now) for part in parts)])
+    mesh = meshio.Mesh(
+        now,
+        [(kind, np.asarray(nodes, np.int64) + first)
+         for part, first in zip(parts, firsts) for kind, nodes in part.cells],
+        point_data={"displacement": now - rest},
+        cell_data={"part": [np.full(len(nodes), number, np.int64)
+                            for number, part in enumerate(parts) for _, nodes in part.cells]},
+    )  # fmt: skip
     try:
         with output_file(path) as partial:
             meshio.write(partial, mesh)
@@ -104,7 +69,40 @@ def export_mesh(simulation: Simulation, path: Path | str) -> tuple[str, ...]:
         suffix = Path(path).suffix
         reason = f"meshio cannot write {suffix}" if suffix else "needs a suffix, such as .vtu"
         raise OutputError(path, reason) from error
-    return tuple(parts.names)
+    return tuple(part.name for part in parts)
+
+
+def _parts(simulation: Simulation) -> Iterator[_Part]:
+    """Deformable bodies, beams, rigid bodies, masses with their springs, and cables."""
+    model = simulation.model
+    now, rest = simulation.state.positions, model.nodes.rest_positions
+    for body in model.bodies:
+        nodes = body.shown_nodes(np.arange(_point_count(body)))
+        yield _Part(body.name, nodes.positions(now), nodes.positions(rest), _cells(body))
+    for beam in model.beams:
+        nodes = beam.nodes_mapping()
+        yield _Part(beam.name, nodes.positions(now), nodes.positions(rest), _line(beam.node_count))
+    for skin, *places in zip(
+        simulation.rigid_skins(), _frames(simulation, now), _frames(simulation, rest), strict=True
+    ):
+        here, there = (origin + skin.points @ rotation.T for origin, rotation in places)
+        yield _Part(skin.name, here, there, [("triangle", skin.triangles)])
+    first = sum(body.scene_node_count for body in model.bodies)
+    for entry in simulation.scene.mass_springs:
+        own = slice(first, first + len(entry.points))
+        first += len(entry.points)
+        springs = [("line", np.array(entry.springs))] if entry.springs else []
+        vertices = ("vertex", np.arange(len(entry.points))[:, None])
+        yield _Part(entry.name, now[own], rest[own], [vertices, *springs])
+    at_rest = model.actuators.paths(rest)
+    for name, points in simulation.actuator_paths().items():
+        if len(points) == len(at_rest[name]) > 1:
+            yield _Part(name, points, at_rest[name], _line(len(points)))
+
+
+def _line(count: int) -> list[tuple[str, np.ndarray]]:
+    """Cells of a line through points."""
+    return [("line", np.column_stack([np.arange(count - 1), np.arange(1, count)]))]
 
 
 def _point_count(body: Body) -> int:
@@ -129,8 +127,3 @@ def _frames(simulation: Simulation, positions: np.ndarray) -> list[tuple[np.ndar
     origins, quaternions = rigid_poses(simulation.model, positions)
     return [(origin, rotation_from_quaternion(quaternion))
             for origin, quaternion in zip(origins, quaternions, strict=True)]
-
-
-def _placed(points: np.ndarray, origin: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    placed: np.ndarray = origin + points @ rotation.T
-    return placed

@@ -355,22 +355,6 @@ class Effect(NamedTuple):
     result: str
 
 
-class TermLine(NamedTuple):
-    """One term of a step.
-
-    Attributes:
-        name: The term's name.
-        kind: ``force`` or ``constraint``.
-        built_from: Module and class.
-        size: Rows of H for a constraint, stencils for a force.
-    """
-
-    name: str
-    kind: str
-    built_from: str
-    size: str
-
-
 def effects(simulation: Simulation) -> list[Effect]:
     """All effects of the scene; entries that are zero or empty are neither built nor listed."""
     return list(_effects(simulation, [term.name for term in simulation.terms]))
@@ -670,30 +654,28 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> Iterator[Effec
                      f"found by {type(pair).__name__}{places}")
 
 
-def terms(simulation: Simulation) -> list[TermLine]:
-    """The terms that a step sums, in its order."""
-    lines = []
+def terms(simulation: Simulation) -> list[tuple[str, str]]:
+    """Name, and kind, size and class of the terms that a step sums; alike ones are one row."""
+    lines = Counter()
     for term in simulation.terms:
-        rows = getattr(term, "row_count", None)
-        kind = "force" if rows is None else "constraint"
-        size = _term_size(term) if rows is None else _describe_rows(term)
-        built_from = f"{type(term).__module__}.{type(term).__qualname__}"
-        lines.append(TermLine(term.name, kind, built_from, size))
-    return lines
+        is_force = not hasattr(term, "row_count")
+        size = _term_size(term) if is_force else _describe_rows(term)
+        kind = "force" if is_force else "constraint"
+        lines[term.name, f"{kind}, {size}, by {type(term).__name__}"] += 1
+    return [(name if many == 1 else f"{name} ({many})", text)
+            for (name, text), many in lines.items()]
 
 
 def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     """What a user asks first: what moves, how large and heavy it is, and the sizes of the system."""
     model = simulation.model
-    lines = [
-        ("actuators", _named(list(simulation.actuator_names)) or "none"),
-        ("effectors", _named(list(simulation.effector_names)) or "none"),
-        ("bodies", _named([body.name for body in model.bodies]) or "none"),
-    ]
-    if model.beams:
-        lines.append(("beams", _named([beam.name for beam in model.beams])))
-    if model.rigid:
-        lines.append(("rigid bodies", _named([part.name for part in model.rigid])))
+    named = {
+        "actuators": simulation.actuator_names, "effectors": simulation.effector_names,
+        **{what: [part.name for part in parts] for what, parts in (
+            ("bodies", model.bodies), ("beams", model.beams), ("rigid bodies", model.rigid))},
+    }  # fmt: skip
+    lines = [(what, _named(list(names)) or "none") for what, names in named.items()
+             if names or what not in ("beams", "rigid bodies")]  # fmt: skip
     surface = simulation.surface_positions()
     if len(surface):
         low, high = surface.min(axis=0), surface.max(axis=0)
@@ -850,13 +832,6 @@ def _term(names: list[str], word: str) -> str:
     return f"term {found[0]}" if found else "no term"
 
 
-def grouped_terms(lines: list[TermLine]) -> list[tuple[str, str]]:
-    """Name, and kind, class and size of each term; alike ones are one row."""
-    return [(line.name if many == 1 else f"{line.name} ({many})",
-             f"{line.kind}, {line.size}, by {line.built_from.rpartition('.')[2]}")
-            for line, many in Counter(lines).items()]
-
-
 def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
             view: tuple[float, float] | None = None) -> int:
     """Prints what a scene contains, its effects, terms, stages, the error of its mesh and notes.
@@ -884,7 +859,7 @@ def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
         ("The robot", sizes(simulation)),
         ("Cables at rest", rest_paths(simulation)),
         ("Entries of the scene → what they become", asked),
-        ("Terms of a step", grouped_terms(terms(simulation))),
+        ("Terms of a step", terms(simulation)),
         ("Stages of a step", [(", ".join(simulation.stages), "")]),
     ):
         if rows:

@@ -14,7 +14,6 @@ from softrobot_twin.study.explain import (
     describe_effector,
     effects,
     grouped,
-    grouped_terms,
     rest_paths,
     sizes,
     terms,
@@ -193,7 +192,7 @@ def test_more_than_two_elements_across_are_not_warned_of():
 
 
 def test_terms_that_are_alike_are_one_row(grasper):
-    told = dict(grouped_terms(terms(grasper)))
+    told = dict(terms(grasper))
     assert told["corotational elements (3)"] == "force, 280 stencils of 4 nodes, by Elements"
     assert told["cables"] == "constraint, 3 rows, by Cables"
 
@@ -205,7 +204,7 @@ def test_every_line_fits_a_terminal_of_80_columns(name, grasper):
         SCENES / f"{name}.yaml")
     asked = [(effect.entry, f"{effect.content} → {effect.result}")
              for effect in grouped(effects(simulation))]
-    for listed in (sizes(simulation), asked, grouped_terms(terms(simulation))):
+    for listed in (sizes(simulation), asked, terms(simulation)):
         console = Console(width=80, record=True, file=StringIO())
         console.print(listing("title", listed, piped=False))
         text = console.export_text()
