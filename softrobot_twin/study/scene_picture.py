@@ -20,7 +20,7 @@ from softrobot_twin.geometry.shapes import Sphere
 from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene.body_entries import PlaneShape
-from softrobot_twin.simulation.appearance import fixed_ends, fixed_places
+from softrobot_twin.simulation.appearance import fixed_ends, fixed_places, own_skin
 from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.colours import pressure_colours
 from softrobot_twin.simulation.effects.touches import touch_term
@@ -274,11 +274,12 @@ def _size(simulation: Simulation) -> float:
 
 
 def _bodies(simulation: Simulation) -> Iterator[Solid]:
-    """Bodies, beams and walls of cavities."""
-    cavities, soft = simulation.cavities, len(simulation.model.bodies)
-    looks = ["clear" if cavities.skins else "mesh"] * soft + ["rigid"] * len(simulation.model.beams)
-    for skin, points, look in zip(simulation.skins, simulation.skin_positions(), looks, strict=True):
-        yield Solid(points[skin.triangles], BODY_COLOUR, look)
+    """Bodies by the surfaces of their meshes, beams and walls of cavities."""
+    cavities, bodies = simulation.cavities, simulation.model.bodies
+    positions, soft = simulation.state.positions, "clear" if cavities.skins else "mesh"
+    for skin, look in (*((own_skin(body), soft) for body in bodies),
+                       *((skin, "rigid") for skin in simulation.skins[len(bodies):])):
+        yield Solid(skin.positions(positions)[skin.triangles], BODY_COLOUR, look)
     for skin, points, pressure in zip(cavities.skins, simulation.cavity_positions(),
                                       cavities.pressures(simulation.state), strict=True):
         yield Solid(points[skin.triangles], LEGEND["cavity"][1], "rigid", "cavity", 1e-3 * pressure)
@@ -379,7 +380,7 @@ def _axes_of_effectors(simulation: Simulation, size: float) -> Iterator[Solid]:
 def _springs(simulation: Simulation, size: float) -> Iterator[Solid]:
     """Bars for all springs, thin ones for tubes and fibres; balls at the points of masses."""
     scene, positions = simulation.scene, simulation.state.positions
-    first = sum(body.mesh.node_count for body in simulation.model.bodies if not body.vertebrae)
+    first = sum(body.scene_node_count for body in simulation.model.bodies)
     count = sum(len(entry.points) for entry in scene.mass_springs)
     for point in positions[first : first + count]:
         yield Solid(sphere(point, 0.012 * size), LEGEND["spring"][1], "rigid")
