@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import weakref
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ _POLL = 0.0005
 _ANY_RATE = 1.0e9
 
 
-class RobotView:
+class RobotView(AbstractContextManager):
     """Shows each step of a robot until it is closed; also a context manager.
 
     Attributes:
@@ -111,9 +112,6 @@ class RobotView:
     def close(self) -> None:
         """Draws the last frames, finishes the file and stops serving; may be called twice."""
         self._end()
-
-    def __enter__(self) -> RobotView:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

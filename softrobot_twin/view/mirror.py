@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 
 from softrobot_twin.view.drawing_thread import DrawingThread, EveryNthFrame, RateLimit
 from softrobot_twin.view.frame import Frame, Stage, ViewError
@@ -33,7 +33,7 @@ def open_viewer(address: str) -> subprocess.Popen | None:
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-class RerunMirror:
+class RerunMirror(AbstractContextManager):
     """Shows frames live in rerun viewers, records them into a file, or both.
 
     Viewers may be absent, connect late, freeze or be killed. Each of the two outputs (file and
@@ -45,8 +45,7 @@ class RerunMirror:
     Args:
         stage: The constant part of the view.
         serve: Whether viewers can connect.
-        address: IPv4 address of the interface to listen on.
-        port: TCP port to listen on; 0 selects a free one.
+        port: TCP port to listen on, on this machine only; 0 selects a free one.
         record: File to record into, or None. It grows without bound, by about 25 bytes for each
             surface node and frame; `record_every` reduces this.
         record_every: The first of every so many frames is recorded.
@@ -55,7 +54,11 @@ class RerunMirror:
         spawn_viewer: Whether to open a viewer, if there is a display.
 
     Attributes:
+        address: Address for viewers, or None when nothing is served.
+        drawing_threads: The requested drawing threads, ``file`` and ``live``, each with its own
+            counts.
         frames_offered: Frames offered so far.
+        viewer: Process of the viewer that was opened, or None.
 
     Raises:
         ViewError: Neither serving nor recording was requested, rerun cannot be imported, the port
@@ -67,7 +70,6 @@ class RerunMirror:
         stage: Stage,
         *,
         serve: bool,
-        address: str = "127.0.0.1",
         port: int = 9876,
         record: Path | None = None,
         record_every: int = 1,
@@ -84,9 +86,9 @@ class RerunMirror:
         if not live_rate > 0.0:
             raise ViewError("live_rate", live_rate, "must be above 0 Hz")
         self.frames_offered = 0
-        self._address: str | None = None
-        self._drawing_threads: list[DrawingThread] = []
-        self._viewer: subprocess.Popen | None = None
+        self.address: str | None = None
+        self.drawing_threads: list[DrawingThread] = []
+        self.viewer: subprocess.Popen | None = None
         # Importing rerun takes half a second, so it is imported only when it is needed.
         try:
             from softrobot_twin.view import picture, recording
@@ -98,54 +100,29 @@ class RerunMirror:
         try:
             if record is not None:
                 file = recording.record_to(Path(record), application, layout)
-                self._drawing_threads.append(
+                self.drawing_threads.append(
                     DrawingThread("file", Picture(file, stage), EveryNthFrame(record_every)))
             if serve:
-                live = recording.serve_at(address, port, memory_limit, application, layout)
-                self._address = live.address
-                self._drawing_threads.append(
+                live = recording.serve_at(port, memory_limit, application, layout)
+                self.address = live.address
+                self.drawing_threads.append(
                     DrawingThread("live", Picture(live, stage), RateLimit(live_rate)))
         except BaseException:
             self.close()
             raise
-        if spawn_viewer and self._address is not None:
-            self._viewer = open_viewer(self._address)
-
-    @property
-    def address(self) -> str | None:
-        """Address for viewers, or None when nothing is served."""
-        return self._address
-
-    @property
-    def viewer_spawned(self) -> bool:
-        """Whether a viewer was opened, which needs a display."""
-        return self._viewer is not None
+        if spawn_viewer and self.address is not None:
+            self.viewer = open_viewer(self.address)
 
     @property
     def frames_logged(self) -> int:
         """Frames that reached rerun; a frame counts once for the viewers and once for the file."""
-        return sum(outlet.logged_count for outlet in self._drawing_threads)
-
-    @property
-    def frames_dropped(self) -> int:
-        """Chosen frames that were replaced by newer ones before they were drawn."""
-        return sum(outlet.dropped_count for outlet in self._drawing_threads)
-
-    @property
-    def frames_failed(self) -> int:
-        """Frames that could not be drawn; see `failure`."""
-        return sum(outlet.failed_count for outlet in self._drawing_threads)
+        return sum(outlet.logged_count for outlet in self.drawing_threads)
 
     @property
     def failure(self) -> str | None:
         """The last failure of the drawing threads, or None."""
-        failures = [outlet.failure for outlet in self._drawing_threads if outlet.failure]
+        failures = [outlet.failure for outlet in self.drawing_threads if outlet.failure]
         return "; ".join(failures) or None
-
-    @property
-    def drawing_threads(self) -> tuple[DrawingThread, ...]:
-        """The requested drawing threads, ``file`` and ``live``, each with its own counts."""
-        return tuple(self._drawing_threads)
 
     def offer(self, frame: Frame) -> None:
         """Offers a frame; takes microseconds and never waits.
@@ -157,7 +134,7 @@ class RerunMirror:
             frame: The frame; the mirror takes over its arrays.
         """
         self.frames_offered += 1
-        for outlet in self._drawing_threads:
+        for outlet in self.drawing_threads:
             outlet.offer(frame)
 
     def close(self, timeout: float = 5.0) -> None:
@@ -167,18 +144,10 @@ class RerunMirror:
             timeout: Longest duration [s]. Threads that take longer are abandoned and reported in
                 `failure`; they do not keep the process alive.
         """
-        for outlet in self._drawing_threads:
+        for outlet in self.drawing_threads:
             outlet.end(timeout)
-        for outlet in self._drawing_threads:
+        for outlet in self.drawing_threads:
             outlet.join()
 
-    def __enter__(self) -> RerunMirror:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()

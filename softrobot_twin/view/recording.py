@@ -8,7 +8,6 @@ refused with them. rerun 0.41 reads files of 0.23.1 after ``rerun rrd migrate``,
 
 from __future__ import annotations
 
-import ipaddress
 import socket
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +25,7 @@ STEP = "step"
 # Whether this rerun can serve on this machine only without blocking the sender.
 CAN_SERVE = hasattr(rr, "GrpcServerSink")
 _START_TIMEOUT = 5.0
+_ADDRESS = "127.0.0.1"
 # Interval at which a server sends [s]. With rerun's 0.2 s the picture jumps; with 0.008 s, one
 # chunk per entity and frame, it sent nine times as many bytes.
 _LIVE_FLUSH_TICK = 0.04
@@ -100,26 +100,25 @@ def record_to(path: Path, application: str, blueprint: rrb.Blueprint) -> Recordi
     return Recording(stream)
 
 
-def serve_at(address: str, port: int, memory_limit: str, application: str,
+def serve_at(port: int, memory_limit: str, application: str,
              blueprint: rrb.Blueprint) -> Recording:
-    """Opens a recording that viewers can connect to.
+    """Opens a recording that viewers on this machine can connect to.
 
     Args:
-        address: Address of the interface to listen on, such as ``127.0.0.1``.
         port: TCP port; 0 selects a free one.
         memory_limit: Memory for viewers that connect late, such as ``256MiB``.
         application: Name under which a viewer stores the layout.
         blueprint: The layout.
 
     Raises:
-        ViewError: This rerun cannot serve, the address is not one of this machine's, the port is
-            taken, or the limit is not an amount of memory.
+        ViewError: This rerun cannot serve, the port is taken, or the limit is not an amount of
+            memory.
     """
     if not CAN_SERVE:
         raise ViewError("serve", True, f"rerun {rr.__version__} cannot serve to this machine only "
                         "without blocking the sender; record into a file, or install rerun 0.41")
-    port = check_port(address, port)
-    sink = rr.GrpcServerSink(address, port, server_memory_limit=memory_limit)
+    port = check_port(port)
+    sink = rr.GrpcServerSink(_ADDRESS, port, server_memory_limit=memory_limit)
     stream = _new_stream(application,
                          batcher_config=rr.ChunkBatcherConfig(flush_tick=_LIVE_FLUSH_TICK))
     try:
@@ -171,18 +170,14 @@ def _flush(stream: rr.RecordingStream, timeout: float) -> None:
         stream.flush(blocking=True)
 
 
-def check_port(address: str, port: int) -> int:
+def check_port(port: int) -> int:
     """Returns a port that can be used, a free one for 0; rerun itself only logs a failure."""
-    try:
-        ipaddress.IPv4Address(address)
-    except ValueError:
-        raise ViewError("address", address, "is not an IPv4 address, such as 127.0.0.1") from None
     with socket.socket(socket.AF_INET) as probe:
         # Bind as the server does, so that a port with recently closed connections counts as free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((address, port))
+            probe.bind((_ADDRESS, port))
         except (OSError, OverflowError) as error:
-            raise ViewError("port", port, f"cannot listen on {address}: {error}; "
+            raise ViewError("port", port, f"cannot listen on {_ADDRESS}: {error}; "
                             "choose another, or 0 for a free one") from error
         return probe.getsockname()[1]
