@@ -1,6 +1,6 @@
 """A thread that draws the newest frame into a recording, so that the control loop never waits.
 
-`LatestItem` passes frames to the thread, `EveryNthFrame` and `RateLimit` choose frames, and
+`LatestItem` passes frames to the thread, `every_nth` and `RateLimit` choose frames, and
 `DrawingThread` draws the chosen ones.
 """
 
@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from itertools import cycle
 from typing import Generic, Protocol, TypeVar
 
 from softrobot_twin.view.frame import Frame
@@ -79,18 +80,9 @@ class LatestItem(Generic[Item]):
             pass  # The signal is already set.
 
 
-class EveryNthFrame:
-    """Chooses the first of every `interval` frames."""
-
-    def __init__(self, interval: int):
-        self._interval = interval
-        self._count = 0
-
-    def wants_next(self) -> bool:
-        """Whether the present frame is chosen."""
-        wanted = self._count == 0
-        self._count = (self._count + 1) % self._interval
-        return wanted
+def every_nth(interval: int) -> Callable[[], bool]:
+    """Chooses the first of every `interval` frames: says of each whether it is chosen."""
+    return cycle([True, *[False] * (interval - 1)]).__next__
 
 
 class RateLimit:
@@ -132,13 +124,6 @@ class RateLimit:
 _log = logging.getLogger(__name__)
 
 
-class FrameFilter(Protocol):
-    """Chooses the frames to draw."""
-
-    def wants_next(self) -> bool:
-        """Whether the present frame is chosen."""
-
-
 class FrameDrawing(Protocol):
     """Draws frames."""
 
@@ -162,13 +147,13 @@ class DrawingThread:
         latest: The frame to draw next.
     """
 
-    def __init__(self, name: str, canvas: FrameDrawing, frame_filter: FrameFilter):
+    def __init__(self, name: str, canvas: FrameDrawing, is_chosen: Callable[[], bool]):
         self.name = name
         self.logged_count = 0
         self.failed_count = 0
         self.failure: str | None = None
         self._canvas = canvas
-        self._filter = frame_filter
+        self._is_chosen = is_chosen
         self.latest: LatestItem[Frame] = LatestItem()
         self._deadline = 0.0
         self._thread = threading.Thread(target=self._run, name=f"view-{name}", daemon=True)
@@ -180,8 +165,8 @@ class DrawingThread:
         return self.latest.dropped_count
 
     def offer(self, frame: Frame) -> None:
-        """Passes a frame to the thread, if the filter chooses it; returns at once."""
-        if self._filter.wants_next():
+        """Passes a frame to the thread, if it is chosen; returns at once."""
+        if self._is_chosen():
             self.latest.put(frame)
 
     def end(self, timeout: float) -> None:

@@ -8,7 +8,7 @@ import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from softrobot_twin.view.drawing_thread import DrawingThread, EveryNthFrame, RateLimit
+from softrobot_twin.view.drawing_thread import DrawingThread, RateLimit, every_nth
 from softrobot_twin.view.frame import Frame, Stage, ViewError
 
 
@@ -101,12 +101,12 @@ class RerunMirror(AbstractContextManager):
             if record is not None:
                 file = recording.record_to(Path(record), application, layout)
                 self.drawing_threads.append(
-                    DrawingThread("file", Picture(file, stage), EveryNthFrame(record_every)))
+                    DrawingThread("file", Picture(file, stage), every_nth(record_every)))
             if serve:
                 live = recording.serve_at(port, memory_limit, application, layout)
                 self.address = live.address
                 self.drawing_threads.append(
-                    DrawingThread("live", Picture(live, stage), RateLimit(live_rate)))
+                    DrawingThread("live", Picture(live, stage), RateLimit(live_rate).wants_next))
         except BaseException:
             self.close()
             raise

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from softrobot_twin.view.drawing_thread import DrawingThread, EveryNthFrame, LatestItem, RateLimit
+from softrobot_twin.view.drawing_thread import DrawingThread, LatestItem, RateLimit, every_nth
 
 
 def test_the_newest_item_is_taken():
@@ -74,8 +74,8 @@ def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
 
 
 def test_the_first_of_every_n_frames_is_drawn():
-    thinning = EveryNthFrame(3)
-    assert [thinning.wants_next() for _ in range(7)] == [True, False, False] * 2 + [True]
+    is_chosen = every_nth(3)
+    assert [is_chosen() for _ in range(7)] == [True, False, False] * 2 + [True]
 
 
 class Clock:
@@ -162,7 +162,7 @@ def wait_for_entry(canvas):
 
 
 def test_offering_a_frame_returns_while_the_drawing_thread_is_blocked(canvas):
-    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
+    outlet = DrawingThread("test", canvas, every_nth(1))
     outlet.offer(0)
     wait_for_entry(canvas)
     for frame in range(1, 1000):
@@ -172,7 +172,7 @@ def test_offering_a_frame_returns_while_the_drawing_thread_is_blocked(canvas):
 
 
 def test_after_a_block_the_newest_frame_is_drawn(canvas):
-    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
+    outlet = DrawingThread("test", canvas, every_nth(1))
     outlet.offer(0)
     wait_for_entry(canvas)
     for frame in (1, 2, 3):
@@ -187,7 +187,7 @@ def test_after_a_block_the_newest_frame_is_drawn(canvas):
 
 
 def test_a_failed_frame_is_reported_and_the_next_one_is_drawn(canvas):
-    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
+    outlet = DrawingThread("test", canvas, every_nth(1))
     canvas.failing = {0}
     for frame in (0, 1):
         outlet.offer(frame)
@@ -203,7 +203,7 @@ def test_a_failed_frame_is_reported_and_the_next_one_is_drawn(canvas):
 
 
 def test_the_last_frame_is_drawn_before_the_end(canvas):
-    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
+    outlet = DrawingThread("test", canvas, every_nth(1))
     canvas.let.release()
     outlet.offer(7)
     outlet.end(10.0)
@@ -214,7 +214,7 @@ def test_the_last_frame_is_drawn_before_the_end(canvas):
 
 
 def test_closing_waits_for_a_blocked_thread_no_longer_than_its_timeout(canvas):
-    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
+    outlet = DrawingThread("test", canvas, every_nth(1))
     outlet.offer(0)
     wait_for_entry(canvas)
     outlet.end(0.05)
@@ -223,7 +223,7 @@ def test_closing_waits_for_a_blocked_thread_no_longer_than_its_timeout(canvas):
 
 
 def test_a_failed_finish_is_reported(canvas):
-    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
+    outlet = DrawingThread("test", canvas, every_nth(1))
     canvas.close_fails = True
     outlet.end(10.0)
     outlet.join()
@@ -231,7 +231,7 @@ def test_a_failed_finish_is_reported(canvas):
 
 
 def test_only_requested_frames_are_drawn(canvas):
-    outlet = DrawingThread("test", canvas, EveryNthFrame(2))
+    outlet = DrawingThread("test", canvas, every_nth(2))
     for _ in range(3):
         canvas.let.release()
     for frame in range(5):
