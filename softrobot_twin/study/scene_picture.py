@@ -56,9 +56,7 @@ def _swept(centres: np.ndarray, radii: Sequence[float]) -> np.ndarray:
     """Triangles between rings of some radii on a straight axis."""
     axis = centres[-1] - centres[0]
     axis = axis / np.linalg.norm(axis)
-    across = across_of(axis)
-    angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
-    ring = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
+    ring = _circle(axis, _SIDES)[:-1]
     rings = centres[:, None, :] + np.multiply.outer(np.asarray(radii), ring)
     here, there = rings[:-1], rings[1:]
     here_next, there_next = np.roll(here, -1, axis=1), np.roll(there, -1, axis=1)
@@ -71,6 +69,12 @@ def across_of(axis: np.ndarray) -> np.ndarray:
     """A unit vector at right angles to an axis, shape (3,)."""
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     return across / np.linalg.norm(across)
+
+
+def _circle(axis: np.ndarray, sides: int) -> np.ndarray:
+    """Points of a unit circle about an axis, the last one the first again, (sides + 1, 3)."""
+    across, angles = across_of(axis), np.linspace(0.0, 2.0 * np.pi, sides + 1)
+    return np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
 
 
 def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
@@ -90,11 +94,7 @@ def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
 
 def ring_around(centre: np.ndarray, radius: float, axis: np.ndarray, width: float) -> np.ndarray:
     """Triangles of a thin ring about an axis, corners [m], shape (triangle_count, 3, 3)."""
-    across = across_of(axis)
-    angles = np.linspace(0.0, 2.0 * np.pi, 25)
-    points = centre + radius * (np.outer(np.cos(angles), across)
-                                + np.outer(np.sin(angles), np.cross(axis, across)))
-    return tube(points, 0.5 * width)
+    return tube(centre + radius * _circle(axis, 24), 0.5 * width)
 
 
 def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
@@ -234,7 +234,7 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
         effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3).
     """
     size, paths = _size(simulation), simulation.actuator_paths()
-    obstacles, planes = _obstacles(simulation, size)
+    obstacles, planes, named = _obstacles(simulation, size)
     solids = [*_bodies(simulation), *_rigid(simulation, size), *_springs(simulation, size),
               *obstacles, *_balls(simulation, size), *_axes_of_effectors(simulation, size),
               *_actuators(simulation, size, paths)]
@@ -252,7 +252,7 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
         touched = np.concatenate([contacts.positions, touched])
         forces = np.concatenate([contacts.forces, forces])
     return Snapshot(title, size, solids, rings, planes, (touched, forces),
-                    list(labels(simulation, paths, planes)))
+                    list(labels(simulation, paths, named)))
 
 
 # Least size of lines and marks, as a share of that of the whole scene.
@@ -348,16 +348,24 @@ def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> li
     return solids
 
 
-def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list[tuple]]:
-    scene, solids, planes = simulation.scene, [], []
-    for entry in scene.obstacles:
+def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list, list]:
+    """Solids of obstacles; points and normals of those that are planes; names and places of all."""
+    solids, planes, named = [], [], []
+    for entry in simulation.scene.obstacles:
         turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-        shape = build_shape(entry.shape, scene, [])
+        shape = build_shape(entry.shape, simulation.scene, [])
         if isinstance(entry.shape, PlaneShape):
-            planes.append((entry.position + turn @ shape.point, turn @ shape.normal))
+            point, normal = entry.position + turn @ shape.point, turn @ shape.normal
+            planes.append((point, normal))
+            # Beside what stands on the plane.
+            aside = np.array([0.5, -0.3, 0.0]) * size
+            named.append((entry.name, point + aside - (aside @ normal) * normal))
             continue
-        solids += _solid_shape(shape, entry.position, turn, OBSTACLE_COLOUR, size)
-    return solids, planes
+        own = _solid_shape(shape, entry.position, turn, OBSTACLE_COLOUR, size)
+        corners = own[0].triangles.reshape(-1, 3)
+        named.append((entry.name, 0.5 * (corners.min(axis=0) + corners.max(axis=0))))
+        solids += own
+    return solids, planes, named
 
 
 def _axes_of_effectors(simulation: Simulation, size: float) -> Iterator[Solid]:
@@ -410,64 +418,46 @@ def _touches(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
 _MOST_LABELS = 6
 
 
-def labels(simulation: Simulation, paths: dict[str, np.ndarray], planes) -> Iterator[Label]:
+def labels(
+    simulation: Simulation, paths: dict[str, np.ndarray], obstacles: list[tuple[str, np.ndarray]]
+) -> Iterator[Label]:  # fmt: skip
     """Names of all things of a scene, at their present places.
 
     Args:
         simulation: The simulation.
         paths: Lines of the actuators [m]; see `Readouts.actuator_paths`.
-        planes: Point [m] and normal of each plane.
+        obstacles: Names of the obstacles, and their places [m].
 
     Yields:
         The labels; many things with alike names share one, such as ``hub_0 … hub_17 (18)``.
     """
-    scene, state = simulation.scene, simulation.state
-    skins, places = simulation.skins, simulation.skin_positions()
-    count = len(simulation.model.bodies)
-    yield from _grouped("body", [(skin.name, points[skin.triangles[len(skin.triangles) // 2, 0]])
-                                 for skin, points in zip(skins[:count], places[:count])])
-    yield from _grouped("beam", [(skin.name, _nearest(points, points.mean(axis=0)))
-                                 for skin, points in zip(skins[count:], places[count:])])
-    held = [fixed_places(body, state.positions) for body in simulation.model.bodies]
-    for own in held:
-        if len(own):
-            nodes = f"{len(own)} node{'' if len(own) == 1 else 's'}"
-            yield Label(f"fixed, {nodes}", _nearest(own, own.mean(axis=0)))
-    ends = fixed_ends(simulation.model.beams)
-    if len(ends):
-        yield Label(f"fixed, {len(ends)} beam end{'' if len(ends) == 1 else 's'}", ends[0])
-    yield from _grouped("rigid body", [
-        (part.name, state.positions[part.first_node]) for part in simulation.model.rigid])
-    level = iter(planes)
-    yield from _grouped("obstacle", [
-        (entry.name, _on_plane(simulation, *next(level)) if isinstance(entry.shape, PlaneShape)
-         else np.array(entry.position) + _middle(entry, scene)) for entry in scene.obstacles])
-    for group in simulation.actuators.groups:
-        yield from _grouped(group.kind.noun, [(name, paths[name][:2].mean(axis=0))
-                                              for name in group.names if name in paths])
-    driven = len(scene.cavities)
+    model, positions, cavities = simulation.model, simulation.state.positions, simulation.cavities
+    skins = list(zip(simulation.skins, simulation.skin_positions(), strict=True))
+    soft, driven = len(model.bodies), len(simulation.scene.cavities)
     walls = [(skin.name, points[skin.triangles].mean(axis=(0, 1)))
-             for skin, points in zip(simulation.cavities.skins, simulation.cavity_positions())]
-    yield from _grouped("cavity", walls[:driven])
-    yield from _grouped("sealed cavity", walls[driven:])
-    yield from _grouped("effector", list(zip(simulation.effector_names,
-                                             simulation.effector_positions())))
-    yield from _grouped("touch", list(zip(simulation.touch_names, _touches(simulation)[0])))
-    yield from _grouped("marker", [(str(number), place) for number, place in zip(
-        simulation.marker_ids, simulation.marker_positions())])
-
-
-def _middle(entry, scene) -> np.ndarray:
-    """Middle of an obstacle's shape, turned as it stands [m]."""
-    points, _ = build_shape(entry.shape, scene, []).surface(np.inf)
-    turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-    return turn @ (0.5 * (points.min(axis=0) + points.max(axis=0)))
-
-
-def _on_plane(simulation: Simulation, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """A place on a plane beside what stands on it [m]."""
-    aside = np.array([0.5, -0.3, 0.0]) * _size(simulation)
-    return point + aside - (aside @ normal) * normal
+             for skin, points in zip(cavities.skins, simulation.cavity_positions(), strict=True)]
+    for noun, things in (
+        ("body", [(skin.name, points[skin.triangles[len(skin.triangles) // 2, 0]])
+                  for skin, points in skins[:soft]]),
+        ("beam", [(skin.name, _nearest(points, points.mean(axis=0)))
+                  for skin, points in skins[soft:]]),
+        ("rigid body", [(part.name, positions[part.first_node]) for part in model.rigid]),
+        ("obstacle", obstacles),
+        *((group.kind.noun, [(name, paths[name][:2].mean(axis=0))
+                             for name in group.names if name in paths])
+          for group in simulation.actuators.groups),
+        ("cavity", walls[:driven]), ("sealed cavity", walls[driven:]),
+        ("effector", zip(simulation.effector_names, simulation.effector_positions())),
+        ("touch", zip(simulation.touch_names, _touches(simulation)[0])),
+        ("marker", zip(map(str, simulation.marker_ids), simulation.marker_positions())),
+    ):  # fmt: skip
+        yield from _grouped(noun, list(things))
+    for noun, places in (*(("node", fixed_places(body, positions)) for body in model.bodies),
+                         ("beam end", fixed_ends(model.beams))):
+        if len(places):
+            plural = "" if len(places) == 1 else "s"
+            yield Label(f"fixed, {len(places)} {noun}{plural}",
+                        _nearest(places, places.mean(axis=0)))
 
 
 def _nearest(points: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -517,10 +507,9 @@ def check_picture(path: Path) -> None:
         MissingExtraError: matplotlib is not installed.
         OutputError: There is no such format.
     """
-    pyplot = load_pyplot()
-    figure = pyplot.figure()
-    formats = sorted(figure.canvas.get_supported_filetypes())
-    pyplot.close(figure)
+    load_pyplot()
+    from matplotlib.backend_bases import FigureCanvasBase
+    formats = sorted(FigureCanvasBase.get_supported_filetypes())
     ending = path.suffix.lower().removeprefix(".")
     if ending not in formats:
         raise OutputError(path, f"there is no picture format '{path.suffix}'; use one of "
