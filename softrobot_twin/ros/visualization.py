@@ -4,7 +4,6 @@ effectors and targets.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -162,7 +161,7 @@ class VisualizationOutput:
         self._simulation, self._frame = simulation, frame_id
         self._publisher = open_publisher(node, TWIN_TOPICS["~/visualization"])
         self._rate, self._limit = rate, RateLimit(rate) if rate else None
-        self._obstacles_due = -math.inf
+        self._of_obstacles = RateLimit(1.0 / OBSTACLES_EVERY)
         self._count = 0
         self._markers: RobotMarkers | None = None
 
@@ -174,22 +173,18 @@ class VisualizationOutput:
             stamp: Its time [ns].
             now: Its time on the clock of the ticks [s].
         """
-        if self._limit is None or not self._limit.is_due(now):
+        if self._limit is None or not self._limit.passes(now):
             return
-        self._limit.take(now)
         count = self._publisher.get_subscription_count()
         # Who comes late waits for obstacles no longer than for the rest.
         if count > self._count:
-            self._obstacles_due = -math.inf
+            self._of_obstacles = RateLimit(1.0 / OBSTACLES_EVERY)
         self._count = count
         if not count:
             return
         if self._markers is None:
             lifetime = max(LEAST_LIFETIME, 3.0 / self._rate)
             self._markers = RobotMarkers(self._simulation, self._frame, lifetime)
-        has_obstacles = now >= self._obstacles_due or self._obstacles_due - now > OBSTACLES_EVERY
-        if has_obstacles:
-            self._obstacles_due = now + OBSTACLES_EVERY
-        self._publisher.publish(
-            self._markers.message(outcome, divmod(stamp, NANOSECONDS), has_obstacles)
-        )
+        self._publisher.publish(self._markers.message(
+            outcome, divmod(stamp, NANOSECONDS), self._of_obstacles.passes(now)
+        ))  # fmt: skip

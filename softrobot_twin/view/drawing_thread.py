@@ -86,39 +86,24 @@ def every_nth(interval: int) -> Callable[[], bool]:
 
 
 class RateLimit:
-    """Chooses frames up to a mean rate, also when frames arrive unevenly.
+    """Chooses frames up to a mean rate [Hz], also when frames arrive unevenly."""
 
-    Args:
-        rate: Frames a second.
-        clock: Present time [s]; it may be set back.
-    """
-
-    def __init__(self, rate: float, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, rate: float):
         self._period = 1.0 / rate
-        self._clock = clock
         self._due = -math.inf
 
-    def is_due(self, now: float) -> bool:
-        """Whether a frame of this time [s] would be chosen."""
-        # Two periods: of one, round-off would let a frame through twice.
-        return now >= self._due or self._due - now > 2.0 * self._period
-
-    def take(self, now: float) -> None:
-        """Chooses a frame that is due.
+    def passes(self, now: float) -> bool:
+        """Whether a frame of this time [s] is chosen; the clock may be set back.
 
         The next one is due a period after this one was, or, when it came very late, a period from
-        now [s].
+        now.
         """
+        # Two periods: of one, round-off would let a frame through twice.
+        if now < self._due <= now + 2.0 * self._period:
+            return False
         missed = abs(now - self._due) > self._period
         self._due = (now if missed else self._due) + self._period
-
-    def wants_next(self) -> bool:
-        """Whether the present frame is chosen."""
-        now = self._clock()
-        is_due = self.is_due(now)
-        if is_due:
-            self.take(now)
-        return is_due
+        return True
 
 
 _log = logging.getLogger(__name__)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -105,8 +106,9 @@ class RerunMirror(AbstractContextManager):
             if serve:
                 live = recording.serve_at(port, memory_limit, application, layout)
                 self.address = live.address
-                self.drawing_threads.append(
-                    DrawingThread("live", Picture(live, stage), RateLimit(live_rate).wants_next))
+                limit = RateLimit(live_rate)
+                self.drawing_threads.append(DrawingThread(
+                    "live", Picture(live, stage), lambda: limit.passes(time.monotonic())))
         except BaseException:
             self.close()
             raise
