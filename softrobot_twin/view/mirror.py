@@ -121,6 +121,16 @@ class RerunMirror(AbstractContextManager):
         return sum(outlet.logged_count for outlet in self.drawing_threads)
 
     @property
+    def frames_dropped(self) -> int:
+        """Chosen frames that were replaced by newer ones before they were drawn."""
+        return sum(outlet.dropped_count for outlet in self.drawing_threads)
+
+    @property
+    def frames_failed(self) -> int:
+        """Frames that could not be drawn; see `failure`."""
+        return sum(outlet.failed_count for outlet in self.drawing_threads)
+
+    @property
     def failure(self) -> str | None:
         """The last failure of the drawing threads, or None."""
         failures = [outlet.failure for outlet in self.drawing_threads if outlet.failure]
