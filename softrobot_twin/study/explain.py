@@ -429,62 +429,50 @@ def grouped(listed: list[Effect]) -> list[Effect]:
     def key(effect: Effect) -> tuple[str, str, str]:
         section, colon, _ = effect.entry.partition(": ")
         section = section if colon else _PLACE.sub(r"\1", effect.entry)
-        return section, _PART.sub("part", effect.content), effect.result
+        pattern = _POSE if section == _MESHES else _NUMBER
+        return section, pattern.sub("#", _PART.sub("part", effect.content)), effect.result
 
-    rows = []
-    for (section, _, result), effects_alike in by_key(zip(map(key, listed), listed)).items():
-        entry, content, _ = effects_alike[0]
-        names = [effect.entry.partition(": ")[2] for effect in effects_alike]
-        if len(effects_alike) > 1:
-            which = f": {_listed(names)}" if names[0] else ""
-            entry = f"{section}{which} ({len(names)})"
-            parts = list(dict.fromkeys(" and ".join(_PART.findall(effect.content))
-                                       for effect in effects_alike))  # fmt: skip
-            if len(parts) > 1:
-                content = _PART.sub("part", content).replace(
-                    "part", f"parts {_listed(parts)}", 1)  # fmt: skip
-        rows.append((section, names, Effect(entry, content, result)))
-    return _with_ranges(rows)
+    found: dict[int, Effect] = {}
+    for (section, *_), own in by_key(
+        (key(effect), (index, effect)) for index, effect in enumerate(listed)
+    ).items():  # fmt: skip
+        alike = by_key((_PART.sub("part", effect.content), (index, effect))
+                       for index, effect in own)  # fmt: skip
+        is_one_row = len(alike) > (1 if section == _MESHES else _MOST_ROWS)
+        for members in [own] if is_one_row else alike.values():
+            found[members[0][0]] = _together(section, [effect for _, effect in members])
+    return [found[index] for index in sorted(found)]
 
 
-# Rows of a section that differ in numbers only become one row if there are more than so many.
+# Rows of a section that differ in numbers only become one row if there are more than so many; equal
+# meshes at several places are one from two on.
 _MOST_ROWS = 4
-# A number that is no part of a name, such as the 2 of hub_2.
-_MESHES = ("bodies.mesh",)
+_MESHES = "bodies.mesh"
+_PART = re.compile(r"\bpart (\w+)")
+_PLACE = re.compile(r"^(bodies|beams)\[\d+\]")
 _POSE = re.compile(r", (?:rotation|translation) \[[^]]*\] (?:rad|m)")
+# A number that is no part of a name, such as the 2 of hub_2.
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
 
-def _with_ranges(rows: list[tuple[str, list[str], Effect]]) -> list[Effect]:
-    """Effects in which many rows that differ in their numbers only are one, with ranges.
-
-    Equal meshes at several places are one row from two on.
-
-    Args:
-        rows: Section, names and effect of each row.
-    """
-    def key(section: str, effect: Effect) -> tuple[str, str, str]:
-        pattern = _POSE if section in _MESHES else _NUMBER
-        return section, pattern.sub("#", effect.content), effect.result
-
-    found: dict[int, Effect] = {}
-    for (section, template, result), indices in by_key(
-        (key(section, effect), index) for index, (section, _, effect) in enumerate(rows)
-    ).items():  # fmt: skip
-        own = [rows[index] for index in indices]
-        if len(own) <= (1 if section in _MESHES else _MOST_ROWS):
-            found |= {index: rows[index][2] for index in indices}
-            continue
-        names = [name for _, listed, _ in own for name in listed]
-        which = f": {_listed(names)}" if names[0] else ""
-        if section in _MESHES:
-            content = f"{template.replace('#', '')}, at {len(names)} places"
-        else:
-            columns = zip(*(_NUMBER.findall(row.content) for _, _, row in own), strict=True)
-            ranges = map(_range, columns)
-            content = re.sub("#", lambda _, ranges=ranges: next(ranges), template)
-        found[indices[0]] = Effect(f"{section}{which} ({len(names)})", content, result)
-    return [found[index] for index in sorted(found)]
+def _together(section: str, effects_alike: list[Effect]) -> Effect:
+    """One row for entries of a section that differ in names, parts, numbers or places only."""
+    if len(effects_alike) == 1:
+        return effects_alike[0]
+    names = [effect.entry.partition(": ")[2] for effect in effects_alike]
+    contents = [effect.content for effect in effects_alike]
+    parts = list(dict.fromkeys(" and ".join(_PART.findall(content)) for content in contents))
+    if len(parts) > 1:
+        contents = [_PART.sub("part", content) for content in contents]
+    if section == _MESHES and len(set(contents)) > 1:
+        content = f"{_POSE.sub('', contents[0])}, at {len(names)} places"
+    else:
+        ranges = map(_range, zip(*map(_NUMBER.findall, contents), strict=True))
+        content = _NUMBER.sub(lambda _: next(ranges), contents[0])
+    if len(parts) > 1:
+        content = content.replace("part", f"parts {_listed(parts)}", 1)
+    which = f": {_listed(names)}" if names[0] else ""
+    return Effect(f"{section}{which} ({len(names)})", content, effects_alike[0].result)
 
 
 def _range(numbers: tuple[str, ...]) -> str:
@@ -492,10 +480,6 @@ def _range(numbers: tuple[str, ...]) -> str:
     if len(set(numbers)) == 1:
         return numbers[0]
     return " to ".join((min(numbers, key=float), max(numbers, key=float)))
-
-
-_PART = re.compile(r"\bpart (\w+)")
-_PLACE = re.compile(r"^(bodies|beams)\[\d+\]")
 
 
 def _named(names: list[str]) -> str:
@@ -572,14 +556,10 @@ def _damping_effects(key: str, damping, of_mass: str, of_stiffness: str) -> Iter
 def describe_section(beam: BeamBody) -> str:
     """The cross-section of a beam."""
     entry = beam.entry.section
-    if entry.rectangle is not None:
-        sides = (entry.rectangle.thickness, entry.rectangle.width)
-        return " × ".join(number(1e3 * side) for side in sides) + " mm"
-    if entry.circle is not None:
-        return f"circle of radius {number(1e3 * entry.circle.radius)} mm"
-    if entry.tube is not None:
-        return (f"tube of radius {number(1e3 * entry.tube.radius)} mm, wall "
-                f"{number(1e3 * entry.tube.wall)} mm")
+    for shape, text in ((entry.rectangle, "{} × {} mm"), (entry.circle, "circle of radius {} mm"),
+                        (entry.tube, "tube of radius {} mm, wall {} mm")):
+        if shape is not None:
+            return text.format(*(number(1e3 * length) for _, length in shape))
     return "given constants"
 
 
