@@ -7,7 +7,6 @@ results, and with `view`. None of the three imports another.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import datetime, timezone
@@ -26,8 +25,8 @@ from softrobot_twin.view.simulation_frames import SimulationFrames
 
 DIFFERS = 1
 Taker = Callable[[TickOutcome, int, float], None]
-# How long a frame may take to be drawn, and how often that is looked for [s].
-_LONGEST_DRAWING, _POLL = 10.0, 0.0005
+# How long a frame may take to be drawn [s].
+_LONGEST_DRAWING = 10.0
 
 
 def replay(
@@ -88,17 +87,12 @@ def _drawer(again: Replay, path: Path, stack: ExitStack) -> Taker:
     """A function that draws a tick, and waits for the thread that does it: none is left out."""
     frames = SimulationFrames(again.loop.simulation)
     mirror = stack.enter_context(RerunMirror(frames.stage, serve=False, record=path))
-    (thread,) = mirror.drawing_threads
 
     def draw(outcome: TickOutcome, ros_time: int, seconds: float) -> None:
         mirror.offer(frames.frame(
             again.comparison.ticks, ros_time, outcome.result, **outcome.shown()
         ))  # fmt: skip
-        end = time.monotonic() + _LONGEST_DRAWING
-        while thread.logged_count + thread.failed_count < mirror.frames_offered:
-            if time.monotonic() > end:
-                break
-            time.sleep(_POLL)
+        mirror.wait(_LONGEST_DRAWING)
 
     return draw
 

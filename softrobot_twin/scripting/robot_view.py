@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import weakref
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -16,7 +15,6 @@ from softrobot_twin.view.simulation_frames import SimulationFrames
 
 # A step waits until its frame is drawn, but no longer [s]: a viewer may be frozen.
 _LONGEST_WAIT = 1.0
-_POLL = 0.0005
 # Frames a second that viewers get, at most: all of them [Hz].
 _ANY_RATE = 1.0e9
 
@@ -98,16 +96,7 @@ class RobotView(AbstractContextManager):
             errors=shown.effector_errors, predicted_markers=markers,
             measured_markers=np.full_like(markers, np.nan), status=shown.status.value,
         ))  # fmt: skip
-        self._wait()
-
-    def _wait(self) -> None:
-        """Waits until all frames are drawn: else a fast run would show few of its steps."""
-        end = time.monotonic() + _LONGEST_WAIT
-        for thread in self._mirror.drawing_threads:
-            while time.monotonic() < end and self._count > (
-                thread.logged_count + thread.failed_count + thread.dropped_count
-            ):
-                time.sleep(_POLL)
+        self._mirror.wait(_LONGEST_WAIT)
 
     def close(self) -> None:
         """Draws the last frames, finishes the file and stops serving; may be called twice."""

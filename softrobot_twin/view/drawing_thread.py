@@ -149,6 +149,12 @@ class DrawingThread:
         """Frames that were replaced before they were drawn."""
         return self.latest.dropped_count
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether frames that were chosen are still to be drawn."""
+        done = self.logged_count + self.failed_count + self.dropped_count
+        return done < self.latest.put_count
+
     def offer(self, frame: Frame) -> None:
         """Passes a frame to the thread, if it is chosen; returns at once."""
         if self._is_chosen():

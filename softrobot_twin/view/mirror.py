@@ -12,6 +12,9 @@ from pathlib import Path
 from softrobot_twin.view.drawing_thread import DrawingThread, RateLimit, every_nth
 from softrobot_twin.view.frame import Frame, Stage, ViewError
 
+# Time between two looks whether frames are drawn [s].
+_POLL = 0.0005
+
 
 def open_viewer(address: str) -> subprocess.Popen | None:
     """Opens a viewer for an address, if there is a display.
@@ -148,6 +151,15 @@ class RerunMirror(AbstractContextManager):
         self.frames_offered += 1
         for outlet in self.drawing_threads:
             outlet.offer(frame)
+
+    def wait(self, longest: float) -> None:
+        """Waits until all frames are drawn, but no longer than this time [s]: a viewer may be frozen.
+
+        A run that is faster than its drawing would else show few of its steps.
+        """
+        end = time.monotonic() + longest
+        while time.monotonic() < end and any(outlet.is_busy for outlet in self.drawing_threads):
+            time.sleep(_POLL)
 
     def close(self, timeout: float = 5.0) -> None:
         """Draws the last frames, finishes the file and stops serving; may be called twice.

@@ -2,7 +2,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -15,13 +14,10 @@ serving = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safe
 
 def offer_all(mirror, frames):
     """Offer each frame once the file has the one before."""
-    (file,) = mirror.drawing_threads
     for frame in frames:
         mirror.offer(frame)
-        deadline = time.monotonic() + 10.0
-        while file.logged_count + file.failed_count < file.latest.put_count:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        mirror.wait(10.0)
+        assert not mirror.drawing_threads[0].is_busy
 
 
 @pytest.mark.parametrize(("key", "asked"), [
