@@ -6,6 +6,7 @@ The file contains, in this order: processor use, the plan, the processes, the re
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -17,7 +18,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -37,6 +38,7 @@ from std_srvs.srv import SetBool
 from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import ParameterError, SoftRobotTwinError
+from softrobot_twin.ros.messages import READERS
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file
 from softrobot_twin.scene import load_scene
@@ -176,30 +178,24 @@ class DemoPlan:
 
     def command(self, node: str) -> list[str]:
         """Module and arguments of a node, to follow ``python -m``."""
-        overrides = {"twin": self._twin_overrides, "target": self._target_overrides}
+        view = {} if self.view_port is None else {"view_port": self.view_port}
+        # The target's other parameters belong to paths.
+        of_paths = {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
+                    "target_ramp_time": self.ramp_time}  # fmt: skip
+        overrides: Mapping[str, Mapping[str, object]] = {
+            "twin": {"use_device": True, "closed_loop": False,
+                     "record_file": str(self.record_file.resolve()), "view": bool(view),
+                     "view_spawn": self.opens_viewer, **view},
+            "device": {}, "target": {} if self.is_direct else of_paths,
+        }  # fmt: skip
         arguments = ["softrobot_twin.ros.process", node, "--ros-args",
                      "--params-file", str(self.parameter_file)]
-        for name, value in overrides.get(node, dict)().items():
-            arguments += ["-p", f"{name}:={_as_yaml(value)}"]
+        for name, value in overrides[node].items():
+            # JSON is YAML, and a float keeps its decimal point: ROS reads 30 as an integer.
+            arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
         if node == "target":
             arguments += ["-r", f"/twin/effectors/{self.effector}:={START_TOPIC}"]
         return arguments
-
-    def _twin_overrides(self) -> dict[str, object]:
-        overrides: dict[str, object] = {
-            "use_device": True, "closed_loop": False,
-            "record_file": str(self.record_file.resolve()),
-            "view": self.view_port is not None, "view_spawn": self.opens_viewer,
-        }
-        if self.view_port is not None:
-            overrides["view_port"] = self.view_port
-        return overrides
-
-    def _target_overrides(self) -> dict[str, object]:
-        if self.is_direct:
-            return {}  # The rest of its parameters belongs to paths.
-        return {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
-                "target_ramp_time": self.ramp_time}
 
 
 def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan:
@@ -263,13 +259,20 @@ def isolate(environment: dict[str, str] | os._Environ) -> str:
     return environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 
 
+def _parameter_files() -> dict[str, Path]:
+    """The parameter file of each robot."""
+    # A folder before another one hides its files.
+    return {file.stem: file.resolve() for folder in reversed(config_folders())
+            for file in folder.glob("*.yaml")}  # fmt: skip
+
+
 def _parameter_file(robot: str) -> Path:
-    folders = config_folders()
-    for folder in folders:
-        if (folder / f"{robot}.yaml").is_file():
-            return (folder / f"{robot}.yaml").resolve()
-    raise ParameterError("robot", robot, "", f"must be one of {_known_robots()}; "
-                         f"looked for {robot}.yaml in {', '.join(map(str, folders))}")
+    try:
+        return _parameter_files()[robot]
+    except KeyError:
+        looked = ", ".join(map(str, config_folders()))
+        raise ParameterError("robot", robot, "", f"must be one of {_known_robots()}; "
+                             f"looked for {robot}.yaml in {looked}") from None
 
 
 def _known_robots() -> str:
@@ -279,11 +282,8 @@ def _known_robots() -> str:
 
 def demo_robots() -> tuple[str, ...]:
     """Names of the robots that have a demo: those whose parameter file drives them."""
-    files: dict[str, Path] = {}
-    for folder in config_folders():
-        for file in folder.glob("*.yaml"):
-            files.setdefault(file.stem, file)
-    return tuple(name for name in sorted(files) if _has_demo(_DEFAULTS | _parameters(files[name])))
+    return tuple(name for name, file in sorted(_parameter_files().items())
+                 if _has_demo(_DEFAULTS | _parameters(file)))  # fmt: skip
 
 
 def _has_demo(values: Mapping[str, object]) -> bool:
@@ -315,17 +315,6 @@ def _port(wanted: int) -> int:
                 continue
             return probe.getsockname()[1]
     raise ParameterError("view_port", wanted, "", "no port is free on this machine")
-
-
-def _as_yaml(value: object) -> str:
-    """A parameter's value as YAML; a float keeps its decimal point: ROS reads 30 as an integer."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return "'" + value.replace("'", "''") + "'"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_as_yaml, value)) + "]"
-    return repr(value)
 
 
 LAST_LINES = 15
@@ -573,34 +562,25 @@ class DemoRecorder(Node):
         self.loop_reports: list[LoopReport] = []
         self.priority = self.cause = ""
         self._twin = twin.lstrip("/")
-        self._targets = self._record(f"{twin}/target/{effector}", self.target)
-        self._record(f"{twin}/effectors/{effector}", self.twin_effector)
-        self._record(f"{device}/effectors/{effector}", self.device_effector)
+        self._targets = self._record(PointStamped, f"{twin}/target/{effector}", self.target)
+        self._record(PointStamped, f"{twin}/effectors/{effector}", self.twin_effector)
+        self._record(PointStamped, f"{device}/effectors/{effector}", self.device_effector)
         if touch:
-            self._record_touch(f"{twin}/touch/{touch}", self.twin_touch)
-            self._record_touch(f"{device}/touch/{touch}", self.device_touch)
-            self.create_subscription(
-                Vector3Stamped, f"{twin}/target_stiffness/{effector}", self._take_stiffness, _ALL)
+            self._record(JointState, f"{twin}/touch/{touch}", self.twin_touch)
+            self._record(JointState, f"{device}/touch/{touch}", self.device_touch)
+            self._record(Vector3Stamped, f"{twin}/target_stiffness/{effector}", self.stiffness)
         self._start = self.create_publisher(PointStamped, start_topic, _ALL)
         self.create_subscription(JointState, f"{twin}/cables", self._take_cables, _ALL)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
 
-    def _record(self, topic: str, samples: Samples) -> Subscription:
-        def take(message: PointStamped) -> None:
-            point = message.point
-            samples.add(_seconds(message.header), [point.x, point.y, point.z])
+    def _record(self, kind: type, topic: str, samples: Samples) -> Subscription:
+        """Records the numbers of a topic's messages."""
 
-        return self.create_subscription(PointStamped, topic, take, _ALL)
+        def take(message: Any) -> None:
+            parts = READERS[kind](message)[-2:]  # Of joints without their names.
+            samples.add(_seconds(message.header), [number for part in parts for number in part])
 
-    def _record_touch(self, topic: str, samples: Samples) -> None:
-        def take(message: JointState) -> None:
-            samples.add(_seconds(message.header), [*message.position, *message.effort])
-
-        self.create_subscription(JointState, topic, take, _ALL)
-
-    def _take_stiffness(self, message: Vector3Stamped) -> None:
-        vector = message.vector
-        self.stiffness.add(_seconds(message.header), [vector.x, vector.y, vector.z])
+        return self.create_subscription(kind, topic, take, _ALL)
 
     @property
     def reference(self) -> Samples:

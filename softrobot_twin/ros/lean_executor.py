@@ -26,77 +26,73 @@ REQUESTS_PERIOD = 0.1
 _NANOSECONDS = 1_000_000_000
 
 
+class _Waiting:
+    """Some entities, and a wait set for them.
+
+    Args:
+        context: Their context.
+        subscriptions: Subscriptions.
+        guards: Guard conditions, which only end a wait.
+        timers: Timers.
+        services: Services.
+        events: Handlers of events.
+    """
+
+    def __init__(self, context, subscriptions=(), guards=(), timers=(), services=(), events=()):
+        self.set = WaitSet(len(subscriptions), len(guards), len(timers), 0, len(services),
+                           len(events), context.handle)  # fmt: skip
+        self._adders = [
+            (add, one.handle)
+            for add, kind in (
+                (self.set.add_subscription, subscriptions), (self.set.add_guard_condition, guards),
+                (self.set.add_timer, timers), (self.set.add_service, services))
+            for one in kind
+        ] + [(event.add_to_wait_set, self.set) for event in events]  # fmt: skip
+        self._by_pointer = {one.handle.pointer: one for one in (*subscriptions, *timers, *services)}
+
+    def wait(self, timeout: int) -> None:
+        """Waits for this time [ns], or until something is ready."""
+        self.set.clear_entities()
+        for add, entity in self._adders:
+            add(entity)
+        self.set.wait(timeout)
+
+    def ready(self, kind: str) -> list:
+        """The entities of a kind, such as ``timer``, that are ready after a wait."""
+        return [self._by_pointer[pointer] for pointer in self.set.get_ready_entities(kind)]
+
+
 class _Entities:
-    """The entities of an executor's nodes, and a wait set for them.
+    """The entities of an executor's nodes, and wait sets for them.
 
     Attributes:
         is_known: False where the nodes have entities that only rclpy's executor can handle.
+        often: Those at which a wait ends.
+        rare: The services of parameters.
     """
 
     def __init__(self, nodes, guards, context):
-        subscriptions = [one for node in nodes for one in node.subscriptions]
-        timers = [one for node in nodes for one in node.timers]
-        every = [one for node in nodes for one in node.services]
-        services = [one for one in every if not _is_of_parameters(one)]
-        self._rare = [one.handle for one in every if _is_of_parameters(one)]
-        self.events: list[EventHandler] = [one for node in nodes for one in node.waitables]
-        self._handles = [
-            [one.handle for one in kind] for kind in (subscriptions, guards, timers, services)
-        ]
-        self._by_pointer = {one.handle.pointer: one for one in (*subscriptions, *timers, *every)}
-        callbacks = [one.callback for one in (*subscriptions, *timers, *every)]
+        subscriptions, timers, services, self._events = (
+            [one for node in nodes for one in getattr(node, kind)]
+            for kind in ("subscriptions", "timers", "services", "waitables")
+        )
+        rare = [one for one in services if _is_of_parameters(one)]
         self.is_known = (
             not any(list(node.clients) or list(node.guards) for node in nodes)
-            and all(type(event) is EventHandler for event in self.events)
-            and not any(inspect.iscoroutinefunction(callback) for callback in callbacks)
-        )
-        self._wait_set = WaitSet(
-            len(subscriptions), len(guards), len(timers), 0, len(services), 0,
-            context.handle,
+            and all(type(event) is EventHandler for event in self._events)
+            and not any(inspect.iscoroutinefunction(one.callback)
+                        for one in (*subscriptions, *timers, *services))
         )  # fmt: skip
-        self._rare_set = WaitSet(0, 0, 0, 0, len(self._rare), 0, context.handle)
-        self._event_set = WaitSet(0, 0, 0, 0, 0, len(self.events), context.handle)
-
-    def wait(self, timeout: int) -> tuple[list[Subscription], list[Timer], list[Service]]:
-        """Waits for this time [ns], or until something is ready; returns that."""
-        wait_set = self._wait_set
-        subscriptions, guards, timers, services = self._handles
-        wait_set.clear_entities()
-        for handle in subscriptions:
-            wait_set.add_subscription(handle)
-        for handle in guards:
-            wait_set.add_guard_condition(handle)
-        for handle in timers:
-            wait_set.add_timer(handle)
-        for handle in services:
-            wait_set.add_service(handle)
-        wait_set.wait(timeout)
-        return (
-            self._ready(wait_set, "subscription"), self._ready(wait_set, "timer"),
-            self._ready(wait_set, "service"),
-        )
-
-    def requests(self) -> list[Service]:
-        """The services of parameters that have a request."""
-        self._rare_set.clear_entities()
-        for handle in self._rare:
-            self._rare_set.add_service(handle)
-        self._rare_set.wait(0)
-        return self._ready(self._rare_set, "service")
-
-    def _ready(self, wait_set: WaitSet, kind: str) -> list:
-        """The entities of a kind that are ready in a wait set."""
-        return [self._by_pointer[pointer] for pointer in wait_set.get_ready_entities(kind)]
+        often = [one for one in services if one not in rare]
+        self.often = _Waiting(context, subscriptions, guards, timers, often)
+        self.rare = _Waiting(context, services=rare)
+        self._of_events = _Waiting(context, events=self._events)
 
     def take_events(self) -> None:
         """Calls the handlers of events that have happened."""
-        event_set = self._event_set
-        event_set.clear_entities()
-        for event in self.events:
-            event.add_to_wait_set(event_set)
-        event_set.wait(0)
-        for event in self.events:
-            if event.is_ready(event_set) and (data := event.take_data()):
+        self._of_events.wait(0)
+        for event in self._events:
+            if event.is_ready(self._of_events.set) and (data := event.take_data()):
                 event.callback(data)
 
 
@@ -150,14 +146,18 @@ class LeanExecutor(SingleThreadedExecutor):
             super().spin_once(timeout_sec)
             return
         timeout = -1 if timeout_sec is None else max(0, int(timeout_sec * _NANOSECONDS))
-        subscriptions, timers, services = entities.wait(timeout)
+        often = entities.often
+        often.wait(timeout)
+        services = often.ready("service")
         if time.monotonic() >= self._requests_due:
             self._requests_due = time.monotonic() + REQUESTS_PERIOD
-            services += entities.requests()
+            entities.rare.wait(0)
+            services += entities.rare.ready("service")
         if not self._context.ok():
             raise ExternalShutdownException()
         for take, ready in (
-            (_take_message, subscriptions), (_call_timer, timers), (_answer, services)
+            (_take_message, often.ready("subscription")), (_call_timer, often.ready("timer")),
+            (_answer, services),
         ):  # fmt: skip
             for entity in ready:
                 try:

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from copy import copy
+from typing import Any, NamedTuple
 
 import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, Quaternion
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
-from visualization_msgs.msg import Marker
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
 
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
@@ -47,6 +50,16 @@ class Content(NamedTuple):
     quaternion: np.ndarray | None = None
 
 
+# What stands in a prototype where a message has what changes, in their order.
+_MARK = Marker(
+    header=Header(stamp=Time(sec=1_936_287_828, nanosec=1_886_221_359)),
+    pose=Pose(position=Point(x=0.1, y=0.2, z=0.3), orientation=Quaternion(x=0.4, y=0.5, z=0.6, w=0.7)),
+    color=ColorRGBA(r=0.1, g=0.2, b=0.3, a=0.4), points=[Point(x=0.8, y=0.9, z=1.1)],
+    colors=[ColorRGBA(r=0.5, g=0.6, b=0.7, a=0.8)],
+)  # fmt: skip
+_ONE = struct.pack("<I", 1)
+
+
 class MarkerBytes:
     """Serializes markers of which only stamps, poses, colours and points change.
 
@@ -56,46 +69,28 @@ class MarkerBytes:
     """
 
     def __init__(self, prototypes: Sequence[Marker], have_colours: Sequence[bool]):
-        writer = _Writer()
-        writer.number("uint32", len(prototypes))
+        marked = [copy(marker) for marker in prototypes]
+        for marker, has_colours in zip(marked, have_colours, strict=True):
+            marker.header = Header(stamp=_MARK.header.stamp, frame_id=marker.header.frame_id)
+            marker.pose, marker.color, marker.points = _MARK.pose, _MARK.color, _MARK.points
+            marker.colors = _MARK.colors if has_colours else []
+        self._end = exact_bytes(MarkerArray(markers=marked))
         self._markers = [
-            self._cut(writer, marker, has_colours)
+            _Cut(*map(self._before, (_MARK.header.stamp, _MARK.pose, _MARK.color)),
+                 self._before(_MARK.points[0]).rpartition(_ONE)[::2],
+                 self._before(_MARK.colors[0]).removesuffix(_ONE) if has_colours else None,
+                 _fields_of(marker.pose), _fields_of(marker.color))
             for marker, has_colours in zip(prototypes, have_colours, strict=True)
-        ]
-        self._end = writer.take()
+        ]  # fmt: skip
 
-    @staticmethod
-    def _cut(writer: _Writer, marker: Marker, has_colours: bool) -> _Cut:
-        """The constant pieces of a marker, between what changes.
+    def _before(self, mark: object) -> bytes:
+        """Cuts what is left of the message at a mark; gives the piece before it.
 
         The lengths of what changes are multiples of 8 bytes, so that the padding of what follows
         does not depend on them.
         """
-        pieces = {}
-        for field, kind in marker.get_fields_and_field_types().items():
-            if field == "header":
-                writer.align(4)
-                pieces["stamp"] = writer.take()
-                writer.skip(8)
-                writer.string(marker.header.frame_id)
-            elif field in ("pose", "color"):
-                writer.align(8 if field == "pose" else 4)
-                pieces[field] = writer.take()
-                writer.skip(56 if field == "pose" else 16)
-            elif field == "points" or (field == "colors" and has_colours):
-                writer.align(4)
-                pieces[field] = writer.take()
-                writer.skip(4)
-                if field == "points":
-                    pieces["padding"] = writer.align(8)
-                    writer.take()
-            else:
-                writer.value(kind, getattr(marker, field))
-        p, q, c = marker.pose.position, marker.pose.orientation, marker.color
-        pose = struct.pack("<7d", p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-        return _Cut(pieces["stamp"], pieces["pose"], pieces["color"], pieces["points"],
-                    pieces["padding"], pieces.get("colors"), pose,
-                    struct.pack("<4f", c.r, c.g, c.b, c.a))  # fmt: skip
+        piece, _, self._end = self._end.partition(_fields_of(mark))
+        return piece
 
     def message(self, stamp: tuple[int, int], contents: Sequence[Content]) -> bytes:
         """A serialized `visualization_msgs/MarkerArray`.
@@ -107,7 +102,7 @@ class MarkerBytes:
         Raises:
             ValueError: A marker has no points, or colours that are not one for each point.
         """
-        time, parts = struct.pack("<iI", *stamp), [_ENCAPSULATION]
+        time, parts = _STAMP.pack(*stamp), []
         for cut, content in zip(self._markers, contents, strict=True):
             count = len(content.points)
             has_colours = cut.before_colours is not None
@@ -121,8 +116,7 @@ class MarkerBytes:
             size = struct.pack("<I", count)
             parts += [
                 cut.before_stamp, time, cut.before_pose, pose, cut.before_colour, colour,
-                cut.before_points, size, cut.padding,
-                np.ascontiguousarray(content.points, "<f8").tobytes(),
+                size.join(cut.before_points), np.ascontiguousarray(content.points, "<f8").tobytes(),
             ]  # fmt: skip
             if has_colours:
                 if len(content.colours) != count:
@@ -139,10 +133,7 @@ def exact_bytes(message: object) -> bytes:
     it, as `velocity` in a `sensor_msgs/JointState`, bytes without a meaning follow its end. Readers
     of bags that check the size refuse it.
     """
-    writer = _Writer()
-    for field, kind in message.get_fields_and_field_types().items():
-        writer.value(kind, getattr(message, field))
-    return _ENCAPSULATION + writer.take()
+    return _ENCAPSULATION + _fields_of(message)
 
 
 def to_bytes(message: object) -> bytes:
@@ -190,67 +181,41 @@ class MessageBytes:
 
 
 class _Cut(NamedTuple):
-    """Constant pieces of a marker, in their order, and the prototype's pose and colour."""
+    """Constant pieces of a marker, in their order, and the prototype's pose and colour.
+
+    That before the points is two: before their number and after it.
+    """
 
     before_stamp: bytes
     before_pose: bytes
     before_colour: bytes
-    before_points: bytes
-    padding: bytes
+    before_points: tuple[bytes, bytes]
     before_colours: bytes | None
     pose: bytes
     colour: bytes
 
 
-class _Writer:
-    """Writes fields of messages one after the other, each aligned to its size."""
+def _fields_of(message: object) -> bytes:
+    """The fields of a message one after the other, each aligned to its size."""
+    content = bytearray()
+    _write(content, type(message).__name__, message)
+    return bytes(content)
 
-    def __init__(self) -> None:
-        self._bytes, self._count = bytearray(), 0
 
-    def take(self) -> bytes:
-        """What was written since the last call."""
-        taken = bytes(self._bytes)
-        self._bytes.clear()
-        return taken
-
-    def skip(self, size: int) -> None:
-        """Counts bytes that are not written here."""
-        self._count += size
-
-    def align(self, size: int) -> bytes:
-        """Writes padding up to a multiple of a size; returns it."""
-        padding = b"\0" * (-self._count % size)
-        self._put(padding)
-        return padding
-
-    def number(self, kind: str, value: object) -> None:
-        """Writes a number of a kind such as ``double``."""
-        code = _NUMBERS[kind]
-        self.align(struct.calcsize(code))
-        self._put(struct.pack(f"<{code}", value))
-
-    def string(self, text: str) -> None:
-        """Writes a string with its length and a zero at its end."""
-        encoded = text.encode() + b"\0"
-        self.number("uint32", len(encoded))
-        self._put(encoded)
-
-    def value(self, kind: str, value: object) -> None:
-        """Writes a field of a kind as messages state them: a number, a string, a message or a
-        sequence."""
-        if kind.startswith("sequence<"):
-            self.number("uint32", len(value))
-            for element in value:
-                self.value(kind[len("sequence<") : -1], element)
-        elif kind == "string":
-            self.string(value)
-        elif kind in _NUMBERS:
-            self.number(kind, value)
-        else:
-            for field, inner in value.get_fields_and_field_types().items():
-                self.value(inner, getattr(value, field))
-
-    def _put(self, content: bytes) -> None:
-        self._bytes += content
-        self._count += len(content)
+def _write(content: bytearray, kind: str, value: Any) -> None:
+    """Appends a field of a kind as messages state them: a number, a string, a message or a
+    sequence."""
+    if kind.startswith("sequence<"):
+        _write(content, "uint32", len(value))
+        for element in value:
+            _write(content, kind[len("sequence<") : -1], element)
+    elif kind == "string":
+        encoded = value.encode() + b"\0"
+        _write(content, "uint32", len(encoded))
+        content += encoded
+    elif kind in _NUMBERS:
+        size = struct.calcsize(_NUMBERS[kind])
+        content += bytes(-len(content) % size) + struct.pack(f"<{_NUMBERS[kind]}", value)
+    else:
+        for field, inner in value.get_fields_and_field_types().items():
+            _write(content, inner, getattr(value, field))

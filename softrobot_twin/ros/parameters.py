@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import NamedTuple
+from enum import Enum
+from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -13,13 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
-from softrobot_twin.control.loop_settings import (
-    SETTING_NAMES,
-    LoopSettings,
-    Mode,
-    WhenLost,
-    settings_of,
-)
+from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, Mode, settings_of
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.thread_priority import Priority
 
@@ -61,20 +56,16 @@ class Entry(NamedTuple):
     def descriptor(self) -> ParameterDescriptor:
         """Descriptor that ``ros2 param describe`` shows and rclpy checks."""
         description = f"{self.description} [{self.unit}]" if self.unit else self.description
-        descriptor = ParameterDescriptor(
-            name=self.name, description=description, read_only=self.read_only,
-            dynamic_typing=self.is_switch,
-        )  # fmt: skip
+        descriptor = ParameterDescriptor(name=self.name, description=description,
+                                         read_only=self.read_only, dynamic_typing=self.is_switch)
         if self.choices:
             descriptor.additional_constraints = "one of " + ", ".join(self.choices)
         if self.low is not None and isinstance(self.default, float):
             descriptor.floating_point_range = [
-                FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)
-            ]
+                FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)]
         elif self.low is not None:
             descriptor.integer_range = [
-                IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)
-            ]
+                IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)]
         return descriptor
 
     def check(self, value: object) -> None:
@@ -102,15 +93,11 @@ def declare(node: Node, table: Iterable[Entry]) -> dict[str, object]:
     for entry in table:
         try:
             parameter = node.declare_parameter(entry.name, entry.default, entry.descriptor())
-        except InvalidParameterTypeException as error:
-            raise ParameterError(
-                entry.name, given_values(node).get(entry.name), entry.unit,
-                f"must be of the type of {entry.default!r} ({error})",
-            ) from None
-        except InvalidParameterValueException as error:
-            raise ParameterError(
-                entry.name, given_values(node).get(entry.name), entry.unit, str(error)
-            ) from None
+        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+            why = (str(error) if isinstance(error, InvalidParameterValueException)
+                   else f"must be of the type of {entry.default!r} ({error})")  # fmt: skip
+            given = given_values(node).get(entry.name)
+            raise ParameterError(entry.name, given, entry.unit, why) from None
         values[entry.name] = entry.in_words(plain(parameter))
         entry.check(values[entry.name])
     return values
@@ -142,13 +129,10 @@ def unknown_parameters(node: Node, tables: Iterable[Iterable[Entry]]) -> list[st
         One sentence for each, with the most similar known name.
     """
     known = {entry.name for table in tables for entry in table}
-    sentences = []
-    for name in sorted(given_values(node).keys() - known):
-        # rclpy itself declares these.
-        if name == "use_sim_time" or name.startswith(_OF_RCLPY):
-            continue
-        sentences.append(f"parameter {name} is unknown and ignored{similar(name, known)}")
-    return sentences
+    # rclpy itself declares some.
+    unknown = [name for name in sorted(given_values(node).keys() - known)
+               if name != "use_sim_time" and not name.startswith(_OF_RCLPY)]  # fmt: skip
+    return [f"parameter {name} is unknown and ignored{similar(name, known)}" for name in unknown]
 
 
 def similar(name: str, known: Iterable[str]) -> str:
@@ -157,186 +141,170 @@ def similar(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-_LOST = tuple(choice.value for choice in WhenLost)
-_DEFAULTS = LoopSettings()
+
+def _setting(name: str, *given: Any) -> Entry:
+    """A setting of the loop, with its default; it can be set while the node runs."""
+    default = getattr(LoopSettings(), name)
+    choices = tuple(choice.value for choice in type(default)) if isinstance(default, Enum) else ()
+    if choices:
+        default = default.value
+    return Entry(name, list(default) if isinstance(default, tuple) else default, *given)._replace(
+        choices=choices)
+
+
+def _fixed(*entries: Entry) -> tuple[Entry, ...]:
+    """Parameters that can be set only at the start."""
+    return tuple(entry._replace(read_only=True) for entry in entries)
+
 
 COMMON = (
-    Entry("frame_id", "base_link", "Frame of all positions.", read_only=True),
-    Entry("message_timeout", _DEFAULTS.message_timeout,
-          "Messages with an older stamp are refused; 0 accepts any age.", "s", 0.0, 60.0),
-    Entry("future_tolerance", _DEFAULTS.future_tolerance,
-          "Messages with a stamp further in the future are refused.", "s", 0.0, 60.0),
-    Entry("ambient_pressure", STANDARD_ATMOSPHERE,
-          "Absolute pressure around the robot: FluidPressure messages are absolute, everything "
-          "else is gauge, which is the absolute pressure less this one.", "Pa", 1.0, 2e8,
-          read_only=True),
+    *_fixed(Entry("frame_id", "base_link", "Frame of all positions.")),
+    _setting("message_timeout", "Messages with an older stamp are refused; 0 accepts any age.", "s",
+             0.0, 60.0),
+    _setting("future_tolerance", "Messages with a stamp further in the future are refused.", "s", 0.0,
+             60.0),
+    *_fixed(Entry(
+        "ambient_pressure", STANDARD_ATMOSPHERE, "Absolute pressure around the robot: FluidPressure "
+        "messages are absolute, everything else is gauge, which is the absolute pressure less this "
+        "one.", "Pa", 1.0, 2e8)),
 )
 
 RUNTIME = (
-    Entry("rate", _DEFAULTS.rate, "Ticks per second.", "Hz", 0.1, 2000.0),
-    Entry("deadline", _DEFAULTS.deadline,
-          "Time that a step may take: remaining time is used for more linearizations, and a stale "
-          "factor is kept if a new one would be late and the stale one still converges; 0 "
-          "for the scene's number of linearizations. At most the period, 1/rate.",
-          "s", 0.0, 10.0),
-    Entry("target_timeout", _DEFAULTS.target_timeout,
-          "The twin holds after this time without a target or command; with 0 it never holds.",
-          "s", 0.0, 3600.0),
-    Entry("velocity_timeout", _DEFAULTS.velocity_timeout,
-          "A received velocity is used for this time.", "s", 0.01, 10.0),
-    Entry("speed_limit", _DEFAULTS.speed_limit,
-          "Greatest speed of a target moved by a velocity.", "m/s", 1e-6, 10.0),
-    Entry("approach_speed", _DEFAULTS.approach_speed,
-          "A far target is approached on a straight line at this speed; 0 moves as fast as the "
-          "cables' rates allow, possibly on a curved path.", "m/s", 0.0, 10.0),
-    Entry("workspace_min", list(_DEFAULTS.workspace_min),
-          "Lower corner of the box to which targets and poses are limited.", "m"),
-    Entry("workspace_max", list(_DEFAULTS.workspace_max), "Upper corner of that box.", "m"),
-    Entry("closed_loop", _DEFAULTS.closed_loop,
-          "Correct the targets by the measured markers."),
-    Entry("correction_gain", _DEFAULTS.correction_gain,
-          "Integral gain of that correction.", "1/s", 0.0, 1000.0),
-    Entry("correction_limit", _DEFAULTS.correction_limit,
-          "Greatest length of the correction.", "m", 0.0, 1.0),
-    Entry("marker_timeout", _DEFAULTS.marker_timeout,
-          "Markers count as lost after this time without a message.", "s", 0.001, 60.0),
-    Entry("on_lost_markers", _DEFAULTS.on_lost_markers.value,
-          "When markers are lost in closed loop: keep the last correction, or hold.",
-          choices=_LOST),
-    Entry("device_timeout", _DEFAULTS.device_timeout,
-          "The device counts as lost after this time without measured setpoints of each actuator.",
-          "s", 0.001, 60.0),
-    Entry("on_lost_device", _DEFAULTS.on_lost_device.value,
-          "When the device is lost: continue with the model alone, or hold.", choices=_LOST),
-    Entry("touch_timeout", _DEFAULTS.touch_timeout,
-          "A touch ends after this time without a message of its force or place.", "s", 0.001,
-          60.0),
+    _setting("rate", "Ticks per second.", "Hz", 0.1, 2000.0),
+    _setting("deadline", "Time that a step may take: remaining time is used for more linearizations, "
+             "and a stale factor is kept if a new one would be late and the stale one still "
+             "converges; 0 for the scene's number of linearizations. At most the period, 1/rate.", "s",
+             0.0, 10.0),
+    _setting("target_timeout",
+             "The twin holds after this time without a target or command; with 0 it never holds.", "s",
+             0.0, 3600.0),
+    _setting("velocity_timeout", "A received velocity is used for this time.", "s", 0.01, 10.0),
+    _setting("speed_limit", "Greatest speed of a target moved by a velocity.", "m/s", 1e-6, 10.0),
+    _setting("approach_speed", "A far target is approached on a straight line at this speed; 0 moves "
+             "as fast as the cables' rates allow, possibly on a curved path.", "m/s", 0.0, 10.0),
+    _setting("workspace_min", "Lower corner of the box to which targets and poses are limited.", "m"),
+    _setting("workspace_max", "Upper corner of that box.", "m"),
+    _setting("closed_loop", "Correct the targets by the measured markers."),
+    _setting("correction_gain", "Integral gain of that correction.", "1/s", 0.0, 1000.0),
+    _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
+    _setting("marker_timeout", "Markers count as lost after this time without a message.", "s", 0.001,
+             60.0),
+    _setting("on_lost_markers",
+             "When markers are lost in closed loop: keep the last correction, or hold."),
+    _setting("device_timeout",
+             "The device counts as lost after this time without measured setpoints of each actuator.",
+             "s", 0.001, 60.0),
+    _setting("on_lost_device", "When the device is lost: continue with the model alone, or hold."),
+    _setting("touch_timeout", "A touch ends after this time without a message of its force or place.",
+             "s", 0.001, 60.0),
 )
 
-_SCENE_FILE = Entry(
-    "scene_file", "scenes/diamond.yaml",
-    "Path of the scene: absolute, or relative to the working directory, the folder of the parameter "
-    "file or the package's config folder.", read_only=True,
-)
+_SCENE_FILE = Entry("scene_file", "scenes/diamond.yaml", "Path of the scene: absolute, or relative to "
+                    "the working directory, the folder of the parameter file or the package's config "
+                    "folder.")
 
-TWIN = COMMON + RUNTIME + (
+TWIN = COMMON + RUNTIME + _fixed(
     _SCENE_FILE,
-    Entry("mode", Mode.INVERSE.value,
-          "What drives the robot: targets, or setpoints and efforts of its actuators: lengths and "
-          "tensions of cables, pressures and volumes of cavities.",
-          choices=tuple(mode.value for mode in Mode), read_only=True),
-    Entry("use_device", False, "Drive a device: the twin starts disabled, and when enabled it "
-          "starts from the measured setpoints.", read_only=True),
-    Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest "
-          "priority.", read_only=True),
+    Entry("mode", Mode.INVERSE.value, "What drives the robot: targets, or setpoints and efforts of "
+          "its actuators: lengths and tensions of cables, pressures and volumes of cavities.",
+          choices=tuple(mode.value for mode in Mode)),
+    Entry("use_device", False, "Drive a device: the twin starts disabled, and when enabled it starts "
+          "from the measured setpoints."),
+    Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest priority."),
     Entry("reduction_error", True, "Compare reduced bodies with the full model, in a process of the "
-          "lowest priority; nothing in scenes without them.", read_only=True),
+          "lowest priority; nothing in scenes without them."),
     Entry("velocity_effector", "",
-          "Effector whose target target_velocity moves; empty for the first.", read_only=True),
+          "Effector whose target target_velocity moves; empty for the first."),
     Entry("priority", Priority.REAL_TIME.value, "Priority requested for the ticks: real-time "
           "priority, a negative nice value, or none. A refusal is reported.",
-          choices=tuple(priority.value for priority in Priority), read_only=True),
-    Entry("view", False, "Show the twin in rerun.", read_only=True),
-    Entry("view_port", 9876, "Port for viewers on this machine; 0 selects a free one.", "",
-          0, 65535, read_only=True),
-    Entry("view_every", 1, "The first of every so many ticks is shown.", "ticks", 1, 100000,
-          read_only=True),
-    Entry("view_spawn", False, "Open a viewer.", read_only=True),
-    Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0,
-          read_only=True),
-    Entry("visualization_rate", 10.0, "Most messages on ~/visualization per second, while somebody "
-          "receives them; 0 for none.", "Hz", 0.0, 1000.0, read_only=True),
-    Entry("tf", "auto", "Publish /tf while somebody receives it: on tells when tf2_msgs is missing, "
-          "auto does not.", choices=("auto", "on", "off"), read_only=True),
-    Entry("tf_prefix", "", "Put before the names of the frames of bodies and effectors, such as "
-          "left/.", read_only=True),
-    Entry("tf_base_frame", "", "Frame in which frame_id is fixed, such as world; empty for none.",
-          read_only=True),
-    Entry("tf_base_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], "Where frame_id is in tf_base_frame: "
-          "position, and quaternion x, y, z, w.", "m", read_only=True),
-    Entry("record_file", "", "File to record the view into, .rrd; empty for none. It grows "
-          "without bound: see record_every.", read_only=True),
-    Entry("record_every", 5, "The first of every so many shown ticks is recorded.",
-          "frames", 1, 100000, read_only=True),
+          choices=tuple(priority.value for priority in Priority)),
+    Entry("view", False, "Show the twin in rerun."),
+    Entry("view_port", 9876, "Port for viewers on this machine; 0 selects a free one.", "", 0, 65535),
+    Entry("view_every", 1, "The first of every so many ticks is shown.", "ticks", 1, 100000),
+    Entry("view_spawn", False, "Open a viewer."),
+    Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0),
+    Entry("visualization_rate", 10.0,
+          "Most messages on ~/visualization per second, while somebody receives them; 0 for none.",
+          "Hz", 0.0, 1000.0),
+    Entry("tf", "auto",
+          "Publish /tf while somebody receives it: on tells when tf2_msgs is missing, auto does not.",
+          choices=("auto", "on", "off")),
+    Entry("tf_prefix", "",
+          "Put before the names of the frames of bodies and effectors, such as left/."),
+    Entry("tf_base_frame", "", "Frame in which frame_id is fixed, such as world; empty for none."),
+    Entry("tf_base_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+          "Where frame_id is in tf_base_frame: position, and quaternion x, y, z, w.", "m"),
+    Entry("record_file", "", "File to record the view into, .rrd; empty for none. It grows without "
+          "bound: see record_every."),
+    Entry("record_every", 5, "The first of every so many shown ticks is recorded.", "frames", 1,
+          100000),
     Entry("record", "", "File to record the whole run into, .mcap: all inputs, outputs and "
-          "parameters, for `replay`; empty for none. An existing file is refused.",
-          read_only=True),
+          "parameters, for `replay`; empty for none. An existing file is refused."),
 )
 
 _TWIN_NAME = Entry("twin", "twin", "Name of the twin that this node works with, below this node's "
-                   "namespace, or with a first slash.", read_only=True)
+                   "namespace, or with a first slash.")
 
-DEVICE = COMMON + (
+DEVICE = COMMON + _fixed(
     _TWIN_NAME,
     Entry("device_scene_file", "scenes/diamond_device.yaml",
-          "Path of the simulated robot's scene, searched like scene_file.", read_only=True),
-    Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0, read_only=True),
-    Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0,
-          read_only=True),
-    Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s",
-          1e-6, 10.0, read_only=True),
-    Entry("device_angle_rate", 6.0, "Greatest speed of the motors of hinges.", "rad/s", 1e-6,
-          1000.0, read_only=True),
-    Entry("device_valve_lag", 0.05, "Time constant of the pressure regulators of cavities, a "
-          "first-order lag; 0 for none.", "s", 0.0, 60.0, read_only=True),
-    Entry("device_flow_limit", 2e-4, "Greatest flow of gas into or out of a cavity, as its volume "
-          "at ambient pressure; of a cavity with control: volume, the speed of its syringe.",
-          "m³/s", 1e-12, 10.0, read_only=True),
-    Entry("device_pressure_noise", 20.0, "Standard deviation of each measured pressure.", "Pa",
-          0.0, 1e6, read_only=True),
-    Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m",
-          0.0, 1.0, read_only=True),
-    Entry("device_touch", "", "Touch of the device's scene where a simulated fingertip presses; "
-          "empty for none.", read_only=True),
-    Entry("device_touch_depth", 0.001, "Depth of a press.", "m", 1e-9, 1.0, read_only=True),
-    Entry("device_touch_period", 2.0, "Time from press to press, of which a press takes half.",
-          "s", 0.01, 3600.0, read_only=True),
-    Entry("device_touch_direction", [0.0, 0.0, -1.0], "Direction of a press.", read_only=True),
-    Entry("device_touch_sends", "position", "What the fingertip measures for the twin: the place of "
-          "the touched point, or the force.", choices=("position", "force"), read_only=True),
-    Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1, read_only=True),
+          "Path of the simulated robot's scene, searched like scene_file."),
+    Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0),
+    Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0),
+    Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s", 1e-6,
+          10.0),
+    Entry("device_angle_rate", 6.0, "Greatest speed of the motors of hinges.", "rad/s", 1e-6, 1000.0),
+    Entry("device_valve_lag", 0.05,
+          "Time constant of the pressure regulators of cavities, a first-order lag; 0 for none.", "s",
+          0.0, 60.0),
+    Entry("device_flow_limit", 2e-4, "Greatest flow of gas into or out of a cavity, as its volume at "
+          "ambient pressure; of a cavity with control: volume, the speed of its syringe.", "m³/s",
+          1e-12, 10.0),
+    Entry("device_pressure_noise", 20.0, "Standard deviation of each measured pressure.", "Pa", 0.0,
+          1e6),
+    Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m", 0.0,
+          1.0),
+    Entry("device_touch", "",
+          "Touch of the device's scene where a simulated fingertip presses; empty for none."),
+    Entry("device_touch_depth", 0.001, "Depth of a press.", "m", 1e-9, 1.0),
+    Entry("device_touch_period", 2.0, "Time from press to press, of which a press takes half.", "s",
+          0.01, 3600.0),
+    Entry("device_touch_direction", [0.0, 0.0, -1.0], "Direction of a press."),
+    Entry("device_touch_sends", "position",
+          "What the fingertip measures for the twin: the place of the touched point, or the force.",
+          choices=("position", "force")),
+    Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1),
 )
 
-TARGET = (
-    COMMON[0],
-    _TWIN_NAME,
-    _SCENE_FILE,
-    Entry("target_effector", "tip", "Effector that receives targets; with target_commands, the one "
-          "that the demo compares.", read_only=True),
-    Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, "
-          "with the columns time_s,<effector>_x_m,_y_m,_z_m, for an orientation also _qx,_qy,_qz,_qw, "
-          "or what a run wrote.", read_only=True),
+TARGET = _fixed(
+    COMMON[0], _TWIN_NAME, _SCENE_FILE,
+    Entry("target_effector", "tip",
+          "Effector that receives targets; with target_commands, the one that the demo compares."),
+    Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, with "
+          "the columns time_s,<effector>_x_m,_y_m,_z_m, for an orientation also _qx,_qy,_qz,_qw, or "
+          "what a run wrote."),
     Entry("target_sequence", [""],
-          "Paths that replace target_path, one after the other; [''] for none.", read_only=True),
-    Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0,
-          read_only=True),
-    Entry("target_center", [0.0, 0.0, 0.0], "Centre of circle and lemniscate.", "m",
-          read_only=True),
-    Entry("target_radius", 0.01, "Radius of the circle, half the width of the lemniscate.", "m",
-          1e-6, 10.0, read_only=True),
-    Entry("target_period", 10.0, "Time for the whole circle or lemniscate.", "s", 0.001, 86400.0,
-          read_only=True),
-    Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz"),
-          read_only=True),
-    Entry("target_ramp_time", 2.0, "Duration of the smooth transition onto a path.", "s", 0.0,
-          3600.0, read_only=True),
-    Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0, read_only=True),
-    Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro, such "
-          "as that of a hand; empty for none.", read_only=True),
+          "Paths that replace target_path, one after the other; [''] for none."),
+    Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0),
+    Entry("target_center", [0.0, 0.0, 0.0], "Centre of circle and lemniscate.", "m"),
+    Entry("target_radius", 0.01, "Radius of the circle, half the width of the lemniscate.", "m", 1e-6,
+          10.0),
+    Entry("target_period", 10.0, "Time for the whole circle or lemniscate.", "s", 0.001, 86400.0),
+    Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz")),
+    Entry("target_ramp_time", 2.0, "Duration of the smooth transition onto a path.", "s", 0.0, 3600.0),
+    Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0),
+    Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro, such as "
+          "that of a hand; empty for none."),
     Entry("target_setpoints", [0.0, 0.0], "Its first setpoint, and that after half a period.",
-          "m, Pa or m³", read_only=True),
-    Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0,
-          read_only=True),
+          "m, Pa or m³"),
+    Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0),
     Entry("target_stiffness", [0.0, 0.0], "Stiffness along target_stiffness_axis that is wanted of "
-          "the effector meanwhile: the first, and that after half a period; zeros for none.", "N/m",
-          read_only=True),
-    Entry("target_stiffness_axis", "z", "Axis of that stiffness.", choices=("x", "y", "z"),
-          read_only=True),
-    Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001,
-          86400.0, read_only=True),
+          "the effector meanwhile: the first, and that after half a period; zeros for none.", "N/m"),
+    Entry("target_stiffness_axis", "z", "Axis of that stiffness.", choices=("x", "y", "z")),
+    Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001, 86400.0),
     Entry("target_commands", "", "CSV file of commands that are played over and over in place of "
-          "targets, searched like scene_file, with the columns of simulate --commands; for a twin "
-          "in direct mode; empty for none.", read_only=True),
+          "targets, searched like scene_file, with the columns of simulate --commands; for a twin in "
+          "direct mode; empty for none."),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

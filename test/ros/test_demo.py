@@ -55,14 +55,14 @@ def test_the_twin_starts_open_loop_disabled_and_records(tmp_path):
     assert twin[:4] == ["softrobot_twin.ros.process", "twin", "--ros-args", "--params-file"]
     assert Path(twin[4]).name == "diamond.yaml"
     assert {"use_device:=true", "closed_loop:=false", "view:=false",
-            f"record_file:='{tmp_path / 'run.rrd'}'"} <= set(twin)
+            f'record_file:="{tmp_path / "run.rrd"}"'} <= set(twin)
 
 
 def test_a_short_run_keeps_to_its_first_path_at_the_pace_of_the_parameters(tmp_path):
     # Two paths in five seconds would be mostly transitions, each several times too fast.
     plan = plan_demo("diamond", tmp_path, 5.0, view=False)
     assert (plan.paths, plan.turn_time, plan.ramp_time) == (("circle",), 5.0, 2.0)
-    assert "target_sequence:=['circle']" in plan.command("target")
+    assert 'target_sequence:=["circle"]' in plan.command("target")
     assert plan_demo("diamond", tmp_path, 16.0, view=False).paths == ("circle", "lemniscate")
     assert plan_demo("diamond", tmp_path, 2.0, view=False).ramp_time == 1.0
 
