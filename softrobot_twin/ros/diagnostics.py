@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import chain, compress
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -40,49 +41,55 @@ _BY_TURNS = 3
 _EXCEEDED = ".force_limit_exceeded"
 
 
-def contact_status(
-    contact: Contact, window: DiagnosticsWindow, follows: bool
-) -> tuple[bytes, str, dict[str, object]]:
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+Part = tuple[bytes, str, dict[str, object]]
+"""Level, a sentence and values."""
+
+
+def first_of(values: dict[str, object], fine: str, *rows: tuple[object, bytes, str]) -> Part:
+    """The level and the sentence of the first row whose condition holds, with the values.
+
+    Args:
+        values: The values.
+        fine: The sentence where no condition holds.
+        rows: Conditions, levels and sentences.
+    """
+    level, message = next((row[1:] for row in rows if row[0]), (OK, fine))
+    return level, message, values
+
+
+def contact_status(contact: Contact, window: DiagnosticsWindow, follows: bool) -> Part:
     """Status of the contacts: their number, the forces of each pair, and the accuracy of the
     solution.
 
     Args:
         contact: The scene's entry, for its tolerance.
-        window: The ticks since the last message.
+        window: The ticks since the last message, at least one.
         follows: True when targets are followed, so that contacts are part of the inverse problem.
-
-    Returns:
-        Level, a sentence and values.
     """
-    if window.newest is None:
-        return DiagnosticStatus.OK, "no tick yet", {}
-    count = window.newest.result.report.contact_count
+    count, largest = window.newest.result.report.contact_count, window.largest
     values = {
         "count": count,
-        "count_max": window.largest["contact_count"],
-        "programs_max" if follows else "sweeps_max": window.largest["contact_sweeps"],
-        "residual_mm": window.largest["contact_residual"] * _MILLI,
-        "force_residual_n": window.largest["contact_force_residual"],
+        "count_max": largest["contact_count"],
+        "programs_max" if follows else "sweeps_max": largest["contact_sweeps"],
+        "residual_mm": largest["contact_residual"] * _MILLI,
+        "force_residual_n": largest["contact_force_residual"],
         "overlap_max_mm": window.overlap_max * _MILLI,
     }
-    for (first, second), force in sorted(window.contact_forces.items()):
-        pair = f"{first} by {second}"
-        resultant = window.contact_resultants[first, second]
-        values[f"resultant_max_n: on {pair}"] = " ".join(f"{value:.6g}" for value in resultant)
-        values[f"sum_of_magnitudes_max_n: on {pair}"] = window.contact_magnitude_sums[first, second]
-        values[f"one_contact_max_n: on {pair}"] = force
+    for pair, force in sorted(window.contact_forces.items()):
+        on = "on {} by {}".format(*pair)
+        resultant = window.contact_resultants[pair]
+        values[f"resultant_max_n: {on}"] = " ".join(f"{value:.6g}" for value in resultant)
+        values[f"sum_of_magnitudes_max_n: {on}"] = window.contact_magnitude_sums[pair]
+        values[f"one_contact_max_n: {on}"] = force
     given_up = sorted(name for name in window.limits if name.endswith(_EXCEEDED))
     if contact.force_limit is not None:
         values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
-    # The comparison is written so that a NaN counts as not solved.
-    if not window.largest["contact_residual"] <= contact.tolerance:
-        return DiagnosticStatus.WARN, "not solved to the tolerance", values
-    if given_up:
-        return DiagnosticStatus.WARN, f"given up: {', '.join(given_up)}", values
-    return DiagnosticStatus.OK, f"contacts: {count}" if count else "no contact", values
-
-
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+    return first_of(
+        values, f"contacts: {count}" if count else "no contact",
+        # The comparison is written so that a NaN counts as not solved.
+        (not largest["contact_residual"] <= contact.tolerance, WARN, "not solved to the tolerance"),
+        (given_up, WARN, f"given up: {', '.join(given_up)}"))
 
 
 def setpoint_differences(actuators: Actuators, differences: np.ndarray) -> dict[str, float]:
@@ -153,24 +160,29 @@ class TwinDiagnostics:
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """All statuses at a time on the clock of the ticks [s]."""
+        loop, node, window = self._loop, self._node, self._window
+        contact = loop.simulation.scene.contact
+        recording = None if node is None else node.recording
+        has_ticked = window.newest is not None
+        waits: Part = OK, "no tick yet", {}
         parts = {
             "loop": self._of_loop(),
-            "solver": self._of_solver(),
+            "solver": self._of_solver() if has_ticked else waits,
             "limits": self._of_limits(),
             "markers": self._of_markers(now),
             "device": self._of_device(now),
             "target": self._of_target(now),
             "view": self._of_view(),
         }
-        if self._node is not None:
-            parts["graph"] = self._of_graph(self._node)
-        if self._node is not None and self._node.recording is not None:
-            parts["record"] = self._of_record(self._node.recording.recorder)
-        if (contact := self._loop.simulation.scene.contact) is not None:
-            follows = self._loop.mode is Mode.INVERSE
-            parts["contact"] = contact_status(contact, self._window, follows)
-        if self._loop.touches.names:
-            parts["touch"] = self._of_touches()
+        if node is not None:
+            parts["graph"] = self._of_graph(node)
+        if recording is not None:
+            parts["record"] = self._of_record(recording.recorder)
+        if contact is not None:
+            follows = loop.mode is Mode.INVERSE
+            parts["contact"] = contact_status(contact, window, follows) if has_ticked else waits
+        if loop.touches.names:
+            parts["touch"] = self._of_touches() if has_ticked else waits
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
@@ -186,7 +198,7 @@ class TwinDiagnostics:
         self._last_counts[key] = count
         return grown
 
-    def _of_loop(self):
+    def _of_loop(self) -> Part:
         clock, summary = self._clock, self._clock.statistics.summary()
         skipped = self._new("skipped", clock.skipped)
         missed = self._new("missed", clock.missed)
@@ -202,41 +214,28 @@ class TwinDiagnostics:
             "compute_p50_ms": summary.compute_p50 * _MILLI,
             "compute_p99_ms": summary.compute_p99 * _MILLI,
             "compute_max_ms": summary.compute_max * _MILLI,
-            "ticks": clock.ticks,
-            "missed": clock.missed,
-            "skipped": clock.skipped,
+            **_attributes(clock, "ticks", "missed", "skipped"),
         }
-        return (level, message, values) if self._node is None else self._of_running(
-            self._node, level, message, values
-        )
-
-    def _of_running(self, node: RunningTwin, level: bytes, message: str, values: dict):
-        """Adds the values of the node to the loop's status: priority, clocks, refused requests."""
-        if self._new("given_back", node.priority.times_given_back):
-            level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
-        if self._new("clock_steps", node.clock_steps):
-            direction = "ahead" if node.last_clock_step > 0.0 else "back"
-            level = max(level, WARN)
-            message = f"clock set {direction} by {abs(node.last_clock_step):.3f} s; {message}"
-        if self._new("failed_ticks", node.failed_ticks):
-            level, message = ERROR, f"{message}; a tick failed: {node.failure}"
-        if self._new("refused_requests", node.refused_requests):
-            level, message = max(level, WARN), f"{message}; a request was refused, see the log"
+        if (node := self._node) is None:
+            return level, message, values
+        # What happened to the node since the last message.
+        priority, direction = node.priority, "ahead" if node.last_clock_step > 0.0 else "back"
+        for key, count, least, before, after in (
+            ("given_back", priority.times_given_back, WARN, "", f"; priority {priority.state}"),
+            ("clock_steps", node.clock_steps, WARN,
+             f"clock set {direction} by {abs(node.last_clock_step):.3f} s; ", ""),
+            ("failed_ticks", node.failed_ticks, ERROR, "", f"; a tick failed: {node.failure}"),
+            ("refused", node.refused_requests, WARN, "", "; a request was refused, see the log"),
+        ):
+            if self._new(key, count):
+                level, message = max(level, least), f"{before}{message}{after}"
         return level, message, values | {
-            "priority": node.priority.state,
-            "clock_steps": node.clock_steps,
-            "simulated_time": node.is_simulated_time,
-            "refused_requests": node.refused_requests,
-            "failed_ticks": node.failed_ticks,
+            "priority": priority.state, "simulated_time": node.is_simulated_time,
+            **_attributes(node, "clock_steps", "refused_requests", "failed_ticks"),
         }
 
-    def _of_solver(self):
+    def _of_solver(self) -> Part:
         window, simulation = self._window, self._loop.simulation
-        if window.newest is None:
-            return OK, "no tick yet", {}
-        level = OK if window.worst.is_success or window.worst is Status.RATE_LIMITED else WARN
-        if window.worst.is_failure:
-            level = ERROR
         values = {
             "activity": window.newest.activity.value,
             "status": window.newest.result.status.value,
@@ -244,13 +243,10 @@ class TwinDiagnostics:
             "statuses": " ".join(f"{word}:{n}" for word, n in sorted(window.statuses.items())),
             "residual_n": window.largest["residual"],
             "iterations": window.largest["iterations"],
-            "resting": window.resting,
             "linearization_error_mm": window.largest["linearization_error"] * _MILLI,
             "discretization_error_mm": self.discretization_error * _MILLI,
             **self._of_mesh(),
-            "overloaded": window.overloaded,
-            "late": window.late,
-            "projected": window.projected,
+            **_attributes(window, "resting", "overloaded", "late", "projected"),
             "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
         reduced = simulation.reduction_state(with_errors=False)
@@ -267,22 +263,23 @@ class TwinDiagnostics:
         for key, outside in window.strains.items():
             values |= {f"{key}_least_strain_percent": 100.0 * outside.least,
                        f"{key}_greatest_strain_percent": 100.0 * outside.greatest}
-        for stage, time in window.stage_maxima.items():
-            values[f"time_{stage}_ms"] = time * _MILLI
+        values |= {f"time_{stage}_ms": time * _MILLI for stage, time in window.stage_maxima.items()}
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
-        if window.overloaded and level == OK:
-            return WARN, f"overload: {window.overloaded} ticks without time to linearize", values
         doubts = [f"{name}: {state.doubt}" for name, state in reduced.items() if state.doubt]
         doubts += [wrong] if (wrong := self._wrong_bodies()) else []
-        if doubts and level == OK:
-            return WARN, "; ".join(doubts), values
-        if window.strains and level == OK:
-            words = "; ".join(outside.in_words() for outside in window.strains.values())
-            return WARN, words, values
         message = window.worst.value
         if window.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
             message += f": residual {window.largest['residual']:.2g} N"
-        return level, "; ".join([message, *doubts]), values
+        message = "; ".join([message, *doubts])
+        strains = "; ".join(outside.in_words() for outside in window.strains.values())
+        overload = f"overload: {window.overloaded} ticks without time to linearize"
+        return first_of(
+            values, message,
+            (window.worst.is_failure, ERROR, message),
+            (not (window.worst.is_success or window.worst is Status.RATE_LIMITED), WARN, message),
+            (window.overloaded, WARN, overload),
+            (doubts, WARN, "; ".join(doubts)),
+            (strains, WARN, strains))
 
     def _of_mesh(self) -> dict[str, object]:
         """Estimated error of the mesh at rest [%], or the reason why it is not estimated."""
@@ -308,8 +305,8 @@ class TwinDiagnostics:
         watch = self.reduction
         if watch is None:
             return {}
-        state = "compared" if watch.answers else "waiting for idle time"
-        values: dict[str, object] = {"full_model": watch.cause or state}
+        values: dict[str, object] = {
+            "full_model": watch.cause or ("compared" if watch.answers else "waiting for idle time")}
         for name, error in watch.newest.items():
             values |= {f"{name}_full_model_error_mm": error.distance * _MILLI,
                        f"{name}_full_model_error_percent": 100.0 * error.share}
@@ -327,35 +324,33 @@ class TwinDiagnostics:
             if error.distance > least and error.share > LARGE_SHARE
         )
 
-    def _of_touches(self):
-        inputs, newest = self._loop.touches, self._window.newest
-        if newest is None:
-            return OK, "no tick yet", {}
-        touches, values = newest.result.touches, {}
+    def _of_touches(self) -> Part:
+        inputs, touches = self._loop.touches, self._window.newest.result.touches
+        values: dict[str, object] = {}
         for index, name in enumerate(inputs.names):
             force, displacement = touches.forces[index], touches.displacements[index]
             values[f"{name}_force_n"] = float(np.linalg.norm(force))
             values[f"{name}_displacement_mm"] = float(np.linalg.norm(displacement)) * _MILLI
         values |= {"timed_out": inputs.timed_out, **inputs.refusals.by_word()}
-        if self._new("refused_touches", inputs.refusals.total):
-            return WARN, "a measured touch was refused", values
-        touched = [n for n, acts in zip(inputs.names, touches.is_touched, strict=True) if acts]
-        return OK, f"touched: {', '.join(touched)}" if touched else "not touched", values
+        touched = ", ".join(compress(inputs.names, touches.is_touched))
+        return first_of(
+            values, "not touched",
+            (self._new("refused_touches", inputs.refusals.total), WARN, "a measured touch was refused"),
+            (touched, OK, f"touched: {touched}"))
 
-    def _of_limits(self):
+    def _of_limits(self) -> Part:
         window = self._window
         names = sorted(window.limits)
         values = {
             "active": " ".join(names), "kept_back": window.blocked, **self._of_pressures(),
         }  # fmt: skip
-        if window.blocked:
-            broken = " ".join(sorted(window.violated))
-            return ERROR, f"{window.blocked} commands kept back: {broken}", values
-        message = "active: " + ", ".join(names) if names else "none active"
         # Otherwise a more severe status would hide an active limit.
         severe = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = severe and any(not name.endswith(RATE) for name in names)
-        return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values
+        broken = f"{window.blocked} commands kept back: {' '.join(sorted(window.violated))}"
+        message = "active: " + ", ".join(names) if names else "none active"
+        limited = hidden or window.worst is Status.SATURATED
+        return first_of(values, message, (window.blocked, ERROR, broken), (limited, WARN, message))
 
     def _of_pressures(self) -> dict[str, object]:
         """Pressure of each cavity and its limits [Pa, gauge]; nothing without cavities."""
@@ -372,128 +367,110 @@ class TwinDiagnostics:
             values["ambient_pressure_pa"] = loop.cavities.ambient_pressure
         return values
 
-    def _of_markers(self, now: float):
+    def _of_markers(self, now: float) -> Part:
         loop, newest = self._loop, self._window.newest
         markers, count = loop.markers, len(loop.simulation.marker_ids)
-        refused = self._new("markers", markers.refusals.total)
-        values = {"in_scene": count, "age_s": markers.age(now), "unknown": markers.unknown}
-        values |= _refusals(markers.refusals)
-        lost = False
+        values: dict[str, object] = {
+            "in_scene": count, "age_s": markers.age(now), "unknown": markers.unknown,
+            **_refusals(markers.refusals),
+        }
         if newest is not None:
-            lost = loop.markers_are_lost(newest.measured_markers)
             offsets = np.linalg.norm(loop.correction.offsets, axis=1)
             values |= {
                 "visible": newest.misfit.visible,
                 "misfit_rms_mm": newest.misfit.rms * _MILLI,
                 "correction_mm": float(offsets.max(initial=0.0)) * _MILLI,
             }
-        values["closed_loop"] = loop.settings.closed_loop
         left_out = ", ".join(
             f"{marker} ({ticks} ticks)" for marker, ticks in sorted(self._window.left_out.items())
         )
-        values["left_out"] = left_out
-        if lost:
-            what = "markers lost"
-            if left_out:
-                what += f", left out as implausible: {left_out}"
-            return *_loss(what, loop.settings.on_lost_markers), values
-        if left_out:
-            return WARN, f"left out as implausible: {left_out}", values
-        if refused:
-            return WARN, f"{refused} messages refused", values
-        if not count:
-            return OK, "the scene has no markers", values
-        return OK, "visible" if values.get("visible") else "none visible", values
+        values |= {"closed_loop": loop.settings.closed_loop, "left_out": left_out}
+        implausible = left_out and f"left out as implausible: {left_out}"
+        lost = newest is not None and loop.markers_are_lost(newest.measured_markers)
+        loss = ", ".join(filter(None, ("markers lost", implausible)))
+        return first_of(
+            values, "visible" if values.get("visible") else "none visible",
+            (lost, *_loss(loss, loop.settings.on_lost_markers)),
+            (implausible, WARN, implausible),
+            self._refused("markers", markers.refusals.total),
+            (not count, OK, "the scene has no markers"))
 
-    def _of_device(self, now: float):
-        loop = self._loop
-        refused = self._new("device", loop.device.refusals.total)
-        values = {
+    def _refused(self, key: str, count: int) -> tuple[int, bytes, str]:
+        """The row of messages that were refused since the last report; see `first_of`."""
+        refused = self._new(key, count)
+        return refused, WARN, f"{refused} messages refused"
+
+    def _of_device(self, now: float) -> Part:
+        loop, device, newest = self._loop, self._loop.device, self._window.newest
+        is_lost, implausible = loop.device_is_lost(now), device.implausible
+        values: dict[str, object] = {
             "in_use": loop.use_device,
             "enabled": loop.is_enabled,
-            "age_s": loop.device.age(now),
-            "unheard": loop.unheard(now) if loop.device_is_lost(now) else "",
-            **_refusals(loop.device.refusals),
+            "age_s": device.age(now),
+            "unheard": loop.unheard(now) if is_lost else "",
+            **_refusals(device.refusals),
         }
-        newest = self._window.newest
-        if loop.device.setpoints is not None and newest is not None:
-            difference = np.abs(loop.device.setpoints - newest.result.setpoints)
+        if device.setpoints is not None and newest is not None:
+            difference = np.abs(device.setpoints - newest.result.setpoints)
             values |= setpoint_differences(loop.simulation.actuators, difference)
-        implausible = loop.device.implausible
         if implausible is not None:
             values["implausible"] = implausible
-        if loop.device_is_lost(now) and loop.is_enabled:
-            what = "device lost" if implausible is None else f"device lost, {implausible}"
-            return *_loss(what, loop.settings.on_lost_device), values
-        if loop.why_given_up:
-            return ERROR, f"disabled: {loop.why_given_up}", values
-        if implausible is not None:
-            return WARN, f"{implausible}", values
-        if loop.device_is_lost(now):
-            # Another robot's device sends, and all of it is refused.
-            why = f"no message accepted: {refused} refused" if refused else "no message received"
-            return WARN, why, values
-        if refused:
-            return WARN, f"{refused} messages refused", values
-        if not loop.is_enabled:
-            return OK, "disabled", values
-        return OK, "enabled" if loop.use_device else "no device in use", values
+        refused = self._refused("device", device.refusals.total)
+        # Another robot's device sends, and all of it is refused.
+        why = f"no message accepted: {refused[0]} refused" if refused[0] else "no message received"
+        loss = "device lost" if implausible is None else f"device lost, {implausible}"
+        return first_of(
+            values, "enabled" if loop.use_device else "no device in use",
+            (is_lost and loop.is_enabled, *_loss(loss, loop.settings.on_lost_device)),
+            (loop.why_given_up, ERROR, f"disabled: {loop.why_given_up}"),
+            (implausible is not None, WARN, f"{implausible}"),
+            (is_lost, WARN, why),
+            refused,
+            (not loop.is_enabled, OK, "disabled"))
 
-    def _of_target(self, now: float):
-        loop, window = self._loop, self._window
+    def _of_target(self, now: float) -> Part:
+        loop, window, newest = self._loop, self._window, self._window.newest
         inputs = (loop.targets.refusals, loop.targets.velocity_refusals,
                   loop.direct.refusals, loop.selected.refusals, loop.poses.refusals,
                   loop.stiffness.refusals)
-        refused = self._new("target", sum(counts.total for counts in inputs))
+        refused = self._refused("target", sum(counts.total for counts in inputs))
         clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
         values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped,
                                      "slowed": self._new("slowed", loop.targets.slowed)}
-        for counts in inputs:
-            for key, count in _refusals(counts).items():
-                values[key] = values.get(key, 0) + count
-        for cause, ticks in window.causes.items():
-            values[f"ticks: {cause}"] = ticks
-        if window.newest is None:
+        for key, count in chain.from_iterable(_refusals(counts).items() for counts in inputs):
+            values[key] = values.get(key, 0) + count
+        values |= {f"ticks: {cause}": ticks for cause, ticks in window.causes.items()}
+        if newest is None:
             return OK, "no tick yet", values
-        reading, errors = window.newest.reading, window.newest.tracking_errors
-        given = errors[np.isfinite(errors)]
-        direct = loop.mode.value == "direct"
+        direct, errors = loop.mode is Mode.DIRECT, newest.tracking_errors
         values |= {
-            "source": "command" if direct else reading.source,
-            "age_s": loop.direct.age(now) if direct else loop.targets.age(now),
-            "error_mm": float(given.max()) * _MILLI if len(given) else float("nan"),
+            "source": "command" if direct else newest.reading.source,
+            "age_s": (loop.direct if direct else loop.targets).age(now),
+            "error_mm": _greatest(errors[np.isfinite(errors)]) * _MILLI,
             "error_max_mm": window.tracking_error_max * _MILLI,
         }
-        angles = window.newest.orientation_errors
-        if angles is not None:
-            values["orientation_error_deg"] = math.degrees(
-                np.fmax.reduce(angles, initial=float("nan"))
-            )
-        off = window.newest.result.stiffness_errors
-        if off is not None:
-            values["stiffness_error_percent"] = 100.0 * float(
-                np.fmax.reduce(off, initial=float("nan"))
-            )
+        if newest.orientation_errors is not None:
+            values["orientation_error_deg"] = math.degrees(_greatest(newest.orientation_errors))
+        if newest.result.stiffness_errors is not None:
+            values["stiffness_error_percent"] = 100.0 * _greatest(newest.result.stiffness_errors)
         cause = tracking_cause(tracking_signs(loop, window, self._late))
         values["error_cause"] = cause
         if loop.selected.setpoints is not None:
             names = zip(loop.simulation.actuator_names, loop.selected.setpoints, strict=True)
             values["commanded"] = " ".join(name for name, length in names if length == length)
             values["commanded_age_s"] = loop.selected.age(now)
-        if refused:
-            return WARN, f"{refused} messages refused", values
-        if clamped:
-            return WARN, f"{clamped} times limited to the workspace", values
+        by_turns = ""
         if window.source_changes >= _BY_TURNS:
             kinds = " and ".join(sorted(window.sources))
-            return WARN, f"targets by turns as {kinds}, the newest counts: {self._senders()}", values
-        message = window.newest.activity.value
-        if cause:
-            error = window.tracking_error_max * _MILLI
-            return WARN, f"{message}, error {error:.1f} mm: {cause}", values
-        if window.newest.cause:
-            message += f": {window.newest.cause}"
-        return (WARN if "timeout" in window.newest.cause else OK), message, values
+            by_turns = f"targets by turns as {kinds}, the newest counts: {self._senders()}"
+        message, error = newest.activity.value, window.tracking_error_max * _MILLI
+        caused = f"{message}: {newest.cause}" if newest.cause else message
+        return first_of(
+            values, caused, refused,
+            (clamped, WARN, f"{clamped} times limited to the workspace"),
+            (by_turns, WARN, by_turns),
+            (cause, WARN, f"{message}, error {error:.1f} mm: {cause}"),
+            ("timeout" in newest.cause, WARN, caused))
 
     def _senders(self) -> str:
         """The topics of targets that nodes publish on, with their names."""
@@ -503,33 +480,37 @@ class TwinDiagnostics:
                 found.append(f"{topic} ({names})")
         return ", ".join(found)
 
-    def _of_graph(self, node: RunningTwin):
-        clashes = node.clashes
-        values = {clash.key: clash.sentence for clash in clashes}
-        if not clashes:
-            return OK, "no other publisher on its topics", values
-        level = ERROR if any(clash.is_severe for clash in clashes) else WARN
-        return level, "; ".join(values.values()), values
+    def _of_graph(self, node: RunningTwin) -> Part:
+        sentences = {clash.key: clash.sentence for clash in node.clashes}
+        level = ERROR if any(clash.is_severe for clash in node.clashes) else WARN
+        return first_of(dict(sentences), "no other publisher on its topics",
+                        (sentences, level, "; ".join(sentences.values())))
 
     @staticmethod
-    def _of_record(recorder: RunRecorder) -> tuple[bytes, str, dict[str, object]]:
+    def _of_record(recorder: RunRecorder) -> Part:
         """The recording of the run: what it lost, and whether it still grows."""
-        values = {"file": recorder.path} | {
-            name: getattr(recorder, name) for name in ("ticks", "waiting", "lost")}
-        if recorder.failure:
-            return ERROR, f"nothing is recorded any more: {recorder.failure}", values
-        if recorder.lost:
-            return WARN, "ticks were dropped: the run can be replayed only up to there", values
-        return OK, "recording", values
+        return first_of(
+            {"file": recorder.path, **_attributes(recorder, "ticks", "waiting", "lost")}, "recording",
+            (recorder.failure, ERROR, f"nothing is recorded any more: {recorder.failure}"),
+            (recorder.lost, WARN, "ticks were dropped: the run can be replayed only up to there"))
 
-    def _of_view(self):
+    def _of_view(self) -> Part:
         if self._feed is None:
             return OK, "off", {}
         mirror = self._feed.mirror
-        values = {name: getattr(mirror, name) or "" for name in ("address", "failure")} | {
-            f"frames_{word}": getattr(mirror, f"frames_{word}")
-            for word in ("offered", "logged", "dropped", "failed")}
-        return (WARN, mirror.failure, values) if mirror.failure else (OK, "shown", values)
+        values = {"address": mirror.address or "", "failure": mirror.failure or ""} | _attributes(
+            mirror, *(f"frames_{word}" for word in ("offered", "logged", "dropped", "failed")))
+        return first_of(values, "shown", (mirror.failure, WARN, mirror.failure))
+
+
+def _attributes(owner: object, *names: str) -> dict[str, object]:
+    """Attributes of an object as values."""
+    return {name: getattr(owner, name) for name in names}
+
+
+def _greatest(numbers: np.ndarray) -> float:
+    """The greatest of the numbers that are not NaN; NaN without any."""
+    return float(np.fmax.reduce(numbers, initial=float("nan")))
 
 
 def _loss(what: str, policy: WhenLost) -> tuple[bytes, str]:
