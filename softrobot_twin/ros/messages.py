@@ -30,16 +30,8 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 
 _CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])
-_DATATYPES = {
-    PointField.INT8: "i1",
-    PointField.UINT8: "u1",
-    PointField.INT16: "i2",
-    PointField.UINT16: "u2",
-    PointField.INT32: "i4",
-    PointField.UINT32: "u4",
-    PointField.FLOAT32: "f4",
-    PointField.FLOAT64: "f8",
-}
+# PointField numbers its types in this order, from INT8 on.
+_DATATYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), PointField.INT8))
 MAX_MARKERS = 10_000
 """Most points of a marker message. A larger message is refused: it cannot come from markers, and
 reading it would take longer than a tick.
@@ -135,8 +127,7 @@ def markers_message(ids: np.ndarray, positions: np.ndarray, header: Header) -> P
         header: Frame and time.
     """
     points = np.empty(len(ids), dtype=_MARKER)
-    for column, name in enumerate("xyz"):
-        points[name] = positions[:, column]
+    points["x"], points["y"], points["z"] = positions.T
     points["id"] = ids
     return _cloud(points, header, is_dense=bool(np.isfinite(positions).all()))
 
@@ -149,9 +140,7 @@ def contacts_message(positions: np.ndarray, forces: np.ndarray, header: Header) 
         forces: Force on the first body of each contact [N], same shape.
         header: Frame and time.
     """
-    points = np.empty(len(positions), dtype=_CONTACT)
-    for column, name in enumerate("xyz"):
-        points[name], points[f"f{name}"] = positions[:, column], forces[:, column]
+    points = np.hstack([positions, forces]).astype("<f4").view(_CONTACT)[:, 0]
     return _cloud(points, header, is_dense=True)
 
 
@@ -171,45 +160,29 @@ def matrix_message(
     """
     stamp = [float(header.stamp.sec), float(header.stamp.nanosec)]
     row_count, column_count = matrix.shape
+    dimensions = [
+        MultiArrayDimension(label=" ".join(rows), size=row_count, stride=matrix.size),
+        MultiArrayDimension(label=" ".join(columns), size=column_count, stride=column_count),
+    ]
     return Float64MultiArray(
-        layout=MultiArrayLayout(
-            dim=[
-                MultiArrayDimension(
-                    label=" ".join(rows), size=row_count, stride=row_count * column_count
-                ),
-                MultiArrayDimension(
-                    label=" ".join(columns), size=column_count, stride=column_count
-                ),
-            ],
-            data_offset=len(stamp),
-        ),
+        layout=MultiArrayLayout(dim=dimensions, data_offset=len(stamp)),
         data=stamp + np.asarray(matrix, dtype=float).ravel().tolist(),
     )
 
 
 def _cloud(points: np.ndarray, header: Header, is_dense: bool) -> PointCloud2:
     """A structured array of points as a message; each column becomes a field."""
-    kinds = points.dtype.fields
     fields = [
-        PointField(
-            name=name,
-            offset=offset,
-            datatype=PointField.UINT32 if kind == np.uint32 else PointField.FLOAT32,
-            count=1,
-        )
-        for name, (kind, offset) in kinds.items()
-    ]
+        PointField(name=name, offset=offset, count=1,
+                   datatype=PointField.UINT32 if kind == np.uint32 else PointField.FLOAT32)
+        for name, (kind, offset) in points.dtype.fields.items()
+    ]  # fmt: skip
+    size = points.dtype.itemsize
     return PointCloud2(
-        header=header,
-        height=1,
-        width=len(points),
-        fields=fields,
-        is_bigendian=False,
-        point_step=points.dtype.itemsize,
-        row_step=points.dtype.itemsize * len(points),
-        data=array.array("B", points.tobytes()),
+        header=header, height=1, width=len(points), fields=fields, is_bigendian=False,
+        point_step=size, row_step=size * len(points), data=array.array("B", points.tobytes()),
         is_dense=is_dense,
-    )
+    )  # fmt: skip
 
 
 def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusal:

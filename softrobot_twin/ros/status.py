@@ -42,8 +42,24 @@ class StatusOutput:
         # With simulated time the clock may be set back.
         if found == self._sent or (now < self._due and self._due - now <= LEAST_PERIOD):
             return
-        self._sent, self._due = found, now + LEAST_PERIOD
-        self.publisher.publish(self._message(outcome))
+        self._due = now + LEAST_PERIOD
+        level = DiagnosticStatus.OK if result.status in _GOOD else DiagnosticStatus.WARN
+        if result.status.is_failure or outcome.violated or self._loop.why_given_up:
+            level = DiagnosticStatus.ERROR
+        activity, status = outcome.activity.value, result.status.value
+        cause = self._loop.why_given_up or outcome.cause
+        if not cause and result.report.is_exploring:
+            cause = "looks for a nearer pose"
+        message = f"{activity}: {status}" + (f" ({cause})" if cause else "")
+        self._publish(found, level, message, {
+            "activity": activity,
+            "cause": cause,
+            "status": status,
+            "active_limits": " ".join(result.report.active_limits),
+            "resting": str(result.report.is_resting).lower(),
+            "exploring": str(result.report.is_exploring).lower(),
+            "kept_back": " ".join(outcome.violated),
+        })  # fmt: skip
 
     def tell_failure(self, failure: str) -> None:
         """Publishes that a tick ended with an exception, in one line."""
@@ -51,43 +67,18 @@ class StatusOutput:
         found = (failure, loop.why_given_up)
         if found == self._sent:
             return
-        self._sent = found
-        activity = loop.activity.value
-        values = {
-            "activity": activity, "cause": loop.why_given_up or failure, "status": "exception",
-            "active_limits": "", "kept_back": "", **self._fixed_values(),
-        }  # fmt: skip
-        self.publisher.publish(self._of(
-            DiagnosticStatus.ERROR, f"{activity}: a tick failed ({values['cause']})", values
-        ))  # fmt: skip
+        activity, cause = loop.activity.value, loop.why_given_up or failure
+        self._publish(found, DiagnosticStatus.ERROR, f"{activity}: a tick failed ({cause})", {
+            "activity": activity, "cause": cause, "status": "exception", "active_limits": "",
+            "kept_back": "",
+        })  # fmt: skip
 
-    def _fixed_values(self) -> dict[str, str]:
-        return {"mode": self._loop.mode.value, "uses_device": str(self._loop.use_device).lower()}
-
-    def _of(self, level: bytes, message: str, values: dict[str, str]) -> DiagnosticStatus:
-        return DiagnosticStatus(
+    def _publish(self, found: tuple, level: bytes, message: str, values: dict[str, str]) -> None:
+        """Publishes what was found; see `DiagnosticStatus`."""
+        self._sent, loop = found, self._loop
+        values |= {"mode": loop.mode.value, "uses_device": str(loop.use_device).lower()}
+        self.publisher.publish(DiagnosticStatus(
             level=level, name=f"{self._name}: status", message=message,
-            hardware_id=self._loop.simulation.scene.name,
+            hardware_id=loop.simulation.scene.name,
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        )  # fmt: skip
-
-    def _message(self, outcome: TickOutcome) -> DiagnosticStatus:
-        loop, result = self._loop, outcome.result
-        level = DiagnosticStatus.OK if result.status in _GOOD else DiagnosticStatus.WARN
-        if result.status.is_failure or outcome.violated or loop.why_given_up:
-            level = DiagnosticStatus.ERROR
-        message = f"{outcome.activity.value}: {result.status.value}"
-        cause = loop.why_given_up or outcome.cause
-        if not cause and result.report.is_exploring:
-            cause = "looks for a nearer pose"
-        values = {
-            "activity": outcome.activity.value,
-            "cause": cause,
-            "status": result.status.value,
-            "active_limits": " ".join(result.report.active_limits),
-            "resting": str(result.report.is_resting).lower(),
-            "exploring": str(result.report.is_exploring).lower(),
-            "kept_back": " ".join(outcome.violated),
-            **self._fixed_values(),
-        }
-        return self._of(level, f"{message} ({cause})" if cause else message, values)
+        ))  # fmt: skip

@@ -23,7 +23,7 @@ from softrobot_twin.control.target_path import (
     notes_of,
 )
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.messages import point_message, pose_message, read_pose, stamp_of
+from softrobot_twin.ros.messages import READERS, point_message, pose_message, stamp_of
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
@@ -71,35 +71,27 @@ class TargetNode(TickingNode):
         self._turns = False
         self.began = math.inf
         self._poses: dict[str, Publisher] = {}
-        if values["target_commands"]:
-            what = self._open_table(values)
-        else:
-            what = self._open_path(values)
+        what = (self._open_table if values["target_commands"] else self._open_path)(values)
         self.start(1.0 / values["target_rate"])
         published = (self.targets, self._commands, self._stiffnesses, *self._poses.values())
         self.watch_topics((), tuple(one for one in published if one is not None))
         group = "effector_poses" if self._turns else "effectors"
         topic = TOPICS[f"<twin>/{group}/<effector>"]
         self._topic = self.resolve_topic_name(topic.full_name(self._effector, self._twin))
-        take = self._take_start_pose if self._turns else self.take_start
-        self._listener = self.listen(topic, take, RefusalCounts(), self._effector, self._twin)
+        self._listener = self.listen(
+            topic, self.take_start, RefusalCounts(), self._effector, self._twin)
         self.get_logger().info(f"ready: {what}")
 
     def _open_path(self, values: Mapping[str, object]) -> str:
         """Makes the path of the targets; returns what the node is ready for."""
         effector, self._ramp_time = self._effector, values["target_ramp_time"]
         around = ClosedCurve(
-            values["target_center"], values["target_radius"], values["target_period"],
-            values["target_plane"],
-        )
+            *(values[f"target_{part}"] for part in ("center", "radius", "period", "plane")))
         names = [name for name in values["target_sequence"] if name] or [values["target_path"]]
-        found = [
-            str(find_scene_file(name, "target_path")) if name.endswith(".csv") else name
-            for name in names
-        ]
+        found = [str(find_scene_file(name, "target_path")) if name.endswith(".csv") else name
+                 for name in names]  # fmt: skip
         self.path = make_sequence(
-            found, effector, around, values["target_sequence_time"], self._ramp_time
-        )
+            found, effector, around, values["target_sequence_time"], self._ramp_time)
         for note in notes_of(self.path):
             self.get_logger().warning(note)
         self._turn = _UNTURNED
@@ -108,10 +100,9 @@ class TargetNode(TickingNode):
         self.targets = open_publisher(self, TOPICS[topic], effector, self._twin)
         self._actuator = str(values["target_actuator"])
         if self._actuator:
-            self._setpoints = ToAndFro(
-                tuple(values["target_setpoints"]), values["target_setpoint_period"]
-            )
-            self._open_commands()
+            ends, period = tuple(values["target_setpoints"]), values["target_setpoint_period"]
+            self._setpoints = ToAndFro(ends, period)
+            self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
         if any(values["target_stiffness"]):
             self._open_stiffness(values)
         return f"{effector} along {', '.join(names)}"
@@ -143,48 +134,33 @@ class TargetNode(TickingNode):
         self._table = read_commands(file, simulation)
         self._names = list(simulation.actuator_names)
         if self._table.kind != "hold":
-            self._open_commands()
+            self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
         for name in self._table.poses:
             topic = TOPICS["<twin>/command/pose/<guided body>"]
             self._poses[name] = open_publisher(self, topic, name, self._twin)
         return f"the commands of {file}"
 
-    def _open_commands(self) -> None:
-        self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
-
-    @property
-    def _has_begun(self) -> bool:
-        return self.began < math.inf
-
-    def take_start(self, message: PointStamped) -> None:
-        """Takes the start point from the effector's first position; ignores later messages."""
-        start = np.array([message.point.x, message.point.y, message.point.z])
-        if self._has_begun or not np.isfinite(start).all():
+    def take_start(self, message: PointStamped | PoseStamped) -> None:
+        """Takes the start from the effector's first position or pose; ignores later messages."""
+        start = [np.array(part) for part in READERS[type(message)](message)]
+        if self.began < math.inf or not all(np.isfinite(part).all() for part in start):
             return
-        if self._table is not None:
-            self.began = self.monotonic()
-            return
-        self._ramped = RampedIn(start, self.path, self._ramp_time)
-        self.began = self.monotonic()
-
-    def _take_start_pose(self, message: PoseStamped) -> None:
-        """Takes the start from the effector's first pose; ignores later messages."""
-        position, quaternion = (np.array(part) for part in read_pose(message))
-        finite = np.isfinite(position).all() and np.isfinite(quaternion).all()
-        if self._has_begun or not finite or not np.abs(quaternion).max() > 0.0:
-            return
-        # Scaled first: the square of a very large component would overflow.
-        turn = quaternion / np.abs(quaternion).max()
-        self._ramped = RampedIn(position, self.path, self._ramp_time, turn)
-        self._turn = turn / np.linalg.norm(turn)
+        if self._turns:
+            # Scaled first: the square of a very large component would overflow.
+            largest = np.abs(start[1]).max()
+            if not largest > 0.0:
+                return
+            start[1] /= largest
+            self._turn = start[1] / np.linalg.norm(start[1])
+        if self._table is None:
+            position, *turn = start
+            self._ramped = RampedIn(position, self.path, self._ramp_time, *turn)
         self.began = self.monotonic()
 
     def work(self, now: float) -> None:
         """Publishes the present target, or the present commands."""
-        if not self._has_begun:
-            self.get_logger().info(
-                f"waiting for {self._topic}", throttle_duration_sec=_WAIT_WARNING
-            )
+        if not self.began < math.inf:
+            self.get_logger().info(f"waiting for {self._topic}", throttle_duration_sec=_WAIT_WARNING)
             return
         if self._listener is not None:
             self.destroy_subscription(self._listener)
