@@ -12,6 +12,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line
@@ -159,7 +160,7 @@ def _run(
     from softrobot_twin.ros.lean_executor import LeanExecutor
 
     stop.listen()
-    if _asks_for_help(arguments):
+    if {"-h", "--help"} & set(arguments):
         from softrobot_twin.ros.node_help import help_of
 
         print(help_of(name) if about is None else about())
@@ -248,10 +249,6 @@ def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> 
             node.refuse_request(error)
 
 
-def _asks_for_help(arguments: Sequence[str]) -> bool:
-    return any(word in ("-h", "--help") for word in arguments)
-
-
 def _rcl_message(error: Exception) -> str:
     """The message of rcl without positions in its source code."""
     if type(error).__name__ == "UnknownROSArgsError":
@@ -259,43 +256,27 @@ def _rcl_message(error: Exception) -> str:
     return one_line(error).split(", at /")[0].removeprefix("failed to initialize rcl: ")
 
 
-def twin(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of the executable ``twin``, which runs the simulation in real time.
-
-    Args:
-        arguments: Command line, or None for the process's own.
-
-    Returns:
-        Exit code.
-    """
-
-    def load() -> type:
-        from softrobot_twin.ros.twin_node import TwinNode
-        return TwinNode
-
-    return run_node("twin", load, arguments)
+def _twin() -> type:
+    from softrobot_twin.ros.twin_node import TwinNode
+    return TwinNode
 
 
-def device(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of the executable ``device``, which simulates the hardware; see `twin`."""
-
-    def load() -> type:
-        from softrobot_twin.ros.device_node import DeviceNode
-        return DeviceNode
-
-    return run_node("device", load, arguments)
+def _device() -> type:
+    from softrobot_twin.ros.device_node import DeviceNode
+    return DeviceNode
 
 
-def target(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of the executable ``target``, which publishes targets along a path; see
-    `twin`.
-    """
+def _target() -> type:
+    from softrobot_twin.ros.target_node import TargetNode
+    return TargetNode
 
-    def load() -> type:
-        from softrobot_twin.ros.target_node import TargetNode
-        return TargetNode
 
-    return run_node("target", load, arguments)
+twin = partial(run_node, "twin", _twin)
+"""Entry point of the executable ``twin``, which runs the simulation in real time."""
+device = partial(run_node, "device", _device)
+"""Entry point of the executable ``device``, which simulates the hardware."""
+target = partial(run_node, "target", _target)
+"""Entry point of the executable ``target``, which publishes targets along a path."""
 
 
 if __name__ == "__main__":

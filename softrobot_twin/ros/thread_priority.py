@@ -10,6 +10,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 
@@ -101,8 +102,7 @@ class ThreadPriority:
         """Requests a negative nice value; `reason` is why it is no real-time priority."""
         self._raise_others()
         try:
-            os.sched_setscheduler(0, _ORDINARY, os.sched_param(0))
-            os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+            _set_ordinary(0, _NICE)
         except OSError as error:
             self._is_raised, self.is_granted = False, False
             self.state = f"normal: {reason or f'nice {_NICE} refused: {error.strerror}'}"
@@ -115,8 +115,7 @@ class ThreadPriority:
         if reason := why_unsafe():
             return reason
         try:
-            flags = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(0, flags, os.sched_param(_REAL_TIME))
+            _set_real_time(0, _REAL_TIME)
         except OSError as error:
             return f"real-time priority refused: {error.strerror}"
         self._is_raised = self._is_real_time = self.is_granted = True
@@ -127,10 +126,10 @@ class ThreadPriority:
         """Lowers the thread to ordinary priority."""
         if self._is_raised:
             # Only a privileged process can clear this flag again, so it stays set.
-            os.sched_setscheduler(0, _ORDINARY, os.sched_param(0))
-            os.setpriority(os.PRIO_PROCESS, 0, self._nice_before)
+            _set_ordinary(0, self._nice_before)
             for thread, nice in self._others.items():
-                _set_ordinary(thread, nice)
+                with suppress(OSError):  # It has ended.
+                    _set_ordinary(thread, nice)
             self._others.clear()
             self._is_raised = self._is_real_time = False
 
@@ -176,8 +175,7 @@ class ThreadPriority:
             try:
                 nice = os.getpriority(os.PRIO_PROCESS, thread)
                 if self._is_real_time:
-                    flags = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-                    os.sched_setscheduler(thread, flags, os.sched_param(_HELPER))
+                    _set_real_time(thread, _HELPER)
                 else:
                     os.setpriority(os.PRIO_PROCESS, thread, _NICE)
             except OSError:
@@ -193,12 +191,15 @@ def other_threads() -> set[int]:
 
 
 def _set_ordinary(thread: int, nice: int) -> None:
-    """Gives a thread ordinary priority with a nice value, if it has not ended."""
-    try:
-        os.sched_setscheduler(thread, _ORDINARY, os.sched_param(0))
-        os.setpriority(os.PRIO_PROCESS, thread, nice)
-    except OSError:
-        pass
+    """Gives a thread ordinary priority with a nice value."""
+    os.sched_setscheduler(thread, _ORDINARY, os.sched_param(0))
+    os.setpriority(os.PRIO_PROCESS, thread, nice)
+
+
+def _set_real_time(thread: int, priority: int) -> None:
+    """Gives a thread real-time priority, which its children do not inherit."""
+    flags = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    os.sched_setscheduler(thread, flags, os.sched_param(priority))
 
 
 def why_unsafe() -> str:

@@ -137,13 +137,6 @@ def open_publisher(node: Node, topic: Topic, name: str = "", twin: str = "") -> 
     return node.create_publisher(topic.kind, topic.full_name(name, twin), topic.quality)
 
 
-def open_publishers(
-    node: Node, topic: Topic, names: Iterable[str], twin: str = ""
-) -> list[Publisher]:
-    """Publishes a declared topic for each of several objects."""
-    return [open_publisher(node, topic, name, twin) for name in names]
-
-
 _LARGEST = {PointCloud2: 2**20}
 _LARGEST_OTHER = 4096
 _SIZE_OF_JOINT = 64

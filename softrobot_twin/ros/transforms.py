@@ -6,7 +6,8 @@ The package tf2_msgs is part of a ROS installation, and not of the wheels of rcl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
@@ -62,18 +63,12 @@ def make_transforms(
         quaternions: Their rotations (x, y, z, w), shape (frame_count, 4); NaN for none.
     """
     transforms = []
-    for frame, position, turn in zip(
-        frames, positions.tolist(), quaternions.tolist(), strict=True
-    ):
+    for frame, position, turn in zip(frames, positions.tolist(), quaternions.tolist(), strict=True):
         if not np.isfinite(position).all():
             continue
         turn = turn if np.isfinite(turn).all() else _UNTURNED
-        transform = Transform(
-            translation=coordinates(Vector3, position), rotation=coordinates(Quaternion, turn)
-        )
-        transforms.append(
-            TransformStamped(header=header, child_frame_id=frame, transform=transform)
-        )
+        transforms.append(TransformStamped(header=header, child_frame_id=frame, transform=Transform(
+            translation=coordinates(Vector3, position), rotation=coordinates(Quaternion, turn))))
     return transforms
 
 
@@ -83,11 +78,8 @@ class TransformOutput:
     Args:
         node: The twin.
         simulation: Its model.
-        frame_id: Frame of all positions.
-        wanted: ``auto``, ``on`` or ``off``; with ``on`` the node tells when tf2_msgs is missing.
-        prefix: Put before each name of a frame but `frame_id`.
-        base_frame: Parent of `frame_id`; empty for none.
-        base_pose: Where `frame_id` is in it [m] and its rotation (x, y, z, w), seven numbers.
+        parameters: Values of ``frame_id``, ``tf``, ``tf_prefix``, ``tf_base_frame`` and
+            ``tf_base_pose``.
         audience: Who receives what.
 
     Raises:
@@ -95,10 +87,11 @@ class TransformOutput:
     """
 
     def __init__(
-        self, node: Node, simulation: Simulation, frame_id: str, wanted: str, prefix: str,
-        base_frame: str, base_pose: Sequence[float], audience: Audience,
-    ):  # fmt: skip
+        self, node: Node, simulation: Simulation, parameters: Mapping[str, Any], audience: Audience
+    ):
         self._simulation, self._audience, self.publisher = simulation, audience, None
+        frame_id, wanted, base_frame = (
+            str(parameters[name]) for name in ("frame_id", "tf", "tf_base_frame"))
         if wanted == "off":
             return
         try:
@@ -107,10 +100,9 @@ class TransformOutput:
             if wanted == "on":
                 node.get_logger().warning("tf: tf2_msgs is not installed: /tf is not published")
             return
-        self._frames = child_frames(
-            frame_id, prefix, simulation.rigid_names, simulation.effector_names
-        )
-        self._base_frame, self._base = base_frame, _checked_pose(base_pose)
+        self._frames = child_frames(frame_id, str(parameters["tf_prefix"]), simulation.rigid_names,
+                                    simulation.effector_names)  # fmt: skip
+        self._base_frame, self._base = base_frame, _checked_pose(parameters["tf_base_pose"])
         if base_frame and base_frame in (frame_id, *self._frames):
             raise ParameterError("tf_base_frame", base_frame, "", "is the frame itself, or one "
                                  "below it")  # fmt: skip
@@ -127,8 +119,7 @@ class TransformOutput:
         positions, turns = self._simulation.rigid_poses()
         ends = outcome.result.effector_positions
         end_turns = outcome.result.effector_orientations
-        if end_turns is None:
-            end_turns = np.full((len(ends), 4), np.nan)
+        end_turns = np.full((len(ends), 4), np.nan) if end_turns is None else end_turns
         transforms = make_transforms(
             header, self._frames, np.vstack([positions, ends]), np.vstack([turns, end_turns])
         )

@@ -53,13 +53,7 @@ from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode, publishing_nodes
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
-from softrobot_twin.ros.topics import (
-    Direction,
-    Topic,
-    channel_topic,
-    open_publisher,
-    open_publishers,
-)
+from softrobot_twin.ros.topics import Direction, Topic, channel_topic, open_publisher
 from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
@@ -188,8 +182,8 @@ class ComplianceOutputs:
         self._loop, self._audience = loop, audience
         self._compliance: EffectorCompliance | None = None
         self._compliances, self._jacobians = (
-            open_publishers(
-                node, TOPICS[f"~/{topic}/<effector>"], loop.simulation.effector_names)
+            [open_publisher(node, TOPICS[f"~/{topic}/<effector>"], name)
+             for name in loop.simulation.effector_names]
             for topic in ("compliance", "jacobian")
         )  # fmt: skip
 
@@ -343,18 +337,15 @@ class TwinNode(TickingNode):
         )
         self._pose = MessageBytes(pose_message, frame, 3, 4)
         self._pressure = MessageBytes(
-            lambda numbers, header: pressure_message(*numbers, header), frame, 1
-        )
+            lambda numbers, header: pressure_message(*numbers, header), frame, 1)
         self.pressures = {
             name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
         }
-        self._angles = None
-        if self.loop.pulleys.count:
-            self._angles = open_publisher(self, TOPICS["~/angles"])
-        guided = simulation.guided_names
-        poses = open_publishers(self, TOPICS["~/poses/<guided body>"], guided)
-        self.poses = dict(zip(guided, poses, strict=True))
+        has_pulleys = self.loop.pulleys.count
+        self._angles = open_publisher(self, TOPICS["~/angles"]) if has_pulleys else None
+        self.poses = {name: open_publisher(self, TOPICS["~/poses/<guided body>"], name)
+                      for name in simulation.guided_names}  # fmt: skip
         self._outputs = [
             (output, self._maker(output.make, output.counts), publishers)
             for output, publishers in open_outputs(self, outputs_of(simulation))
@@ -362,12 +353,8 @@ class TwinNode(TickingNode):
         self._compliances = ComplianceOutputs(self, self.loop, self._audience)
         values = self._values
         self.visualization = VisualizationOutput(
-            self, simulation, self.loop_frame, float(values["visualization_rate"])
-        )
-        self._transforms = TransformOutput(
-            self, simulation, self.loop_frame, str(values["tf"]), str(values["tf_prefix"]),
-            str(values["tf_base_frame"]), values["tf_base_pose"], self._audience,
-        )  # fmt: skip
+            self, simulation, frame, float(values["visualization_rate"]))
+        self._transforms = TransformOutput(self, simulation, values, self._audience)
         self.status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
 

@@ -108,10 +108,17 @@ def test_frames_have_names_of_their_own():
         child_frames("base_link", "", ["tip", "tip_effector"], ["tip"])
 
 
+def output_of(node, audience=None, simulation=None, **given):
+    """An output of a node, with some parameters."""
+    values = {"frame_id": "base_link", "tf": "auto", "tf_prefix": "", "tf_base_frame": "",
+              "tf_base_pose": POSE}  # fmt: skip
+    return TransformOutput(node, simulation or Simulation(), values | given, audience or Audience())
+
+
 def test_transforms_are_made_only_for_those_who_listen(with_tf2):
     node, simulation, clock = Node(), Simulation(), itertools.count(0, 2)
     audience = Audience(clock.__next__)
-    output = TransformOutput(node, simulation, "base_link", "auto", "", "", POSE, audience)
+    output = output_of(node, audience, simulation)
     assert node.opened == [(TFMessage, "/tf", TRANSFORMS)]
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     assert simulation.reads == 0 and not output.publisher.messages
@@ -125,7 +132,7 @@ def test_transforms_are_made_only_for_those_who_listen(with_tf2):
 
 def test_the_base_is_in_the_frame_that_is_given(with_tf2):
     pose = (1.0, 0.0, 0.5, 0.0, 0.0, 1.0, 0.0)
-    output = TransformOutput(Node(), Simulation(), "base_link", "on", "left/", "world", pose, Audience())
+    output = output_of(Node(), tf="on", tf_prefix="left/", tf_base_frame="world", tf_base_pose=pose)
     output.publisher.listeners = 1
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     last = output.publisher.messages[0].transforms[-1]
@@ -139,13 +146,13 @@ def test_the_base_is_in_the_frame_that_is_given(with_tf2):
 ])  # fmt: skip
 def test_a_base_that_is_no_pose_is_refused(with_tf2, pose):
     with pytest.raises(ParameterError, match="tf_base_pose"):
-        TransformOutput(Node(), Simulation(), "base_link", "auto", "", "world", pose, Audience())
+        output_of(Node(), tf_base_frame="world", tf_base_pose=pose)
 
 
 def test_the_base_is_not_below_itself(with_tf2):
     for frame in ("base_link", "tip"):
         with pytest.raises(ParameterError, match="tf_base_frame"):
-            TransformOutput(Node(), Simulation(), "base_link", "auto", "", frame, POSE, Audience())
+            output_of(Node(), tf_base_frame=frame)
 
 
 @pytest.mark.parametrize(("wanted", "warnings"), [("auto", 0), ("on", 1), ("off", 0)])
@@ -153,7 +160,7 @@ def test_without_tf2_msgs_there_is_nothing_and_only_who_asks_is_told(
     without_tf2, wanted, warnings
 ):
     node = Node()
-    output = TransformOutput(node, Simulation(), "base_link", wanted, "", "", POSE, Audience())
+    output = output_of(node, tf=wanted)
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     assert not node.opened and len(node.warnings) == warnings
     assert all("tf2_msgs is not installed" in sentence for sentence in node.warnings)
