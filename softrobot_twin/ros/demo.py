@@ -212,7 +212,10 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
             its parameters cannot be used.
         SceneError: Its scene cannot be used.
     """
-    file = _parameter_file(robot)
+    if (file := _parameter_files().get(robot)) is None:
+        looked = ", ".join(map(str, config_folders()))
+        raise ParameterError("robot", robot, "", f"must be one of {_known_robots()}; "
+                             f"looked for {robot}.yaml in {looked}")
     values = _DEFAULTS | _parameters(file)
     if not _has_demo(values):
         raise ParameterError(
@@ -264,15 +267,6 @@ def _parameter_files() -> dict[str, Path]:
     # A folder before another one hides its files.
     return {file.stem: file.resolve() for folder in reversed(config_folders())
             for file in folder.glob("*.yaml")}  # fmt: skip
-
-
-def _parameter_file(robot: str) -> Path:
-    try:
-        return _parameter_files()[robot]
-    except KeyError:
-        looked = ", ".join(map(str, config_folders()))
-        raise ParameterError("robot", robot, "", f"must be one of {_known_robots()}; "
-                             f"looked for {robot}.yaml in {looked}") from None
 
 
 def _known_robots() -> str:
@@ -528,10 +522,7 @@ class DemoRecorder(Node):
     """Records the messages of a twin, its device and its targets.
 
     Args:
-        twin: Name of the twin, such as ``/twin``.
-        device: Name of the device, such as ``/device``.
         effector: Effector that is driven or compared.
-        start_topic: Topic on which the target waits for its start point.
         is_direct: Commands are played; there are no targets.
         touch: Touch where the device's fingertip presses; empty for none.
 
@@ -550,9 +541,7 @@ class DemoRecorder(Node):
         cause: Reported reason for a large tracking error; empty when there is none.
     """
 
-    def __init__(
-        self, twin: str, device: str, effector: str, start_topic: str, is_direct: bool, touch: str = ""
-    ):
+    def __init__(self, effector: str, is_direct: bool, touch: str):
         super().__init__("demo")
         self.is_direct = is_direct
         self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
@@ -561,16 +550,15 @@ class DemoRecorder(Node):
         self.actuator_names: tuple[str, ...] = ()
         self.loop_reports: list[LoopReport] = []
         self.priority = self.cause = ""
-        self._twin = twin.lstrip("/")
-        self._targets = self._record(PointStamped, f"{twin}/target/{effector}", self.target)
-        self._record(PointStamped, f"{twin}/effectors/{effector}", self.twin_effector)
-        self._record(PointStamped, f"{device}/effectors/{effector}", self.device_effector)
+        self._targets = self._record(PointStamped, f"/twin/target/{effector}", self.target)
+        self._record(PointStamped, f"/twin/effectors/{effector}", self.twin_effector)
+        self._record(PointStamped, f"/device/effectors/{effector}", self.device_effector)
         if touch:
-            self._record(JointState, f"{twin}/touch/{touch}", self.twin_touch)
-            self._record(JointState, f"{device}/touch/{touch}", self.device_touch)
-            self._record(Vector3Stamped, f"{twin}/target_stiffness/{effector}", self.stiffness)
-        self._start = self.create_publisher(PointStamped, start_topic, _ALL)
-        self.create_subscription(JointState, f"{twin}/cables", self._take_cables, _ALL)
+            self._record(JointState, f"/twin/touch/{touch}", self.twin_touch)
+            self._record(JointState, f"/device/touch/{touch}", self.device_touch)
+            self._record(Vector3Stamped, f"/twin/target_stiffness/{effector}", self.stiffness)
+        self._start = self.create_publisher(PointStamped, START_TOPIC, _ALL)
+        self.create_subscription(JointState, "/twin/cables", self._take_cables, _ALL)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
 
     def _record(self, kind: type, topic: str, samples: Samples) -> Subscription:
@@ -625,16 +613,16 @@ class DemoRecorder(Node):
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         parts = {status.name: {pair.key: pair.value for pair in status.values}
                  for status in message.status}
-        fields = parts.get(f"{self._twin}: loop")
+        fields = parts.get("twin: loop")
         if fields is None:
             return
         self.priority = fields["priority"]
-        counts = parts[f"{self._twin}: solver"].get("statuses", "").split()
+        counts = parts["twin: solver"].get("statuses", "").split()
         self.loop_reports.append(LoopReport(
             *(1e-3 * float(fields[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
             *(int(fields[key]) for key in ("ticks", "missed", "skipped")),
             {word: int(count) for word, _, count in (one.partition(":") for one in counts)}))
-        self.cause = parts[f"{self._twin}: target"].get("error_cause", "")
+        self.cause = parts["twin: target"].get("error_cause", "")
 
 
 def _seconds(header) -> float:
@@ -754,9 +742,7 @@ class Demo:
         """
         isolate(os.environ)
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._recorder = DemoRecorder(
-            "/twin", "/device", self._plan.effector, START_TOPIC, self._plan.is_direct,
-            self._plan.touch)
+        self._recorder = DemoRecorder(self._plan.effector, self._plan.is_direct, self._plan.touch)
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self._recorder)
         was_stopped = False
@@ -790,21 +776,20 @@ class Demo:
         recorder = self._recorder
         self.phase = "starting"
         of_twin, of_rest = processor_shares(self._cores)
-        for node in ("twin", "device", "target"):
-            self._start(node, of_twin if node == "twin" else of_rest)
+        for node, place in (("twin", of_twin), ("device", of_rest), ("target", of_rest)):
+            log = self._plan.folder / f"{node}.log"
+            self.processes.append(DemoProcess(node, self._plan.command(node), log, place))
         # After the start of the nodes, because children inherit the share of this process.
         of_rest.give(0)
         self.until(lambda: recorder.twin_effector.times and recorder.device_effector.times,
-                    _START_TIMEOUT, "twin", "twin and device do not publish effectors", True)
+                   _START_TIMEOUT, "twin", "twin and device do not publish effectors", True)
         self.until(recorder.target_is_found, _START_TIMEOUT, "target", "it was not found", True)
         self.phase = "enabling"
         self._enable()
-        self.until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin",
-                    "it commands no cables")
+        self.until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin", "it commands no cables")
         start = recorder.start_target()
         if not self._plan.is_direct:
-            self.until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target",
-                        "it publishes nothing")
+            self.until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target", "it publishes nothing")
             start = recorder.target.times[0]
         self._reports_before = len(recorder.loop_reports)
         self._times_before = self._processor_times()
@@ -818,10 +803,6 @@ class Demo:
                         self._plan.run_time + _ANSWER_TIMEOUT,
                         "twin" if self._plan.is_direct else "target", "it stopped publishing")
         self.phase = "ending"
-
-    def _start(self, node: str, place: ProcessorShare) -> None:
-        log = self._plan.folder / f"{node}.log"
-        self.processes.append(DemoProcess(node, self._plan.command(node), log, place))
 
     def _processor_times(self) -> ProcessorTimes | None:
         try:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, TransformStamped
 from sensor_msgs.msg import PointField
@@ -13,10 +11,11 @@ from visualization_msgs.msg import Marker, UVCoordinate
 from softrobot_twin.ros import topics
 
 _SEPARATOR = "=" * 80
-_SIMPLE = {"float": "float32", "double": "float64", "boolean": "bool", "octet": "byte"}
-_SEQUENCE = re.compile(r"sequence<(?P<item>[^,>]+(?:<\d+>)?)(?:, *(?P<most>\d+))?>")
-_ARRAY = re.compile(r"(?P<item>.+)\[(?P<count>\d+)\]")
-_BOUNDED = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
+_PLAIN = {"float": "float32", "double": "float64", "boolean": "bool", "octet": "byte"} | {
+    name: name for name in ("string", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64",
+                            "uint64")
+}  # fmt: skip
+"""Types of fields that are no messages, and the words for them in a message file."""
 
 
 def type_name(kind: type) -> str:
@@ -42,7 +41,7 @@ def definition(kind: type) -> str:
         kind: The class that Python has for it.
 
     Raises:
-        KeyError: It contains a sequence of messages of a type that no topic of this package has.
+        KeyError: It contains a type, or a sequence of messages of one, that no topic of this package has.
     """
     texts: dict[str, str] = {}
     _collect(kind, texts)
@@ -58,25 +57,12 @@ def _collect(kind: type, texts: dict[str, str]) -> None:
     texts[key] = ""
     inner, lines, example = [], [], kind()
     for field, idl in kind.get_fields_and_field_types().items():
-        written, item = _type_of(idl)
-        lines.append(f"{written} {field}\n")
+        name = idl.removeprefix("sequence<").removesuffix(">")
+        item = name if "/" in name else _PLAIN[name]
+        lines.append(f"{item if name == idl else item + '[]'} {field}\n")
         if "/" in item:
             value = getattr(example, field)
             inner.append(_ITEMS[item] if isinstance(value, list) else type(value))
     texts[key] = "".join(lines)
     for item in inner:
         _collect(item, texts)
-
-
-def _type_of(idl: str) -> tuple[str, str]:
-    """A type in the words of a message file, and that of its items."""
-    if found := _SEQUENCE.fullmatch(idl):
-        item, most = _type_of(found["item"])[0], found["most"]
-        return f"{item}[<={most}]" if most else f"{item}[]", item
-    if found := _ARRAY.fullmatch(idl):
-        item = _type_of(found["item"])[0]
-        return f"{item}[{found['count']}]", item
-    if found := _BOUNDED.fullmatch(idl):
-        return f"{found['kind']}<={found['most']}", found["kind"]
-    written = _SIMPLE.get(idl, idl)
-    return written, written
