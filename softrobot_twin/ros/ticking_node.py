@@ -105,8 +105,7 @@ class TickingNode(Node):
         self.failed_ticks, self.failures_in_a_row, self.failure = 0, 0, ""
         self.stamp, self.has_worked = 0, False
         self.is_simulated_time = bool(self.get_parameter("use_sim_time").value)
-        self._time = (ElapsedTime(self.ros_time)
-                      if self.is_simulated_time else time.monotonic)
+        self._time = ElapsedTime(self.ros_time) if self.is_simulated_time else time.monotonic
         self._clock_watch = ClockWatch()
         self._watched: list[tuple[str, bool]] | None = None
         self._last_look: list[Clash] = []
@@ -140,10 +139,8 @@ class TickingNode(Node):
         clock = self.get_clock() if self.is_simulated_time else steady
         self._timer = self.create_timer(period, self.tick, clock=clock)
         if self.is_simulated_time:
-            self._no_clock_timer = self.create_timer(
-                _CLOCK_WAIT, self._warn_of_no_clock, clock=steady
-            )
             self._last_tick_count = 0
+            self.create_timer(_CLOCK_WAIT, self._warn_of_no_clock, clock=steady)
 
     def change_period(self, period: float) -> None:
         """Changes the period [s].
@@ -176,10 +173,8 @@ class TickingNode(Node):
 
     def tick(self) -> None:
         """Runs one tick and the work that can wait until after it. An exception ends the tick only."""
-        until_next = self._timer.time_until_next_call()
-        now = self.tick_clock.begin(
-            self.tick_clock.period if until_next is None else until_next / NANOSECONDS
-        )
+        until_next, period = self._timer.time_until_next_call(), self.tick_clock.period
+        now = self.tick_clock.begin(period if until_next is None else until_next / NANOSECONDS)
         self.stamp = self.ros_time()
         self._watch_clock(now)
         self.has_worked = self._try(self.work, now)
@@ -305,9 +300,8 @@ class TickingNode(Node):
         """Counts and logs a message that rclpy failed to process; the node continues."""
         self.refused_requests += 1
         words = one_line(error) or type(error).__name__
-        self.get_logger().error(
-            f"a message or request was refused: {words}", throttle_duration_sec=_WARN_EVERY
-        )
+        self.get_logger().error(f"a message or request was refused: {words}",
+                                throttle_duration_sec=_WARN_EVERY)
 
     def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
         """Sets all parameters or none; a name that the node does not have is refused by name."""

@@ -275,9 +275,7 @@ class TwinNode(TickingNode):
             self._reduction = ReductionErrorWatch(simulation)
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
-            self._velocity_effector(simulation), str(values["frame_id"]),
-            float(values["ambient_pressure"]),
-        )
+            self._velocity_effector(simulation), self.loop_frame, float(values["ambient_pressure"]))
         for note in self.loop.cavities.notes:
             self.get_logger().warning(note)
         simulation.warm_up()
@@ -290,14 +288,11 @@ class TwinNode(TickingNode):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
-        self.diagnostics = TwinDiagnostics(
-            self.loop, self.tick_clock, self.window, self.feed, self._mesh_error, self,
-            self._reduction,
-        )
+        self.diagnostics = TwinDiagnostics(self.loop, self.tick_clock, self.window, self.feed,
+                                           self._mesh_error, self, self._reduction)
         self._open_outputs()
         self._open_inputs()
-        angles = () if self._angles is None else (self._angles,)
-        self.watch_topics((self.cables, *angles, *self.pressures.values(), *self.poses.values(),
+        self.watch_topics((self.cables, *self._angles, *self.pressures.values(), *self.poses.values(),
                            *self._measurements), self._commands)
         self.claim.listen()
         self._yield_to_rivals()
@@ -333,8 +328,7 @@ class TwinNode(TickingNode):
         frame = self.loop_frame
         self._command, self._wound = (
             MessageBytes(partial(cables_message, names), frame, len(names), len(names))
-            for names in (simulation.actuator_names, self.loop.pulleys.names)
-        )
+            for names in (simulation.actuator_names, self.loop.pulleys.names))
         self._pose = MessageBytes(pose_message, frame, 3, 4)
         self._pressure = MessageBytes(
             lambda numbers, header: pressure_message(*numbers, header), frame, 1)
@@ -343,13 +337,11 @@ class TwinNode(TickingNode):
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
         }
         has_pulleys = self.loop.pulleys.count
-        self._angles = open_publisher(self, TOPICS["~/angles"]) if has_pulleys else None
+        self._angles = (open_publisher(self, TOPICS["~/angles"]),) if has_pulleys else ()
         self.poses = {name: open_publisher(self, TOPICS["~/poses/<guided body>"], name)
                       for name in simulation.guided_names}  # fmt: skip
-        self._outputs = [
-            (output, self._maker(output.make, output.counts), publishers)
-            for output, publishers in open_outputs(self, outputs_of(simulation))
-        ]
+        self._outputs = [(output, self._maker(output), publishers)
+                         for output, publishers in open_outputs(self, outputs_of(simulation))]
         self._compliances = ComplianceOutputs(self, self.loop, self._audience)
         values = self._values
         self.visualization = VisualizationOutput(
@@ -358,16 +350,11 @@ class TwinNode(TickingNode):
         self.status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
 
-    def _maker(self, make: Callable[..., object], counts: Sequence[int]) -> Callable:
-        """Makes messages of a stamp [ns] and values.
-
-        Args:
-            make: Makes one of values and a header.
-            counts: See `Output`.
-        """
-        if counts:
-            return MessageBytes(make, self.loop_frame, *counts).message
-        return lambda stamp, *values: make(*values, self._header(stamp))
+    def _maker(self, output: Output) -> Callable[..., object]:
+        """Makes messages of an output of a stamp [ns] and values."""
+        if output.counts:
+            return MessageBytes(output.make, self.loop_frame, *output.counts).message
+        return lambda stamp, *values: output.make(*values, self._header(stamp))
 
     def _header(self, stamp: int) -> Header:
         """The header of messages with a time [ns]."""
@@ -442,10 +429,8 @@ class TwinNode(TickingNode):
         """Without a device, moves the model to where the hardware was sent last, by any twin."""
         if self.last_command is None or (stored := self.last_command.read()) is None:
             return
-        self.loop.continue_from(
-            stored.setpoints, stored.efforts,
-            {name: [part.tolist() for part in pose] for name, pose in stored.poses.items()},
-        )  # fmt: skip
+        poses = {name: [part.tolist() for part in pose] for name, pose in stored.poses.items()}
+        self.loop.continue_from(stored.setpoints, stored.efforts, poses)
         self.get_logger().info(f"continues from the last command, {self.last_command.path}")
 
     def watch_graph(self) -> None:
@@ -464,13 +449,12 @@ class TwinNode(TickingNode):
 
     def enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Answers ``~/enable``; refused beside another twin that commands."""
-        clashes, rival = [], ""
+        refusals: list[str] = []
         if request.data and not self.loop.is_enabled:
             clashes, rival = self.look_for_clashes(), self.claim.why_not()
-        if clashes or rival:
-            sentences = [clash.sentence for clash in clashes]
-            response.success = False
-            response.message = "; ".join([rival, *sentences] if rival else sentences)
+            refusals = [rival] * bool(rival) + [clash.sentence for clash in clashes]
+        if refusals:
+            response.success, response.message = False, "; ".join(refusals)
         elif request.data:
             if not self.loop.is_enabled:
                 self._continue_from_last_command()
@@ -529,9 +513,9 @@ class TwinNode(TickingNode):
     def _publish_command(self, command: ActuatorCommand, stamp: int) -> None:
         send, pulleys = self._repeated.send, self.loop.pulleys
         send(self.cables, self._command.message(stamp, *command))
-        if self._angles is not None:
+        for publisher in self._angles:
             angles, torques = pulleys.angles(command.setpoints), pulleys.torques(command.efforts)
-            send(self._angles, self._wound.message(stamp, angles, torques))
+            send(publisher, self._wound.message(stamp, angles, torques))
         for name, pressure in self.loop.cavities.absolute(command.efforts).items():
             send(self.pressures[name], self._pressure.message(stamp, pressure))
 
@@ -600,18 +584,16 @@ class TwinNode(TickingNode):
         if self.loop.is_enabled and self.loop.markers_are_lost(outcome.measured_markers):
             logger.warning(f"markers lost: {activity}", throttle_duration_sec=_WARN_EVERY)
         if self.loop.why_given_up:
-            logger.error(
-                f"disabled: {self.loop.why_given_up}; call ~/enable to try again",
-                throttle_duration_sec=_WARN_EVERY,
-            )
+            logger.error(f"disabled: {self.loop.why_given_up}; call ~/enable to try again",
+                         throttle_duration_sec=_WARN_EVERY)
         for outside in outcome.result.report.strains:
             logger.warning(outside.in_words(), throttle_duration_sec=_WARN_EVERY)
         if outcome.violated:
-            broken = ", ".join(outcome.violated)
-            logger.error(f"command kept back: {broken}", throttle_duration_sec=_WARN_EVERY)
+            logger.error(f"command kept back: {', '.join(outcome.violated)}",
+                         throttle_duration_sec=_WARN_EVERY)
         elif outcome.result.status.is_failure:
-            status = outcome.result.status.value
-            logger.error(f"step failed: {status}", throttle_duration_sec=_WARN_EVERY)
+            logger.error(f"step failed: {outcome.result.status.value}",
+                         throttle_duration_sec=_WARN_EVERY)
 
     def _changed_settings(self, parameters: list[Parameter]) -> LoopSettings:
         changes = {parameter.name: plain(parameter) for parameter in parameters}
@@ -638,10 +620,8 @@ class TwinNode(TickingNode):
         if self.feed is not None and self.feed.mirror.address:
             self.get_logger().info(f"view: rerun {self.feed.mirror.address}")
         state = "" if loop.is_enabled else "; disabled until ~/enable is called"
-        self.get_logger().info(
-            f"ready: {scene}, {simulation.node_count} nodes, {loop.mode.value}, "
-            f"{loop.settings.rate:g} Hz{state}"
-        )
+        self.get_logger().info(f"ready: {scene}, {simulation.node_count} nodes, {loop.mode.value}, "
+                               f"{loop.settings.rate:g} Hz{state}")
 
     def destroy_node(self) -> None:
         """Closes the view, the recording and the process that estimates the mesh's error, then
