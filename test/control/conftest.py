@@ -20,25 +20,48 @@ START = 1_000 * NANOSECONDS
 FRAME = "base_link"
 
 
-@pytest.fixture(scope="session")
-def small_scene_mapping():
-    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
-    mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
+def coarse(scene, mesh):
+    """The mapping of a scene on a coarse mesh of linear elements."""
+    mapping = written_out(yaml.safe_load((ROOT / f"config/scenes/{scene}.yaml").read_text()))
+    mapping["body"]["mesh"]["file"] = str(ROOT / f"meshes/{mesh}.vtk")
     mapping["body"]["element"] = "linear"
     return mapping
 
 
 @pytest.fixture(scope="session")
-def _built(small_scene_mapping):
-    simulation = Simulation.from_scene(scene_from_mapping(small_scene_mapping))
+def small_scene_mapping():
+    return coarse("diamond", "diamond_400")
+
+
+def of_mapping(name):
+    """A fixture that builds the simulation of a fixture's scene, once."""
+
+    @pytest.fixture(scope="session")
+    def make(request):
+        return warmed_up(Simulation.from_scene(scene_from_mapping(request.getfixturevalue(name))))
+
+    return make
+
+
+def warmed_up(simulation):
     simulation.warm_up()
     return simulation
 
 
-@pytest.fixture
-def simulation(_built):
-    _built.reset()
-    return _built
+def at_rest(built):
+    """A fixture that gives the simulation of another fixture, at rest."""
+
+    @pytest.fixture
+    def make(request):
+        simulation = request.getfixturevalue(built)
+        simulation.reset()
+        return simulation
+
+    return make
+
+
+_built = of_mapping("small_scene_mapping")
+simulation = at_rest("_built")
 
 
 @pytest.fixture(scope="session")
@@ -48,66 +71,34 @@ def _built_device(small_scene_mapping):
     mapping["body"]["material"]["young_modulus"] = 0.85 * 180e3
     for cable, offset in zip(mapping["cables"], ([1, 0, 0], [0, 0, 1], [0, 0, -1], [0, -1, 0])):
         cable["points"] = (np.array(cable["points"]) + 1e-3 * np.array([offset])).tolist()
-    simulation = Simulation.from_scene(scene_from_mapping(mapping))
-    simulation.warm_up()
-    return simulation
+    return warmed_up(Simulation.from_scene(scene_from_mapping(mapping)))
 
 
-@pytest.fixture
-def device_simulation(_built_device):
-    _built_device.reset()
-    return _built_device
+device_simulation = at_rest("_built_device")
 
 
 @pytest.fixture(scope="session")
 def _built_grasper():
-    simulation = Simulation.from_scene_file(ROOT / "config/scenes/grasper.yaml")
-    simulation.warm_up()
-    return simulation
+    return warmed_up(Simulation.from_scene_file(ROOT / "config/scenes/grasper.yaml"))
 
 
-@pytest.fixture
-def grasper(_built_grasper):
-    """The Grasper, at rest: dynamic, in contact, its palm guided, one motor for three cables."""
-    _built_grasper.reset()
-    return _built_grasper
+grasper = at_rest("_built_grasper")
+"""The Grasper, at rest: dynamic, in contact, its palm guided, one motor for three cables."""
 
 
 @pytest.fixture(scope="session")
 def trunk_mapping():
     """The Trunk before its two cylinders, on its coarse mesh."""
-    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/trunk_cylinders.yaml").read_text()))
-    mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/trunk_700.vtk")
-    mapping["body"]["element"] = "linear"
-    return mapping
+    return coarse("trunk_cylinders", "trunk_700")
 
 
-@pytest.fixture(scope="session")
-def _built_trunk(trunk_mapping):
-    simulation = Simulation.from_scene(scene_from_mapping(trunk_mapping))
-    simulation.warm_up()
-    return simulation
+_built_trunk = of_mapping("trunk_mapping")
+trunk = at_rest("_built_trunk")
+"""The Trunk, at rest: eight cables and a slide, inverse in contact."""
 
-
-@pytest.fixture
-def trunk(_built_trunk):
-    """The Trunk, at rest: eight cables and a slide, inverse in contact."""
-    _built_trunk.reset()
-    return _built_trunk
-
-
-@pytest.fixture(scope="session")
-def _built_air(air_scene):
-    simulation = Simulation.from_scene(scene_from_mapping(air_scene))
-    simulation.warm_up()
-    return simulation
-
-
-@pytest.fixture
-def air(_built_air):
-    """A block with three cavities and a cable, at rest; see `air_scene`."""
-    _built_air.reset()
-    return _built_air
+_built_air = of_mapping("air_scene")
+air = at_rest("_built_air")
+"""A block with three cavities and a cable, at rest; see `air_scene`."""
 
 
 class Driver:
@@ -173,34 +164,21 @@ class Driver:
         return np.abs(np.diff(np.vstack([rest, self.commands]), axis=0)).max()
 
 
-@pytest.fixture
-def drive_grasper(grasper):
-    """Makes a driver of the Grasper in direct mode, a tick every 10 ms."""
+def driver_of(name, **defaults):
+    """A fixture that makes drivers of the simulation of another fixture."""
 
-    def make(**arguments):
-        return Driver(grasper, **{"mode": Mode.DIRECT, "rate": 100.0, **arguments})
-
-    return make
-
-
-@pytest.fixture
-def drive_trunk(trunk):
-    """Makes a driver of the Trunk, a tick every 20 ms."""
-
-    def make(**arguments):
-        return Driver(trunk, **{"rate": 50.0, "approach_speed": 0.05, **arguments})
+    @pytest.fixture
+    def make(request):
+        simulation = request.getfixturevalue(name)
+        return lambda **arguments: Driver(simulation, **defaults | arguments)
 
     return make
 
 
-@pytest.fixture
-def drive_air(air):
-    """Makes a driver of the block with cavities, a tick every 20 ms."""
-
-    def make(**arguments):
-        return Driver(air, **{"rate": 50.0, **arguments})
-
-    return make
+drive = driver_of("simulation")
+drive_grasper = driver_of("grasper", mode=Mode.DIRECT, rate=100.0)
+drive_trunk = driver_of("trunk", rate=50.0, approach_speed=0.05)
+drive_air = driver_of("air", rate=50.0)
 
 
 @pytest.fixture
@@ -215,15 +193,5 @@ def drive_posed(small_scene_mapping):
 
     def make(**arguments):
         return Driver(Simulation.from_scene(scene_from_mapping(mapping)), **arguments)
-
-    return make
-
-
-@pytest.fixture
-def drive(simulation):
-    """Makes a driver of the small Diamond."""
-
-    def make(**arguments):
-        return Driver(simulation, **arguments)
 
     return make

@@ -10,6 +10,7 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.parameters import ALL_TABLES, RUNTIME, TWIN, Entry, declare, loop_settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "diamond.yaml"
+DRIVEN_DIRECTLY = {"grasper", "octoleg", "pneunet"}
 KNOWN = {entry.name: entry for table in ALL_TABLES for entry in table}
 
 
@@ -45,36 +46,18 @@ def test_the_parameter_file_of_the_diamond_has_every_parameter_with_its_type():
     loop_settings(given)
 
 
-@pytest.mark.parametrize("robot", ["finger", "springy", "segment", "stifface"])
-def test_the_parameter_files_of_robots_with_targets_have_known_parameters(robot):
-    given = yaml.safe_load(CONFIG.with_name(f"{robot}.yaml").read_text())["/**"]["ros__parameters"]
+@pytest.mark.parametrize("robot", sorted(file.stem for file in CONFIG.parent.glob("*.yaml")))
+def test_the_parameter_file_of_a_robot_has_known_parameters_with_their_types(robot):
+    sections = yaml.safe_load(CONFIG.with_name(f"{robot}.yaml").read_text()).values()
+    given = {name: value for one in sections for name, value in one["ros__parameters"].items()}
     for name, value in given.items():
         assert type(value) is type(KNOWN[name].default), name
-    loop_settings({entry.name: entry.default for entry in TWIN} | given)
-    for name in ("scene_file", "device_scene_file"):
-        assert (CONFIG.parent / given[name]).is_file()
-
-
-def test_the_parameter_file_of_the_strider_has_known_parameters_with_their_types():
-    given = yaml.safe_load(CONFIG.with_name("strider.yaml").read_text())["/**"]["ros__parameters"]
-    for name, value in given.items():
-        assert type(value) is type(KNOWN[name].default), name
-    loop_settings({entry.name: entry.default for entry in TWIN} | given)
-    for name in ("scene_file", "device_scene_file"):
-        assert (CONFIG.parent / given[name]).is_file()
-    assert given["device_angle_rate"] > 0.0
-
-
-@pytest.mark.parametrize("robot", ["grasper", "octoleg", "pneunet"])
-def test_the_parameter_files_of_robots_in_contact_have_known_parameters_with_their_types(robot):
-    given = yaml.safe_load(CONFIG.with_name(f"{robot}.yaml").read_text())["/**"]["ros__parameters"]
-    for name, value in given.items():
-        assert type(value) is type(KNOWN[name].default), name
-    values = {entry.name: entry.default for entry in TWIN} | given
+    values = {name: entry.default for name, entry in KNOWN.items()} | given
     loop_settings(values)
-    assert values["mode"] == "direct"
     for name in ("scene_file", "device_scene_file"):
-        assert (CONFIG.parent / given[name]).is_file()
+        assert (CONFIG.parent / values[name]).is_file()
+    assert values["device_angle_rate"] > 0.0
+    assert (values["mode"] == "direct") == (robot in DRIVEN_DIRECTLY)
 
 
 TABLE = (
