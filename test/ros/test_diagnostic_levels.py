@@ -1,11 +1,9 @@
 """Messages and levels of the diagnostics for states of the control loop."""
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from softrobot_twin.control.arrival import Arrival
@@ -14,21 +12,16 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.scene.loading import written_out
+from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.effects.reduction_error import BodyError
 
-ROOT = Path(__file__).resolve().parents[2]
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 @pytest.fixture(scope="module")
-def diamond():
-    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
-    mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
-    mapping["body"]["element"] = "linear"
-    return Simulation.from_scene(scene_from_mapping(mapping))
+def diamond(small_scene_file):
+    return Simulation.from_scene_file(small_scene_file)
 
 
 class Watched:

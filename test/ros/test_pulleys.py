@@ -1,6 +1,5 @@
 """Pulleys over ROS: angles on topics of their own."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,19 +11,16 @@ from std_srvs.srv import SetBool
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
-from softrobot_twin.scene.loading import written_out
 
 RADIUS = 0.01
-SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
 
 
 @pytest.fixture(scope="module")
-def wound_file(tmp_path_factory):
-    scene = written_out(yaml.safe_load(SCENE_FILE.read_text()))
-    scene["body"]["mesh"]["file"] = str(SCENE_FILE.parents[2] / "meshes" / "diamond_400.vtk")
+def wound_file(small_scene_file):
+    scene = yaml.safe_load(small_scene_file.read_text())
     for cable, winds in zip(scene["cables"], ("positive", "negative")):
         cable["pulley"] = {"radius": RADIUS, "winds": winds, "angle": [-1.5, 1.5]}
-    file = tmp_path_factory.mktemp("scenes") / "wound.yaml"
+    file = small_scene_file.with_name("wound.yaml")
     file.write_text(yaml.safe_dump(scene))
     return file
 
