@@ -94,10 +94,8 @@ class _StopRequest:
     """
 
     def __init__(self) -> None:
-        self.received = False
-        self._exits_at_once = True
-        self._raises = False
-        self._has_raised = False
+        self.received = self._has_raised = False
+        self._react: Callable[[], None] = partial(os._exit, 0)
         # The ROS wheels restart Python when rclpy is imported. Signals blocked here stay blocked in
         # the new process and are delivered in `listen`.
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
@@ -114,11 +112,11 @@ class _StopRequest:
 
     def raise_on_signal(self) -> None:
         """From now on a signal raises an exception, so that open resources are closed."""
-        self._exits_at_once, self._raises = False, True
+        self._react = self._interrupt
 
     def only_record(self) -> None:
         """From now on a signal is only recorded."""
-        self._exits_at_once = self._raises = False
+        self._react = lambda: None
 
     def ignore(self) -> None:
         """From now on signals do nothing: all is closed. While Python ends it would give them back
@@ -130,11 +128,12 @@ class _StopRequest:
 
     def _handle(self, number: int, frame: object) -> None:
         self.received = True
-        if self._exits_at_once:
-            os._exit(0)
-        if self._raises:
-            self._raises, self._has_raised = False, True
-            raise _Interrupted
+        self._react()
+
+    def _interrupt(self) -> None:
+        self.only_record()
+        self._has_raised = True
+        raise _Interrupted
 
     def _drop_interrupts(self, unraisable) -> None:
         """Hides an interrupt that Python could not raise, for instance inside a destructor, and

@@ -305,6 +305,12 @@ TWIN_TOPICS = _by_name(
 """Topics of the twin, by name."""
 
 
+def _of_twin(name: str, direction: Direction, quality: QoSProfile, meaning: str) -> Topic:
+    """The other end of a topic of a twin, for another node."""
+    twin = TWIN_TOPICS[f"~/{name}"]
+    return Topic(f"<twin>/{name}", direction, twin.kind, quality, twin.unit, meaning)
+
+
 def channel_topic(channel: Channel) -> Topic:
     """The topic by which the twin publishes a channel that was added from outside."""
     return Topic(f"~/{channel.name}/<object>", OUT, JointState, NEWEST, channel.unit,
@@ -322,24 +328,20 @@ TWIN_SERVICES = (
 """Services of the twin."""
 
 DEVICE_TOPICS = _by_name(
-    Topic("<twin>/cables", IN, JointState, LAST_FEW, "m, N",
-          "setpoints to which the robot moves, as the twin publishes them"),
-    Topic("<twin>/poses/<guided body>", IN, PoseStamped, LAST_FEW, "m",
-          "pose to which a guided body moves"),
-    Topic("<twin>/measured_cables", OUT, JointState, NEWEST, "m, N",
-          "measured lengths and tensions, cavities as in the twin's `~/cables`"),
-    Topic("<twin>/measured_angles", OUT, JointState, NEWEST, "rad, N m",
-          "measured angles and torques of pulleys; only in scenes with pulleys"),
-    Topic("<twin>/measured_pressures/<cavity>", OUT, FluidPressure, NEWEST, "Pa, absolute",
-          "measured pressure; `variance` [Pa²] as the sensor has it"),
-    Topic("<twin>/markers", OUT, PointCloud2, NEWEST, "m",
-          "measured markers: x y z float32, id uint32; NaN = hidden"),
-    Topic("<twin>/touch_position/<touch>", OUT, PointStamped, NEWEST, "m",
-          "with `device_touch` and `device_touch_sends: position`: the touched point, NaN without "
-          "a touch"),
-    Topic("<twin>/touch_force/<touch>", OUT, WrenchStamped, NEWEST, "N",
-          "with `device_touch` and `device_touch_sends: force`: the force on the robot, zero "
-          "without a touch"),
+    _of_twin("cables", IN, LAST_FEW,
+             "setpoints to which the robot moves, as the twin publishes them"),
+    _of_twin("poses/<guided body>", IN, LAST_FEW, "pose to which a guided body moves"),
+    _of_twin("measured_cables", OUT, NEWEST,
+             "measured lengths and tensions, cavities as in the twin's `~/cables`"),
+    _of_twin("measured_angles", OUT, NEWEST,
+             "measured angles and torques of pulleys; only in scenes with pulleys"),
+    _of_twin("measured_pressures/<cavity>", OUT, NEWEST,
+             "measured pressure; `variance` [Pa²] as the sensor has it"),
+    _of_twin("markers", OUT, NEWEST, "measured markers: x y z float32, id uint32; NaN = hidden"),
+    _of_twin("touch_position/<touch>", OUT, NEWEST, "with `device_touch` and `device_touch_sends: "
+             "position`: the touched point, NaN without a touch"),
+    _of_twin("touch_force/<touch>", OUT, NEWEST, "with `device_touch` and `device_touch_sends: "
+             "force`: the force on the robot, zero without a touch"),
     Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
           "what the fingertip measures, as the twin's `~/touch/<touch>`; with `device_touch`"),
     Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m",
@@ -350,19 +352,17 @@ DEVICE_TOPICS = _by_name(
 """Topics of the device, by name."""
 
 TARGET_TOPICS = _by_name(
-    Topic("<twin>/effectors/<effector>", IN, PointStamped, NEWEST, "m",
-          "start of the path; received until it began"),
-    Topic("<twin>/effector_poses/<effector>", IN, PoseStamped, NEWEST, "m",
-          "the same for a path with orientations"),
-    Topic("<twin>/target/<effector>", OUT, PointStamped, NEWEST, "m", "present point of the path"),
-    Topic("<twin>/target_pose/<effector>", OUT, PoseStamped, NEWEST, "m",
-          "in place of it, along a path with orientations"),
-    Topic("<twin>/target_stiffness/<effector>", OUT, Vector3Stamped, NEWEST, "N/m",
-          "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
-    Topic("<twin>/command/cables", OUT, JointState, NEWEST, "m, N",
-          "setpoint of `target_actuator`; with `target_commands` those of all actuators"),
-    Topic("<twin>/command/pose/<guided body>", OUT, PoseStamped, NEWEST, "m",
-          "pose of a guided body; with `target_commands` that have columns of it"),
+    _of_twin("effectors/<effector>", IN, NEWEST, "start of the path; received until it began"),
+    _of_twin("effector_poses/<effector>", IN, NEWEST, "the same for a path with orientations"),
+    _of_twin("target/<effector>", OUT, NEWEST, "present point of the path"),
+    _of_twin("target_pose/<effector>", OUT, NEWEST,
+             "in place of it, along a path with orientations"),
+    _of_twin("target_stiffness/<effector>", OUT, NEWEST,
+             "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
+    _of_twin("command/cables", OUT, NEWEST,
+             "setpoint of `target_actuator`; with `target_commands` those of all actuators"),
+    _of_twin("command/pose/<guided body>", OUT, NEWEST,
+             "pose of a guided body; with `target_commands` that have columns of it"),
 )  # fmt: skip
 """Topics of the target, by name."""
 

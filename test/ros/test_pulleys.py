@@ -1,6 +1,5 @@
 """Pulleys over ROS: angles on topics of their own."""
 
-
 import numpy as np
 import pytest
 import yaml
