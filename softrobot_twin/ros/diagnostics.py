@@ -286,18 +286,14 @@ class TwinDiagnostics:
         watch = self._mesh_error
         if watch is None:
             return {"mesh_error": "not requested"}
-        values: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
-        if watch.at_rest is None and not watch.cause:
-            values["mesh_error"] = "waiting for idle time"
-        if watch.at_rest is not None:
-            own, better = watch.at_rest.own, watch.at_rest.quadratic
-            values |= {
-                "mesh_error_at_forces_percent": 100.0 * own.forces,
-                "mesh_error_at_lengths_percent": 100.0 * own.lengths,
-                "quadratic_error_at_forces_percent": 100.0 * better.forces,
-                "quadratic_error_at_lengths_percent": 100.0 * better.lengths,
-                "quadratic_step_ms": better.step_time * _MILLI,
-            }
+        found = watch.at_rest
+        state = "waiting for idle time" if found is None else "estimated"
+        values: dict[str, object] = {"mesh_error": watch.cause or state}
+        if found is not None:
+            for word, error in (("mesh", found.own), ("quadratic", found.quadratic)):
+                values |= {f"{word}_error_at_{given}_percent": 100.0 * getattr(error, given)
+                           for given in ("forces", "lengths")}  # fmt: skip
+            values["quadratic_step_ms"] = found.quadratic.step_time * _MILLI
         return values
 
     def _of_full_model(self) -> dict[str, object]:
