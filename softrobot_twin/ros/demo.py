@@ -25,10 +25,10 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, PointStamped, Vector3Stamped
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
@@ -834,8 +834,8 @@ class Demo:
     def _close_loop(self) -> None:
         name = "/twin/set_parameters"
         client = self._recorder.create_client(SetParameters, name)
-        value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
-        request = SetParameters.Request(parameters=[Parameter(name="closed_loop", value=value)])
+        parameter = Parameter("closed_loop", value=True).to_parameter_msg()
+        request = SetParameters.Request(parameters=[parameter])
         (result,) = self._ask(client, request, name).results
         if not result.successful:
             raise DemoError("twin", f"the loop cannot be closed: {result.reason}")

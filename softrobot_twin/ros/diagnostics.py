@@ -337,9 +337,7 @@ class TwinDiagnostics:
     def _of_limits(self) -> Part:
         window = self._window
         names = sorted(window.limits)
-        values = {
-            "active": " ".join(names), "kept_back": window.blocked, **self._of_pressures(),
-        }  # fmt: skip
+        values = {"active": " ".join(names), "kept_back": window.blocked, **self._of_pressures()}
         # Otherwise a more severe status would hide an active limit.
         severe = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = severe and any(not name.endswith(RATE) for name in names)

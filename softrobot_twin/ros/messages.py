@@ -113,9 +113,7 @@ def wrench_message(force: np.ndarray, header: Header) -> WrenchStamped:
 
 def pressure_message(pressure: float, header: Header, variance: float = 0.0) -> FluidPressure:
     """An absolute pressure [Pa] as a message; a variance [Pa²] of 0 is unknown."""
-    return FluidPressure(
-        header=header, fluid_pressure=float(pressure), variance=float(variance)
-    )
+    return FluidPressure(header=header, fluid_pressure=float(pressure), variance=float(variance))
 
 
 def markers_message(ids: np.ndarray, positions: np.ndarray, header: Header) -> PointCloud2:

@@ -42,17 +42,13 @@ class RunRecording:
         """
         self._node, self.path, self.clock = node, Path(name), RecordedClock()
         self.recorder: RunRecorder | None = None
-        if self.path.suffix != SUFFIX:
-            raise ParameterError(
-                PARAMETER, name, "", f"must end in {SUFFIX}; for an .rrd file of the view set "
-                "record_file",
-            )  # fmt: skip
-        if find_spec("mcap") is None:
-            raise ParameterError(PARAMETER, name, "", INSTALL)
-        if self.path.exists():
-            raise ParameterError(
-                PARAMETER, name, "", "exists already; move it away, or name another file"
-            )
+        suffix = f"must end in {SUFFIX}; for an .rrd file of the view set record_file"
+        for is_wrong, why in (
+            (self.path.suffix != SUFFIX, suffix), (find_spec("mcap") is None, INSTALL),
+            (self.path.exists(), "exists already; move it away, or name another file"),
+        ):
+            if is_wrong:
+                raise ParameterError(PARAMETER, name, "", why)
 
     def begin(self, loop: TwinLoop, parameters: Mapping[str, object]) -> None:
         """Opens the file, before any topic is open.
@@ -71,8 +67,7 @@ class RunRecording:
         )  # fmt: skip
         try:
             self.recorder = RunRecorder(
-                self.path, loop, self.clock, description, node.ros_time, to_bytes
-            )
+                self.path, loop, self.clock, description, node.ros_time, to_bytes)
         except RunFileError as error:
             raise ParameterError(PARAMETER, str(self.path), "", error.reason) from None
 

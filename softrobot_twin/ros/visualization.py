@@ -68,9 +68,7 @@ class RobotMarkers:
         # By the markers in a message: which obstacles, targets and shapes there are.
         self._forms: dict[tuple, MarkerBytes] = {}
 
-    def message(
-        self, outcome: TickOutcome, stamp: tuple[int, int], with_obstacles: bool
-    ) -> bytes:
+    def message(self, outcome: TickOutcome, stamp: tuple[int, int], with_obstacles: bool) -> bytes:
         """A serialized `visualization_msgs/MarkerArray` of the present state.
 
         Args:
