@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
@@ -70,12 +71,18 @@ class Recorded:
         self.messages.append(message)
 
 
-def test_an_unchanged_status_is_not_sent_and_a_restless_one_not_at_every_tick(make_twin):
+@pytest.fixture
+def twin(make_twin):
+    """A twin that has ticked and is stopped; what its status publishes is recorded."""
     twin = make_twin()
     twin.stop()
     twin.tick()
-    status, outcome = twin.status, twin.window.newest
-    status.publisher = recorded = Recorded()
+    twin.status.publisher = Recorded()
+    return twin
+
+
+def test_an_unchanged_status_is_not_sent_and_a_restless_one_not_at_every_tick(twin):
+    status, outcome, recorded = twin.status, twin.window.newest, twin.status.publisher
     start = twin.monotonic() + 1.0
     for tick in range(100):
         status.offer(outcome, start + 0.01 * tick)
@@ -90,25 +97,19 @@ def test_an_unchanged_status_is_not_sent_and_a_restless_one_not_at_every_tick(ma
     assert values_of(recorded.messages[-1])["cause"] == "the last"
 
 
-def test_a_command_that_is_kept_back_is_an_error(make_twin):
-    twin = make_twin()
-    twin.stop()
-    twin.tick()
-    twin.status.publisher = recorded = Recorded()
+def test_a_command_that_is_kept_back_is_an_error(twin):
     outcome = twin.window.newest._replace(violated=("north.tension_max",))
     twin.status.offer(outcome, twin.monotonic() + 1.0)
-    assert recorded.messages[0].level == DiagnosticStatus.ERROR
-    assert values_of(recorded.messages[0])["kept_back"] == "north.tension_max"
+    (message,) = twin.status.publisher.messages
+    assert message.level == DiagnosticStatus.ERROR
+    assert values_of(message)["kept_back"] == "north.tension_max"
 
 
-def test_a_twin_that_looks_for_a_nearer_pose_says_so(make_twin):
-    twin = make_twin()
-    twin.stop()
-    twin.tick()
-    twin.status.publisher = recorded = Recorded()
+def test_a_twin_that_looks_for_a_nearer_pose_says_so(twin):
     outcome = twin.window.newest
     report = replace(outcome.result.report, is_exploring=True)
     outcome = outcome._replace(cause="", result=replace(outcome.result, report=report))
     twin.status.offer(outcome, twin.monotonic() + 1.0)
-    assert values_of(recorded.messages[0])["exploring"] == "true"
-    assert "looks for a nearer pose" in recorded.messages[0].message
+    (message,) = twin.status.publisher.messages
+    assert values_of(message)["exploring"] == "true"
+    assert "looks for a nearer pose" in message.message
