@@ -27,6 +27,10 @@ All kernels work on raw addresses.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from inspect import signature
+
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
@@ -48,13 +52,45 @@ NARROW = 3
 WIDE = 6
 DIRECTIONS = 3
 
-_ADDRESS = types.int64
-_SIGNATURE = types.void(*[types.int64] * 9)
 TRIANGLE = WIDE * WIDE  # doubles kept for a block
 _ONE = ir.Constant(DOUBLE, 1.0)
 _NOTHING = ir.Constant(DOUBLE, 0.0)
 _INFINITY = ir.Constant(DOUBLE, float("inf"))
 _PAIR = ir.VectorType(DOUBLE, 2)
+
+
+def _coded(write: Callable, returned: Callable = types.void) -> Callable:
+    """Make the intrinsic whose code a function writes; its arguments are integers, such as addresses.
+
+    Args:
+        write: Called with the `VectorCode` and the arguments.
+        returned: Type of what it returns.
+    """
+
+    def kernel(_typing, *arguments):
+        def generate(_context, builder, _signature, values):
+            return write(VectorCode(builder), *values)
+
+        return returned(*[types.int64] * len(arguments)), generate
+
+    # By it numba passes the arguments one by one.
+    kernel.__signature__ = signature(write)
+    return intrinsic(kernel)
+
+
+def _of_width(write: Callable) -> Callable:
+    """Make the intrinsic whose first argument is a width, `WIDE` or else `NARROW`, from code for one."""
+
+    def write_both(code: VectorCode, width: ir.Value, *arguments: ir.Value) -> None:
+        is_wide = code.builder.icmp_signed("==", width, code.integer(WIDE))
+        with code.builder.if_else(is_wide) as (wide, narrow):
+            with wide:
+                write(code, WIDE, *arguments)
+            with narrow:
+                write(code, NARROW, *arguments)
+
+    write_both.__signature__ = signature(write)
+    return _coded(write_both)
 
 
 def _tile(code: VectorCode, mode: str, width: int, height: int, operands: tuple) -> None:
@@ -99,40 +135,29 @@ def _solve_tile(code: VectorCode, values: list[list[ir.Value]], triangle: ir.Val
         column[:] = [code.builder.fmul(value, inverse) for value in column]
 
 
-def _bar(mode: str, width: int):
-    """Make the intrinsic of one mode and width: tall tiles first, then what is left."""
+def _bar(mode: str, code: VectorCode, width: int, strips, depth, a, a_stride, b, b_stride, c,
+         c_stride, triangle) -> None:  # fmt: skip
+    """Write the code of one mode and width: tall tiles first, then what is left."""
+    builder, a_rows, c_rows = code.builder, code.variable(a), code.variable(c)
 
-    @intrinsic
-    def bar(_typing, strips, depth, a, a_stride, b, b_stride, c, c_stride, triangle):
-        def write(_context, builder, _signature, arguments):
-            code = VectorCode(builder)
-            strips, depth, a, a_stride, b, b_stride, c, c_stride, triangle = arguments
-            a_rows, c_rows = code.variable(a), code.variable(c)
+    def tile(height):
+        operands = depth, a_rows.get(), a_stride, b, b_stride, c_rows.get(), c_stride, triangle
+        _tile(code, mode, width, height, operands)
 
-            def tile(height):
-                operands = (
-                    depth, a_rows.get(), a_stride, b, b_stride, c_rows.get(), c_stride, triangle
-                )  # fmt: skip
-                _tile(code, mode, width, height, operands)
-
-            tallest = code.integer(TALLEST)
-            with code.repeat(builder.sdiv(strips, tallest)):
-                tile(TALLEST)
-                a_rows.set(code.at(a_rows.get(), STRIP * TALLEST))
-                c_rows.set(code.at(c_rows.get(), STRIP * TALLEST))
-            rest = builder.srem(strips, tallest)
-            for height in range(1, TALLEST):
-                with builder.if_then(builder.icmp_signed("==", rest, code.integer(height))):
-                    tile(height)
-
-        return _SIGNATURE, write
-
-    return bar
+    tallest = code.integer(TALLEST)
+    with code.repeat(builder.sdiv(strips, tallest)):
+        tile(TALLEST)
+        a_rows.set(code.at(a_rows.get(), STRIP * TALLEST))
+        c_rows.set(code.at(c_rows.get(), STRIP * TALLEST))
+    rest = builder.srem(strips, tallest)
+    for height in range(1, TALLEST):
+        with builder.if_then(builder.icmp_signed("==", rest, code.integer(height))):
+            tile(height)
 
 
-_negate_wide, _negate_narrow = _bar("negate", WIDE), _bar("negate", NARROW)
-_subtract_wide, _subtract_narrow = _bar("subtract", WIDE), _bar("subtract", NARROW)
-_solve_wide, _solve_narrow = _bar("solve", WIDE), _bar("solve", NARROW)
+_negate, _subtract, _solve = (
+    _of_width(partial(_bar, mode)) for mode in ("negate", "subtract", "solve")
+)
 
 
 @njit(**KERNEL)
@@ -150,19 +175,13 @@ def negate_product(width, strips, depth, a, a_stride, b, b_stride, c, c_stride):
         c: Address of C.
         c_stride: Distance of its columns.
     """
-    if width == WIDE:
-        _negate_wide(strips, depth, a, a_stride, b, b_stride, c, c_stride, 0)
-    else:
-        _negate_narrow(strips, depth, a, a_stride, b, b_stride, c, c_stride, 0)
+    _negate(width, strips, depth, a, a_stride, b, b_stride, c, c_stride, 0)
 
 
 @njit(**KERNEL)
 def subtract_product(width, strips, depth, a, a_stride, b, b_stride, c, c_stride):
     """C ← C - A Bᵀ of a bar; see `negate_product`."""
-    if width == WIDE:
-        _subtract_wide(strips, depth, a, a_stride, b, b_stride, c, c_stride, 0)
-    else:
-        _subtract_narrow(strips, depth, a, a_stride, b, b_stride, c, c_stride, 0)
+    _subtract(width, strips, depth, a, a_stride, b, b_stride, c, c_stride, 0)
 
 
 @njit(**KERNEL)
@@ -172,70 +191,48 @@ def solve_product(width, strips, depth, a, a_stride, b, b_stride, c, c_stride, t
     Args:
         triangle: Address of T, lower, columns `WIDE` doubles apart, its diagonal inverted.
     """
-    if width == WIDE:
-        _solve_wide(strips, depth, a, a_stride, b, b_stride, c, c_stride, triangle)
-    else:
-        _solve_narrow(strips, depth, a, a_stride, b, b_stride, c, c_stride, triangle)
+    _solve(width, strips, depth, a, a_stride, b, b_stride, c, c_stride, triangle)
 
 
-def _triangle_factor(width: int):
-    @intrinsic
-    def factor(_typing, block, stride, triangle):
-        def write(_context, builder, _signature, arguments):
-            code = VectorCode(builder)
-            block, stride, triangle = arguments
-            columns = code.columns(block, stride, width)
-            c = [[code.load(columns[j], i) for j in range(i + 1)] for i in range(width)]
-            positive = ir.Constant(ir.IntType(1), 1)
-            for j in range(width):
-                pivot = c[j][j]
-                above = builder.fcmp_ordered(">", pivot, _NOTHING)
-                finite = builder.fcmp_ordered("<", pivot, _INFINITY)
-                positive = builder.and_(positive, builder.and_(above, finite))
-                # Divide once a column: the root is off the chain from pivot to pivot.
-                inverse = builder.fdiv(_ONE, pivot)
-                scaled = {
-                    k: builder.fneg(builder.fmul(c[k][j], inverse)) for k in range(j + 1, width)
-                }
-                for k in range(j + 1, width):
-                    for i in range(k, width):
-                        c[i][k] = code.multiply_add(c[i][j], scaled[k], c[i][k])
-                root = code.square_root(inverse)
-                code.store(root, triangle, (WIDE + 1) * j)
-                for i in range(j + 1, width):
-                    code.store(builder.fmul(c[i][j], root), triangle, WIDE * j + i)
-            return positive
-
-        return types.boolean(_ADDRESS, _ADDRESS, _ADDRESS), write
-
-    return factor
+def _triangle_factor(width: int, code: VectorCode, block, stride, triangle) -> ir.Value:
+    builder, columns = code.builder, code.columns(block, stride, width)
+    c = [[code.load(columns[j], i) for j in range(i + 1)] for i in range(width)]
+    positive = ir.Constant(ir.IntType(1), 1)
+    for j in range(width):
+        pivot = c[j][j]
+        above = builder.fcmp_ordered(">", pivot, _NOTHING)
+        finite = builder.fcmp_ordered("<", pivot, _INFINITY)
+        positive = builder.and_(positive, builder.and_(above, finite))
+        # Divide once a column: the root is off the chain from pivot to pivot.
+        inverse = builder.fdiv(_ONE, pivot)
+        scaled = {k: builder.fneg(builder.fmul(c[k][j], inverse)) for k in range(j + 1, width)}
+        for k in range(j + 1, width):
+            for i in range(k, width):
+                c[i][k] = code.multiply_add(c[i][j], scaled[k], c[i][k])
+        root = code.square_root(inverse)
+        code.store(root, triangle, (WIDE + 1) * j)
+        for i in range(j + 1, width):
+            code.store(builder.fmul(c[i][j], root), triangle, WIDE * j + i)
+    return positive
 
 
-def _triangle_solve(width: int, transposed: bool):
-    @intrinsic
-    def solve(_typing, triangle, x):
-        def write(_context, builder, _signature, arguments):
-            code = VectorCode(builder)
-            triangle, x = arguments
-            value = [code.load(x, i) for i in range(width)]
-            for j in reversed(range(width)) if transposed else range(width):
-                value[j] = builder.fmul(value[j], code.load(triangle, (WIDE + 1) * j))
-                negative = builder.fneg(value[j])
-                for i in range(j) if transposed else range(j + 1, width):
-                    place = WIDE * i + j if transposed else WIDE * j + i
-                    entry = code.load(triangle, place)
-                    value[i] = code.multiply_add(entry, negative, value[i])
-            for i in range(width):
-                code.store(value[i], x, i)
-
-        return types.void(_ADDRESS, _ADDRESS), write
-
-    return solve
+def _triangle_solve(transposed: bool, code: VectorCode, width: int, triangle, x) -> None:
+    builder, value = code.builder, [code.load(x, i) for i in range(width)]
+    for j in reversed(range(width)) if transposed else range(width):
+        value[j] = builder.fmul(value[j], code.load(triangle, (WIDE + 1) * j))
+        negative = builder.fneg(value[j])
+        for i in range(j) if transposed else range(j + 1, width):
+            place = WIDE * i + j if transposed else WIDE * j + i
+            entry = code.load(triangle, place)
+            value[i] = code.multiply_add(entry, negative, value[i])
+    for i in range(width):
+        code.store(value[i], x, i)
 
 
-_factor_wide, _factor_narrow = _triangle_factor(WIDE), _triangle_factor(NARROW)
-_forward_wide, _forward_narrow = _triangle_solve(WIDE, False), _triangle_solve(NARROW, False)
-_backward_wide, _backward_narrow = _triangle_solve(WIDE, True), _triangle_solve(NARROW, True)
+_factor_wide, _factor_narrow = (
+    _coded(partial(_triangle_factor, width), types.boolean) for width in (WIDE, NARROW)
+)
+_forward, _backward = (_of_width(partial(_triangle_solve, is_back)) for is_back in (False, True))
 
 
 @njit(**KERNEL)
@@ -259,177 +256,121 @@ def factor_triangle(width, block, stride, triangle):
 @njit(**KERNEL)
 def solve_forward(width, triangle, x):
     """x ← T⁻¹ x, for x at an address."""
-    if width == WIDE:
-        _forward_wide(triangle, x)
-    else:
-        _forward_narrow(triangle, x)
+    _forward(width, triangle, x)
 
 
 @njit(**KERNEL)
 def solve_backward(width, triangle, x):
     """x ← T⁻ᵀ x, for x at an address."""
-    if width == WIDE:
-        _backward_wide(triangle, x)
-    else:
-        _backward_narrow(triangle, x)
+    _backward(width, triangle, x)
 
 
 def _add(code: VectorCode, target: ir.Value, source: ir.Value, kind: ir.Type) -> None:
     code.store(code.builder.fadd(code.load(target, 0, kind), code.load(source, 0, kind)), target)
 
 
-@intrinsic
-def clear_strips(_typing, address, strips):
+@_coded
+def clear_strips(code: VectorCode, address, strips) -> None:
     """Set `strips` times eight doubles to zero."""
+    place = code.variable(address)
+    with code.repeat(strips):
+        for m in range(VECTORS):
+            code.store(ZERO, place.get(), VECTOR_WIDTH * m)
+        place.set(code.at(place.get(), STRIP))
 
-    def write(_context, builder, _signature, arguments):
-        code = VectorCode(builder)
-        place = code.variable(arguments[0])
-        with code.repeat(arguments[1]):
-            for m in range(VECTORS):
-                code.store(ZERO, place.get(), VECTOR_WIDTH * m)
+
+@_coded
+def place_block(code: VectorCode, target, stride, source) -> None:
+    """Copy a 3×3 block, stored contiguously by columns, into columns `stride` doubles apart."""
+    for j, column in enumerate(code.columns(target, stride, DIRECTIONS)):
+        code.store(code.load(source, DIRECTIONS * j, _PAIR), column)
+        code.store(code.load(source, DIRECTIONS * j + 2), column, 2)
+
+
+@_coded
+def add_node_columns(code: VectorCode, target, target_stride, source, source_stride, count) -> None:
+    """Add `count` rows of the three columns of a node to three columns elsewhere."""
+    builder = code.builder
+    targets = [code.variable(c) for c in code.columns(target, target_stride, DIRECTIONS)]
+    sources = [code.variable(c) for c in code.columns(source, source_stride, DIRECTIONS)]
+
+    def add(kind: ir.Type, width: int) -> None:
+        for to, origin in zip(targets, sources, strict=True):
+            _add(code, to.get(), origin.get(), kind)
+            to.set(code.at(to.get(), width))
+            origin.set(code.at(origin.get(), width))
+
+    with code.repeat(builder.sdiv(count, code.integer(VECTOR_WIDTH))):
+        add(VECTOR, VECTOR_WIDTH)
+    width = VECTOR_WIDTH // 2
+    while width:
+        kind = ir.VectorType(DOUBLE, width) if width > 1 else DOUBLE
+        bit = builder.and_(count, code.integer(width))
+        with builder.if_then(builder.icmp_signed("!=", bit, code.integer(0))):
+            add(kind, width)
+        width //= 2
+
+
+@_coded
+def copy_node(code: VectorCode, target, source) -> None:
+    """Copy the three doubles of a node."""
+    for i in range(DIRECTIONS):
+        code.store(code.load(source, i), target, i)
+
+
+@_coded
+def add_node(code: VectorCode, target, source) -> None:
+    """Add the three doubles of a node."""
+    for i in range(DIRECTIONS):
+        _add(code, code.at(target, i), code.at(source, i), DOUBLE)
+
+
+@_coded
+def add_strips(code: VectorCode, target, source, strips) -> None:
+    """Add `strips` times eight doubles."""
+    to, origin = code.variable(target), code.variable(source)
+    with code.repeat(strips):
+        for m in range(VECTORS):
+            offset = VECTOR_WIDTH * m
+            _add(code, code.at(to.get(), offset), code.at(origin.get(), offset), VECTOR)
+        to.set(code.at(to.get(), STRIP))
+        origin.set(code.at(origin.get(), STRIP))
+
+
+def _subtract_columns(code: VectorCode, width: int, strips, columns, stride, x, rows) -> None:
+    factors = [code.splat(code.builder.fneg(code.load(x, n))) for n in range(width)]
+    places = [code.variable(c) for c in [rows, *code.columns(columns, stride, width)]]
+    with code.repeat(strips):
+        for m in range(VECTORS):
+            value = code.load(places[0].get(), VECTOR_WIDTH * m, VECTOR)
+            for place, factor in zip(places[1:], factors, strict=True):
+                entry = code.load(place.get(), VECTOR_WIDTH * m, VECTOR)
+                value = code.multiply_add(entry, factor, value)
+            code.store(value, places[0].get(), VECTOR_WIDTH * m)
+        for place in places:
             place.set(code.at(place.get(), STRIP))
 
-    return types.void(types.int64, types.int64), write
+
+def _subtract_dots(code: VectorCode, width: int, strips, skipped, columns, stride, rows, x) -> None:
+    places = [code.variable(c) for c in [rows, *code.columns(columns, stride, width)]]
+    sums = [code.variable(ZERO) for _ in range(width)]
+    first = code.variable(skipped)
+    with code.repeat(strips):
+        for m in range(VECTORS):
+            value = code.load(places[0].get(), VECTOR_WIDTH * m, VECTOR)
+            value = code.zero_below(first.get(), value, VECTOR_WIDTH * m)
+            for place, total in zip(places[1:], sums, strict=True):
+                entry = code.load(place.get(), VECTOR_WIDTH * m, VECTOR)
+                entry = code.zero_below(first.get(), entry, VECTOR_WIDTH * m)
+                total.set(code.multiply_add(entry, value, total.get()))
+        first.set(code.integer(0))
+        for place in places:
+            place.set(code.at(place.get(), STRIP))
+    for n, total in enumerate(sums):
+        code.store(code.builder.fsub(code.load(x, n), code.sum(total.get())), x, n)
 
 
-@intrinsic
-def place_block(_typing, target, stride, source):
-    """Copy a 3×3 block, stored contiguously by columns, into columns `stride` doubles apart."""
-
-    def write(_context, builder, _signature, arguments):
-        code = VectorCode(builder)
-        target, stride, source = arguments
-        for j, column in enumerate(code.columns(target, stride, DIRECTIONS)):
-            code.store(code.load(source, DIRECTIONS * j, _PAIR), column)
-            code.store(code.load(source, DIRECTIONS * j + 2), column, 2)
-
-    return types.void(types.int64, types.int64, types.int64), write
-
-
-@intrinsic
-def add_node_columns(_typing, target, target_stride, source, source_stride, count):
-    """Add `count` rows of the three columns of a node to three columns elsewhere."""
-
-    def write(_context, builder, _signature, arguments):
-        code = VectorCode(builder)
-        target, target_stride, source, source_stride, count = arguments
-        targets = [code.variable(c) for c in code.columns(target, target_stride, DIRECTIONS)]
-        sources = [code.variable(c) for c in code.columns(source, source_stride, DIRECTIONS)]
-
-        def add(kind: ir.Type, width: int) -> None:
-            for to, origin in zip(targets, sources, strict=True):
-                _add(code, to.get(), origin.get(), kind)
-                to.set(code.at(to.get(), width))
-                origin.set(code.at(origin.get(), width))
-
-        with code.repeat(builder.sdiv(count, code.integer(VECTOR_WIDTH))):
-            add(VECTOR, VECTOR_WIDTH)
-        width = VECTOR_WIDTH // 2
-        while width:
-            kind = ir.VectorType(DOUBLE, width) if width > 1 else DOUBLE
-            bit = builder.and_(count, code.integer(width))
-            with builder.if_then(builder.icmp_signed("!=", bit, code.integer(0))):
-                add(kind, width)
-            width //= 2
-
-    return types.void(*[types.int64] * 5), write
-
-
-@intrinsic
-def copy_node(_typing, target, source):
-    """Copy the three doubles of a node."""
-
-    def write(_context, builder, _signature, arguments):
-        code = VectorCode(builder)
-        for i in range(DIRECTIONS):
-            code.store(code.load(arguments[1], i), arguments[0], i)
-
-    return types.void(types.int64, types.int64), write
-
-
-@intrinsic
-def add_node(_typing, target, source):
-    """Add the three doubles of a node."""
-
-    def write(_context, builder, _signature, arguments):
-        code = VectorCode(builder)
-        for i in range(DIRECTIONS):
-            _add(code, code.at(arguments[0], i), code.at(arguments[1], i), DOUBLE)
-
-    return types.void(types.int64, types.int64), write
-
-
-@intrinsic
-def add_strips(_typing, target, source, strips):
-    """Add `strips` times eight doubles."""
-
-    def write(_context, builder, _signature, arguments):
-        code = VectorCode(builder)
-        target, source = code.variable(arguments[0]), code.variable(arguments[1])
-        with code.repeat(arguments[2]):
-            for m in range(VECTORS):
-                offset = VECTOR_WIDTH * m
-                _add(code, code.at(target.get(), offset), code.at(source.get(), offset), VECTOR)
-            target.set(code.at(target.get(), STRIP))
-            source.set(code.at(source.get(), STRIP))
-
-    return types.void(*[types.int64] * 3), write
-
-
-def _subtract_columns(width: int):
-    @intrinsic
-    def subtract(_typing, strips, columns, stride, x, rows):
-        def write(_context, builder, _signature, arguments):
-            code = VectorCode(builder)
-            strips, columns, stride, x, rows = arguments
-            factors = [code.splat(builder.fneg(code.load(x, n))) for n in range(width)]
-            places = [code.variable(c) for c in [rows, *code.columns(columns, stride, width)]]
-            with code.repeat(strips):
-                for m in range(VECTORS):
-                    value = code.load(places[0].get(), VECTOR_WIDTH * m, VECTOR)
-                    for place, factor in zip(places[1:], factors, strict=True):
-                        entry = code.load(place.get(), VECTOR_WIDTH * m, VECTOR)
-                        value = code.multiply_add(entry, factor, value)
-                    code.store(value, places[0].get(), VECTOR_WIDTH * m)
-                for place in places:
-                    place.set(code.at(place.get(), STRIP))
-
-        return types.void(*[_ADDRESS] * 5), write
-
-    return subtract
-
-
-def _subtract_dots(width: int):
-    @intrinsic
-    def subtract(_typing, strips, skipped, columns, stride, rows, x):
-        def write(_context, builder, _signature, arguments):
-            code = VectorCode(builder)
-            strips, skipped, columns, stride, rows, x = arguments
-            places = [code.variable(c) for c in [rows, *code.columns(columns, stride, width)]]
-            sums = [code.variable(ZERO) for _ in range(width)]
-            first = code.variable(skipped)
-            with code.repeat(strips):
-                for m in range(VECTORS):
-                    value = code.load(places[0].get(), VECTOR_WIDTH * m, VECTOR)
-                    value = code.zero_below(first.get(), value, VECTOR_WIDTH * m)
-                    for place, total in zip(places[1:], sums, strict=True):
-                        entry = code.load(place.get(), VECTOR_WIDTH * m, VECTOR)
-                        entry = code.zero_below(first.get(), entry, VECTOR_WIDTH * m)
-                        total.set(code.multiply_add(entry, value, total.get()))
-                first.set(code.integer(0))
-                for place in places:
-                    place.set(code.at(place.get(), STRIP))
-            for n, total in enumerate(sums):
-                code.store(builder.fsub(code.load(x, n), code.sum(total.get())), x, n)
-
-        return types.void(*[_ADDRESS] * 6), write
-
-    return subtract
-
-
-_columns_wide, _columns_narrow = _subtract_columns(WIDE), _subtract_columns(NARROW)
-_dots_wide, _dots_narrow = _subtract_dots(WIDE), _subtract_dots(NARROW)
+_columns, _dots = _of_width(_subtract_columns), _of_width(_subtract_dots)
 
 
 @njit(**KERNEL)
@@ -444,16 +385,10 @@ def subtract_columns(width, strips, columns, stride, x, rows):
         x: Address of x, `width` doubles.
         rows: Address of the rows.
     """
-    if width == WIDE:
-        _columns_wide(strips, columns, stride, x, rows)
-    else:
-        _columns_narrow(strips, columns, stride, x, rows)
+    _columns(width, strips, columns, stride, x, rows)
 
 
 @njit(**KERNEL)
 def subtract_dots(width, strips, skipped, columns, stride, rows, x):
     """x ← x - Lᵀ rows, without the first `skipped` rows; see `subtract_columns`."""
-    if width == WIDE:
-        _dots_wide(strips, skipped, columns, stride, rows, x)
-    else:
-        _dots_narrow(strips, skipped, columns, stride, rows, x)
+    _dots(width, strips, skipped, columns, stride, rows, x)
