@@ -33,12 +33,6 @@ def set_rows(x, A):
 
 
 @njit(**INLINED)
-def diagonal_matrix(v):
-    """The matrix with the entries of v on its diagonal."""
-    return ((v[0], 0.0, 0.0), (0.0, v[1], 0.0), (0.0, 0.0, v[2]))
-
-
-@njit(**INLINED)
 def scaled_matrix(A, factor):
     """factor A."""
     return (scaled(A[0], factor), scaled(A[1], factor), scaled(A[2], factor))

@@ -54,9 +54,8 @@ from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.beam_sections import BeamSection
 from softrobot_twin.mechanics.beams import BeamElements
 from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm
-from softrobot_twin.mechanics.hinged_frames import HingedTwists
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames, RigidInertia
-from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
+from softrobot_twin.mechanics.stencil import add_lever_turning, add_stencil_matrix, of_frames
 
 # Gauss's rule of four points is exact for products of two cubics.
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -215,14 +214,8 @@ def write_element_stiffness(z, M, factor, out):
 def add_turning(z, loads, out):
     """Add Σ (F·r) 1 - (F rᵀ + r Fᵀ)/2 to the rotation of each end."""
     for end in range(2):
-        t = 6 * end + 3
         for k in range(4 * end + 1, 4 * end + 4):
-            r, F = row(z, k), row(loads, k)
-            along = dot(F, r)
-            for i in range(3):
-                out[t + i, t + i] += along
-                for j in range(3):
-                    out[t + i, t + j] -= 0.5 * (F[i] * r[j] + r[i] * F[j])
+            add_lever_turning(row(loads, k), row(z, k), 6 * end + 3, out)
 
 
 @njit(**KERNEL)
@@ -260,19 +253,9 @@ class MassTerm(ForceTerm):
         """
         self.masses = masses
         count = len(masses.origins)
-        both = np.repeat(masses.unknowns, 2, axis=1)
-        self._stencils = np.where(both >= 0, both + [0, 1, 0, 1], -1)
+        self._stencils = of_frames(masses.unknowns)
         self._aims, self._constants = np.zeros((2, count, 8, 3))
         self._factors = np.zeros(count)
-        self._bound = None
-
-    def stencils(self) -> np.ndarray:
-        """Translation and rotation of both ends, -1 where none, shape (element_count, 4)."""
-        return self._stencils
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the stiffness in the storage."""
-        self._bound = bind_stencils(self._stencils, elimination_rank, slots)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces [N] and torques [N m]; it inverts no element."""

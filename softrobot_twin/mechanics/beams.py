@@ -93,7 +93,7 @@ from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.rigid_bodies import rotation_at
 from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial, turn_between
-from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
+from softrobot_twin.mechanics.stencil import add_stencil_matrix, of_frames
 
 # An element whose ends are turned by more than this against each other counts as folded, and no
 # step makes one [rad]: at π the logarithm has a jump.
@@ -532,8 +532,7 @@ class Beams(ForceTerm):
         if not np.all((e.damping >= 0.0) & (e.damping < np.inf)):
             raise ValueError("the damping of every element must be finite and not negative")
         self._is_damped = bool(e.damping.any())
-        both = np.repeat(e.unknowns, 2, axis=1)
-        self._stencils = np.where(both >= 0, both + [0, 1, 0, 1], -1)
+        self._stencils = of_frames(e.unknowns)
         self._has_lever = np.abs(e.end_points).max(axis=2) > 0.0
         # With damping, K grows by β K/h in a step, and what is subtracted from K ε changes.
         self._k, self._pulls = e.stiffness.copy(), e.stiffness * e.rest
@@ -541,15 +540,6 @@ class Beams(ForceTerm):
         # Node positions of the last linearization of a step, and of the one before; NaN without any.
         self._linearized_at = self._linearized_before = np.empty((0, 3))
         self._predicted, self._nothing = np.empty((self.element_count, 6)), np.empty((0, 6))
-        self._bound = None
-
-    def stencils(self) -> np.ndarray:
-        """Translation and rotation of both ends, -1 where none, shape (element_count, 4)."""
-        return self._stencils
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the stiffness in the storage."""
-        self._bound = bind_stencils(self._stencils, elimination_rank, slots)
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float

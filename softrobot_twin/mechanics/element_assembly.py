@@ -278,16 +278,8 @@ def fill_derivatives(law, k, q, L, C):
     """C = ∂P/∂F of all elements at point q of batch k: entry 9 i + j is ∂P_i/∂F_j, both row by
     row.
     """
-    # Numbers of a type, because numba would compile `fill_column` anew for each literal.
-    fill_column(law, k, q, L, np.int64(0), UNIT_CHANGES[0], C)
-    fill_column(law, k, q, L, np.int64(1), UNIT_CHANGES[1], C)
-    fill_column(law, k, q, L, np.int64(2), UNIT_CHANGES[2], C)
-    fill_column(law, k, q, L, np.int64(3), UNIT_CHANGES[3], C)
-    fill_column(law, k, q, L, np.int64(4), UNIT_CHANGES[4], C)
-    fill_column(law, k, q, L, np.int64(5), UNIT_CHANGES[5], C)
-    fill_column(law, k, q, L, np.int64(6), UNIT_CHANGES[6], C)
-    fill_column(law, k, q, L, np.int64(7), UNIT_CHANGES[7], C)
-    fill_column(law, k, q, L, np.int64(8), UNIT_CHANGES[8], C)
+    for j in range(9):
+        fill_column(law, k, q, L, j, UNIT_CHANGES[j], C)
 
 
 @njit(**INNER)

@@ -71,6 +71,7 @@ class Elements(ForceTerm):
         self._shape = mesh.shape_functions
         self._points = points_of(mesh)
         self._node_counts = node_counts_of(mesh)
+        self._stencils = stencils_of(mesh.cells, self._node_counts, free_index)
         self._assembly = assembly_of(type(law))
         self._to_corners = point_to_corner_weights(self._shape)
         self._corners = watched_corners(mesh)
@@ -87,10 +88,6 @@ class Elements(ForceTerm):
         self._constant_stiffness = None
         # Batches hold the elements' nodes in elimination order, which `bind` finds.
         self._cells = self._free = self._gradients = self._weights = None
-
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each element couples, -1 where none, shape (element_count, node_count)."""
-        return stencils_of(self._mesh.cells, self._node_counts, self._free_index)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness, sort each element's nodes in their order, and form

@@ -43,6 +43,7 @@ import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
+    add_outer,
     add_scaled_matrix,
     cofactor,
     cofactor_change,
@@ -54,7 +55,7 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
     transposed,
 )
-from softrobot_twin.geometry.vector3 import add_scaled, cross, scaled, set_row
+from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
@@ -71,6 +72,7 @@ from softrobot_twin.mechanics.element_inversion import (
     mixed_determinant,
     write_corners,
 )
+from softrobot_twin.mechanics.stencil import add_block
 from softrobot_twin.mechanics.volume_barrier import (
     BARRIER_VOLUME,
     MOST_SHORTENINGS,
@@ -323,13 +325,9 @@ def add_stiffness(
                     for a in range(b, node_count):
                         if offsets[k, pair, e] >= 0:
                             v = value_turning(F, gradients[k], triples[t], a, b, e)
-                            turning = cross_matrix(v)
-                            first, stride = offsets[k, pair, e], strides[k, pair, e]
-                            for j in range(3):
-                                for i in range(3):
-                                    storage[first + j * stride + i] += (
-                                        curvature * c[a, i] * c[b, j] - slope * turning[i][j]
-                                    )
+                            block = scaled_matrix(cross_matrix(v), -slope)
+                            block = add_outer(block, scaled(row(c, a), curvature), row(c, b))
+                            add_block(block, offsets[k, pair, e], strides[k, pair, e], storage)
                         pair += 1
 
 

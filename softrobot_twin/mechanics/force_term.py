@@ -6,6 +6,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from softrobot_twin.mechanics.stencil import BoundStencils, bind_stencils
+
 
 # Places and weights of a second derivative of fourth order, in steps.
 SECOND_DIFFERENCE = (
@@ -70,6 +72,8 @@ class ForceTerm(Protocol):
     nearly_flat_count: int = 0
     crossed_count: int = 0
     dense_rows: DenseRows | None = None
+    _stencils: np.ndarray
+    _bound: BoundStencils
 
     def __init_subclass__(cls, **options) -> None:
         """Each class says itself whether it is traceable: it may have other methods."""
@@ -83,7 +87,7 @@ class ForceTerm(Protocol):
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each element couples, -1 where none, shape (element_count, width)."""
-        ...
+        return self._stencils
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness blocks in the factorization's storage.
@@ -93,7 +97,7 @@ class ForceTerm(Protocol):
                 shape (free_node_count,).
             slots: The factorization's `slots`.
         """
-        ...
+        self._bound = bind_stencils(self._stencils, elimination_rank, slots)
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float

@@ -424,10 +424,6 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
         self._accelerations = np.zeros((len(self._nodes), 3))
         self._mass_factor = None
 
-    def stencils(self) -> np.ndarray:
-        """Free nodes that each element couples, -1 where fixed, shape (cell_count, width)."""
-        return self._stencils
-
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the lower blocks."""
         counts = np.diff(self._row_starts)

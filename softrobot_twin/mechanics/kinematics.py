@@ -32,7 +32,7 @@ from typing import Protocol
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
-from softrobot_twin.geometry.matrix3 import IDENTITY, product, rows, transposed_product
+from softrobot_twin.geometry.matrix3 import IDENTITY, product, rows, transposed, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.geometry.vector_arrays import (
     add_vectors,
@@ -42,7 +42,7 @@ from softrobot_twin.geometry.vector_arrays import (
 )
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
+from softrobot_twin.mechanics.stencil import add_block, bind_stencils, stencil_pairs
 from softrobot_twin.traced_stage import clear
 
 
@@ -597,9 +597,8 @@ def add_plain_blocks(sources, offsets, strides, scratch, storage):
         storage: The factorization's storage [N/m]; added to.
     """
     for k in range(len(sources)):
-        for j in range(3):
-            for i in range(3):
-                storage[offsets[k] + j * strides[k] + i] += scratch[sources[k] + 3 * j + i]
+        columns = rows(scratch[sources[k] : sources[k] + 9].reshape(3, 3))
+        add_block(transposed(columns), offsets[k], strides[k], storage)
 
 
 @njit(**KERNEL)
@@ -615,11 +614,9 @@ def add_turning_blocks(blocks, reached, is_upper, offsets, strides, storage):
         storage: The factorization's storage, shape (size,); added to.
     """
     for k in range(len(reached)):
-        block = blocks[reached[k]]
-        for j in range(3):
-            for i in range(3):
-                value = block[j, i] if is_upper[k] else block[i, j]
-                storage[offsets[k] + j * strides[k] + i] += value
+        block = rows(blocks[reached[k]])
+        block = transposed(block) if is_upper[k] else block
+        add_block(block, offsets[k], strides[k], storage)
 
 
 @njit(**KERNEL)
@@ -711,11 +708,8 @@ def add_clique(offsets, strides, matrix, storage):
     """
     for j in range(len(offsets)):
         for m in range(len(offsets)):
-            offset = offsets[j, m]
-            if offset >= 0:
-                for b in range(3):
-                    for a in range(3):
-                        storage[offset + b * strides[j, m] + a] += matrix[3 * j + a, 3 * m + b]
+            block = rows(matrix[3 * j : 3 * j + 3, 3 * m : 3 * m + 3])
+            add_block(block, offsets[j, m], strides[j, m], storage)
 
 
 def clique_slots(unknowns: np.ndarray, rank: np.ndarray, slots) -> tuple[np.ndarray, np.ndarray]:
@@ -961,12 +955,9 @@ def fold_segments(
             E = ends[column]
             half = product(rows(K), rows(E))
             for line in range(column, count):
-                o, stride = offsets[s, pair], strides[s, pair]
-                pair += 1
                 block = transposed_product(rows(ends[line]), half)
-                for j in range(3):
-                    for i in range(3):
-                        storage[o + j * stride + i] += block[i][j]
+                add_block(block, offsets[s, pair], strides[s, pair], storage)
+                pair += 1
 
 
 class FoldedSegments:

@@ -362,7 +362,7 @@ class PatchVolumes(ForceTerm):
         self._reference, self._moves = mesh.node_positions, np.empty_like(mesh.node_positions)
         self._number_nodes(numbers)
         nodes = self._nodes
-        self._free = np.where(nodes >= 0, free_index[nodes], -1)
+        self._stencils = np.where(nodes >= 0, free_index[nodes], -1)
         self._offsets = self._strides = None
 
     def _number_nodes(self, numbers: np.ndarray) -> None:
@@ -376,15 +376,11 @@ class PatchVolumes(ForceTerm):
         self._nodes[patch, column] = node
         self._places = np.ascontiguousarray(column[inverse.reshape(self._cells.shape)])
 
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each patch couples, -1 where none, shape (patch_count, width)."""
-        return self._free
-
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """See `ForceTerm.bind`; sorts the nodes of each patch in elimination order."""
-        bound = bind_stencils(self._free, elimination_rank, slots)
+        bound = bind_stencils(self._stencils, elimination_rank, slots)
         self._nodes = bound.sorted(self._nodes)
-        self._free = bound.sorted(self._free)
+        self._stencils = bound.sorted(self._stencils)
         moved = np.argsort(bound.order, axis=1, kind="stable")
         patch = np.repeat(np.arange(self.patch_count), np.diff(self._first))
         self._places = np.ascontiguousarray(moved[patch[:, None], self._places])
@@ -395,7 +391,7 @@ class PatchVolumes(ForceTerm):
         """Add -∂E/∂q [N]; see `ForceTerm.add_forces`. Elements count what is flat."""
         add_patch_forces(
             self.bulk_modulus, self._rest_volumes, writable(positions), self._moved(positions), self._cells, self._places, self._first, self._gradients,
-            self._weights, self._free, forces,
+            self._weights, self._stencils, forces,
         )  # fmt: skip
         return 0
 
@@ -404,7 +400,7 @@ class PatchVolumes(ForceTerm):
         add_patch_stiffness(
             self.bulk_modulus, projected, self._rest_volumes, writable(positions),
             self._moved(positions), self._cells, self._places, self._first, self._gradients,
-            self._weights, self._free, self._offsets, self._strides, self._are_contiguous, forces,
+            self._weights, self._stencils, self._offsets, self._strides, self._are_contiguous, forces,
             storage,
         )  # fmt: skip
 

@@ -71,61 +71,6 @@ class PointLaw(NamedTuple):
     Attributes:
         name: Its name in scenes (``material.law``).
         parameters: The NamedTuple of its parameters: floats, or tuples of them.
-        of_moduli: Makes them from Young's modulus [Pa] and Poisson's ratio; None for a law with
-            constants of its own.
-        own: Constants of its own; None for a law of these two moduli.
-        energy_density: Kernel.
-        stress: Kernel.
-        differential: Kernel.
-        linearize: Kernel, or None.
-        projects: Whether this kernel projects the differential.
-        turns: Whether the kernels see the material from the frame that turns with it.
-        is_isotropic: Whether the response is the same in all directions at rest.
-        is_linear: Whether the differential is the same in every state.
-        at_point: Kernel, or None for a law that is the same at every point.
-        is_law_of_scenes: Whether scenes may name it.
-    """
-
-    name: str
-    parameters: type
-    of_moduli: Callable[[float, float], tuple] | None
-    own: OwnConstants | None
-    energy_density: Callable
-    stress: Callable
-    differential: Callable
-    linearize: Callable | None
-    projects: bool
-    turns: bool
-    is_isotropic: bool
-    is_linear: bool
-    at_point: Callable | None = None
-    is_law_of_scenes: bool = True
-
-
-_LAWS: dict[type, PointLaw] = {}
-
-
-def register_law(
-    name: str,
-    parameters: type,
-    energy_density: Callable,
-    stress: Callable,
-    differential: Callable,
-    linearize: Callable | None = None,
-    projects: bool = False,
-    turns: bool = False,
-    is_isotropic: bool = False,
-    is_linear: bool = False,
-    of_moduli: Callable[[float, float], tuple] | None = None,
-    own: OwnConstants | None = None,
-    at_point: Callable | None = None,
-    is_law_of_scenes: bool = True,
-) -> None:
-    """Register a law for elements and scenes.
-
-    Args:
-        name: Its name in scenes.
-        parameters: The NamedTuple of its parameters.
         energy_density: The kernel, compiled as the others by ``@njit(**KERNEL, forceinline=True)``
             of `softrobot_twin.compilation`.
         stress: The kernel.
@@ -137,12 +82,42 @@ def register_law(
             is then made in the axes of the stretches, which is faster.
         is_linear: Whether the differential is the same in every state: the stiffness is then
             summed only once.
-        of_moduli: Makes the parameters from E [Pa] and ν; when None they are Lamé's constants.
+        of_moduli: Makes the parameters from E [Pa] and ν; when left out they are Lamé's constants.
+            None for a law with constants of its own.
         own: Constants of its own, in place of E and ν.
         at_point: The kernel that gives the law at a point, ``at_point(law, k, q, e)``, where the
             parameters hold arrays of what points remember: it is of a type that is registered too.
             Batches k are those of `element_batches.py`.
         is_law_of_scenes: False for a law that only others are wrapped in.
+    """
+
+    name: str
+    parameters: type
+    energy_density: Callable
+    stress: Callable
+    differential: Callable
+    linearize: Callable | None = None
+    projects: bool = False
+    turns: bool = False
+    is_isotropic: bool = False
+    is_linear: bool = False
+    of_moduli: Callable[[float, float], tuple] | None = None
+    own: OwnConstants | None = None
+    at_point: Callable | None = None
+    is_law_of_scenes: bool = True
+
+
+_LAWS: dict[type, PointLaw] = {}
+
+
+def register_law(name: str, parameters: type, *kernels: Callable, **properties) -> None:
+    """Register a law for elements and scenes.
+
+    Args:
+        name: Its name in scenes.
+        parameters: The NamedTuple of its parameters.
+        kernels: `energy_density`, `stress`, `differential` and, if there is one, `linearize`.
+        properties: Other fields of `PointLaw`.
 
     Raises:
         ValueError: Another law has this name, or these parameters.
@@ -150,15 +125,10 @@ def register_law(
     taken = [law.name for law in _LAWS.values()]
     if name in taken or parameters in _LAWS:
         raise ValueError(f"the law {name!r} or its {parameters.__name__} is registered already")
-    if of_moduli is None and own is None:
-
-        def of_moduli(young_modulus: float, poisson_ratio: float) -> tuple:
-            return parameters(*lame_parameters(young_modulus, poisson_ratio))
-
-    _LAWS[parameters] = PointLaw(
-        name, parameters, of_moduli, own, energy_density, stress, differential, linearize,
-        projects, turns, is_isotropic, is_linear, at_point, is_law_of_scenes,
-    )  # fmt: skip
+    law = PointLaw(name, parameters, *kernels, **properties)
+    if law.of_moduli is None and law.own is None:
+        law = law._replace(of_moduli=lambda E, nu: parameters(*lame_parameters(E, nu)))
+    _LAWS[parameters] = law
 
 
 def law_names() -> tuple[str, ...]:
@@ -238,21 +208,6 @@ def differential(law, linearized, dF):
     raise NotImplementedError("only inside compiled kernels")
 
 
-def law_turns(law):
-    """Whether the law is evaluated in the rotating frame, inside kernels."""
-    raise NotImplementedError("only inside compiled kernels")
-
-
-def law_projects(law):
-    """Whether the law projects its differential itself, inside kernels."""
-    raise NotImplementedError("only inside compiled kernels")
-
-
-def law_is_isotropic(law):
-    """Whether the law is the same in all directions, inside kernels."""
-    raise NotImplementedError("only inside compiled kernels")
-
-
 @overload(law_at, jit_options=_INLINED)
 def _law_at(law, k, q, e):
     kernel = _law_of_type(law.instance_class).at_point
@@ -287,19 +242,18 @@ def _differential(law, linearized, dF):
     return lambda law, linearized, dF: kernel(law, linearized, dF)
 
 
-@overload(law_turns, jit_options=_INLINED)
-def _law_turns(law):
-    turns = _law_of_type(law.instance_class).turns
-    return lambda law: turns
+def _property(name: str) -> Callable:
+    """Make the function that gives a property of `PointLaw` inside kernels, where it is a constant."""
+
+    def of_law(law):
+        raise NotImplementedError("only inside compiled kernels")
+
+    @overload(of_law, jit_options=_INLINED)
+    def constant(law):
+        value = getattr(_law_of_type(law.instance_class), name)
+        return lambda law: value
+
+    return of_law
 
 
-@overload(law_projects, jit_options=_INLINED)
-def _law_projects(law):
-    projects = _law_of_type(law.instance_class).projects
-    return lambda law: projects
-
-
-@overload(law_is_isotropic, jit_options=_INLINED)
-def _law_is_isotropic(law):
-    is_isotropic = _law_of_type(law.instance_class).is_isotropic
-    return lambda law: is_isotropic
+law_turns, law_projects, law_is_isotropic = map(_property, ("turns", "projects", "is_isotropic"))

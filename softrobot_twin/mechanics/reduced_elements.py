@@ -465,6 +465,7 @@ class ReducedElements(ForceTerm):
         self.stays_upright = not (kind.turns or kind.is_linear)
         self._nodes = np.asarray(coordinate_nodes, np.int64)
         self._unknowns = np.asarray(free_index)[self._nodes]
+        self._stencils = self._unknowns[None]
         count, _, modes = sampled.gradients.shape
         self.point_count, self.mode_count = count, modes
         batch_count = max(1, -(-count // BATCH))
@@ -508,13 +509,9 @@ class ReducedElements(ForceTerm):
         self._signs = np.empty((count // BATCH, BATCH))
         self._products = np.empty((4 * BATCH, self._width), precision)
 
-    def stencils(self) -> np.ndarray:
-        """Unknowns that the points couple: all coordinates, shape (1, mode_count / 3)."""
-        return self._unknowns[None]
-
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness; see `ForceTerm.bind`."""
-        bound = bind_stencils(self.stencils(), elimination_rank, slots)
+        bound = bind_stencils(self._stencils, elimination_rank, slots)
         self._bound = tuple(writable(field[0]) for field in bound)
 
     def _evaluate(self, positions: np.ndarray) -> None:

@@ -167,19 +167,3 @@ for _parameters, _at_point in ((SoftenedLaw, softened_at), (SoftenedPoint, None)
         f"softened ({_parameters.__name__})", _parameters, softened_energy, softened_stress,
         softened_differential, softened_linearize, at_point=_at_point, is_law_of_scenes=False,
     )
-
-
-def lost_energy(constants: SofteningConstants, greatest: np.ndarray) -> np.ndarray:
-    """Energy that softening has turned into heat [J/m³].
-
-    Args:
-        constants: Constants of the softening.
-        greatest: Ψ_m [J/m³], of any shape.
-
-    Returns:
-        Of the same shape.
-    """
-    span = constants.m + constants.beta * greatest
-    x = greatest / span
-    erf = np.vectorize(math.erf, otypes=[float])(x)
-    return span / constants.r * (x * erf + np.expm1(-(x**2)) / _ROOT_PI)

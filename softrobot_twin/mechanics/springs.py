@@ -273,8 +273,7 @@ class Springs(ForceTerm):
         springs = [_merged(first, second, s) for s in range(count)]
         self._nodes = _padded([nodes for nodes, _ in springs], -1, np.int64)
         self._coefficients = _padded([weights for _, weights in springs], 0.0, float)
-        self._free = np.where(self._nodes >= 0, free_index[self._nodes], -1)
-        self._bound = None
+        self._stencils = np.where(self._nodes >= 0, free_index[self._nodes], -1)
         self._first, self._second = first, second
 
     def ends(self, positions: np.ndarray) -> np.ndarray:
@@ -284,14 +283,10 @@ class Springs(ForceTerm):
             second = second + self._second.positions(positions)
         return np.stack([self._first.positions(positions), second], axis=1)
 
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each spring couples, -1 where none, shape (spring_count, width)."""
-        return self._free
-
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness in the storage, and sort the springs' nodes."""
-        self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
-        self._free = bound.sorted(self._free)
+        self._bound = bound = bind_stencils(self._stencils, elimination_rank, slots)
+        self._stencils = bound.sorted(self._stencils)
         self._nodes = bound.sorted(self._nodes)
         self._coefficients = bound.sorted(self._coefficients)
 
@@ -345,7 +340,7 @@ class Springs(ForceTerm):
         """
         add_spring_forces(
             positions, self._nodes, self._coefficients, self._constants, self._least, self._laws,
-            self._lengths_before, self._free, forces,
+            self._lengths_before, self._stencils, forces,
         )  # fmt: skip
         return 0
 

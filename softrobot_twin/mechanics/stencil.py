@@ -19,6 +19,7 @@ import numpy as np
 
 from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import rows, scaled_matrix
+from softrobot_twin.geometry.vector3 import dot
 
 Slots = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -54,6 +55,16 @@ def lower_pairs(width: int) -> tuple[np.ndarray, np.ndarray]:
     """Local (row, column) of the lower triangle's pairs, column by column."""
     columns, rows = np.triu_indices(width)
     return rows, columns
+
+
+def of_frames(unknowns: np.ndarray) -> np.ndarray:
+    """Both unknowns of frames, -1 where one does not move, shape (element_count, 2 frame_count).
+
+    Args:
+        unknowns: Translation of each frame, or -1, shape (element_count, frame_count).
+    """
+    both = np.repeat(unknowns, 2, axis=1)
+    return np.where(both >= 0, both + np.arange(both.shape[1]) % 2, -1)
 
 
 def bind_stencils(
@@ -104,6 +115,23 @@ def add_block(matrix, offset, stride, storage):
         for j in range(3):
             for i in range(3):
                 storage[offset + j * stride + i] += matrix[i][j]
+
+
+@njit(**INLINED)
+def add_lever_turning(force, lever, first, out):
+    """Add f·ρ 1 - (f ρᵀ + ρ fᵀ)/2, how a force at a lever turns with it, to a block of a matrix.
+
+    Args:
+        force: f [N].
+        lever: ρ [m].
+        first: First row and column of the block.
+        out: The matrix, shape (n, n).
+    """
+    along = dot(force, lever)
+    for i in range(3):
+        out[first + i, first + i] += along
+        for j in range(3):
+            out[first + i, first + j] -= 0.5 * (force[i] * lever[j] + lever[i] * force[j])
 
 
 @njit(**INLINED)

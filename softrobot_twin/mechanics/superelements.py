@@ -80,7 +80,6 @@ Arguments of the kernels here; those of one superelement have no first axis:
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -100,7 +99,7 @@ from softrobot_twin.geometry.vector3 import (
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.polynomials import Monomials, write_monomials
-from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
+from softrobot_twin.mechanics.stencil import add_lever_turning, add_stencil_matrix, of_frames
 
 # Points of a superelement: the four frame nodes of each of its two vertebrae.
 POINTS = 8
@@ -414,12 +413,7 @@ def add_turning(gradient, slopes, shares, weight, levers, out):
         force = scaled(weight, shares[a])
         for k in range(len(slopes)):
             force = add_scaled(force, row(slopes[k], a), -gradient[k])
-        lever, t = row(levers, a), 6 * (a // 4) + 3
-        along = dot(force, lever)
-        for i in range(3):
-            out[t + i, t + i] += along
-            for j in range(3):
-                out[t + i, t + j] -= 0.5 * (force[i] * lever[j] + lever[i] * force[j])
+        add_lever_turning(force, row(levers, a), 6 * (a // 4) + 3, out)
 
 
 @njit(**INNER)
@@ -548,9 +542,7 @@ class Superelements(ForceTerm):
              for fit in fits], np.int64,
         ).reshape(-1, POINTS)  # fmt: skip
         ends = np.array([frame_unknowns[fit.ends] for fit in fits], np.int64).reshape(-1, 2)
-        self.unknowns = np.where(
-            np.repeat(ends, 2, axis=1) >= 0, np.repeat(ends, 2, axis=1) + [0, 1, 0, 1], -1
-        )
+        self.unknowns = self._stencils = of_frames(ends)
         self._ends = np.array([fit.end_points for fit in fits]).reshape(-1, 2, 3)
         self._chords = np.array([_chord(*fit.end_points) for fit in fits])
         self._rests = np.array([fit.rest for fit in fits])
@@ -591,15 +583,6 @@ class Superelements(ForceTerm):
         self.ranges = np.zeros(self.count)
         # Those of the state that is known: none yet.
         self._points, self._told = np.full((*self._nodes.shape, 3), np.nan), np.zeros(cavity_count)
-        self._bound = None
-
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each superelement couples; see `ForceTerm.stencils`."""
-        return self.unknowns
-
-    def bind(self, elimination_rank: np.ndarray, slots: Callable) -> None:
-        """Find the places of the stiffness in the storage."""
-        self._bound = bind_stencils(self.unknowns, elimination_rank, slots)
 
     def tell_pressures(self, pressures: np.ndarray) -> None:
         """Set the pressures at which forces, stiffness and growths are evaluated from now on.

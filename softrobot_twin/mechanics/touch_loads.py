@@ -18,12 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
-from softrobot_twin.geometry.matrix3 import diagonal_matrix
-from softrobot_twin.geometry.vector3 import row, scaled
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import add_block, bind_stencils
+from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils
 
 
 class TouchState(NamedTuple):
@@ -58,27 +55,6 @@ class TouchState(NamedTuple):
         return np.where(self.is_touched[:, None], self.points - self.origins, 0.0)
 
 
-@njit(**KERNEL)
-def add_touch_stiffness(weights, stiffness, offsets, strides, storage):
-    """Add w_a w_b diag(s) of every touch to the blocks of its nodes.
-
-    Args:
-        weights: w of the nodes of each touch, shape (touch_count, width).
-        stiffness: s of each touch along the axes [N/m], shape (touch_count, 3).
-        offsets: Place of each pair's block, -1 for none, shape (touch_count, pair_count).
-        strides: Distance between two columns of that block, same shape.
-        storage: The factorization's storage [N/m]; added to.
-    """
-    width = weights.shape[1]
-    for touch in range(len(weights)):
-        s, pair = row(stiffness, touch), 0
-        for b in range(width):
-            for a in range(b, width):
-                block = diagonal_matrix(scaled(s, weights[touch, a] * weights[touch, b]))
-                add_block(block, offsets[touch, pair], strides[touch, pair], storage)
-                pair += 1
-
-
 class TouchLoads(ForceTerm):
     """Force term of all points that may be touched. Untouched ones add nothing.
 
@@ -110,20 +86,15 @@ class TouchLoads(ForceTerm):
         self.axes, self.stiffness = np.array(axes, bool), np.array(stiffness, float)
         self._points = points
         used = points.barycentric_weights != 0.0
-        self._free = np.where(used, free_index[points.nodes], -1)
-        self._weights = np.where(self._free >= 0, points.barycentric_weights, 0.0)
-        self._bound = None
+        self._stencils = np.where(used, free_index[points.nodes], -1)
+        self._weights = np.where(self._stencils >= 0, points.barycentric_weights, 0.0)
         self.loads, self.places = np.zeros((count, 3)), np.zeros((count, 3))
         self.is_held, self.is_active = np.zeros(count, bool), False
 
-    def stencils(self) -> np.ndarray:
-        """Unknowns that carry each point, -1 where none, shape (touch_count, width)."""
-        return self._free
-
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness in the storage, and sort the points' nodes."""
-        self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
-        self._free = bound.sorted(self._free)
+        self._bound = bound = bind_stencils(self._stencils, elimination_rank, slots)
+        self._stencils = bound.sorted(self._stencils)
         self._weights = bound.sorted(self._weights)
 
     def load(self, forces: np.ndarray, places: np.ndarray) -> bool:
@@ -160,9 +131,9 @@ class TouchLoads(ForceTerm):
         """Add the forces [N], shape (free_node_count, 3), at node positions [m]; none inverts an
         element."""
         if self.is_active:
-            moving = self._free >= 0
+            moving = self._stencils >= 0
             shares = self._weights[:, :, None] * self.forces(positions)[:, None, :]
-            np.add.at(forces, self._free[moving], shares[moving])
+            np.add.at(forces, self._stencils[moving], shares[moving])
         return 0
 
     def add_force_curvature(self, positions, direction, reach, curvature) -> None:
@@ -173,7 +144,7 @@ class TouchLoads(ForceTerm):
         if not self.is_active:
             return
         self.add_forces(positions, forces)
-        add_touch_stiffness(
-            self._weights, self._held_stiffness(), self._bound.offsets, self._bound.strides,
-            storage,
-        )  # fmt: skip
+        matrices = self._held_stiffness()[:, :, None] * np.eye(3)
+        add_weighted_matrices(
+            matrices, self._weights, self._bound.offsets, self._bound.strides, storage
+        )

@@ -34,14 +34,16 @@ import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
+    add_outer,
     add_scaled_matrix,
     cofactor,
     cross_matrix,
     determinant,
     inner,
+    scaled_matrix,
     transform,
 )
-from softrobot_twin.geometry.vector3 import cross
+from softrobot_twin.geometry.vector3 import cross, scaled
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     matrix_at,
@@ -50,6 +52,7 @@ from softrobot_twin.mechanics.element_batches import (
     vector_at,
 )
 from softrobot_twin.mechanics.polar import is_upright
+from softrobot_twin.mechanics.stencil import add_block
 
 # J₀: volume of a point, as a share of that at rest, below which the barrier acts.
 BARRIER_VOLUME = 0.1
@@ -207,22 +210,18 @@ def add_barrier_stiffness(
                 for b in range(node_count):
                     for a in range(b, node_count):
                         if offsets[k, pair, e] >= 0:
-                            add_barrier_block(
-                                F, G, a, b, e, weight * curvature, slope,
-                                storage[offsets[k, pair, e] :], strides[k, pair, e],
-                            )  # fmt: skip
+                            block = barrier_block(F, G, a, b, e, weight * curvature, slope)
+                            add_block(block, offsets[k, pair, e], strides[k, pair, e], storage)
                         pair += 1
 
 
 @njit(**INNER)
-def add_barrier_block(F, G, a, b, e, curvature, slope, storage, stride):
-    """Add K_ab of one element at one point; `storage` begins with the block's first entry."""
+def barrier_block(F, G, a, b, e, curvature, slope):
+    """K_ab of one element at one point."""
     c_a, c_b = volume_gradient(F, G, a, e), volume_gradient(F, G, b, e)
     across = cross(vector_at(of_node(G, a), 0, e), vector_at(of_node(G, b), 0, e))
-    turning = cross_matrix(transform(matrix_at(F, 0, e), across))
-    for j in range(3):
-        for i in range(3):
-            storage[j * stride + i] += curvature * c_a[i] * c_b[j] - slope * turning[i][j]
+    turning = scaled_matrix(cross_matrix(transform(matrix_at(F, 0, e), across)), -slope)
+    return add_outer(turning, scaled(c_a, curvature), c_b)
 
 
 @njit(**INNER)

@@ -79,8 +79,7 @@ class _Workspace(NamedTuple):
 class ContactGaussSeidel:
     """Solves contact problems, best from the multipliers of the last step.
 
-    Buffers grow with the largest problem and are reused. The same input gives the same
-    bits. Not to be used by two threads at once.
+    The same input gives the same bits.
 
     Attributes:
         tolerance: Residual at which a solution is good enough [m].
@@ -95,8 +94,6 @@ class ContactGaussSeidel:
         self.tolerance = tolerance
         self.most_sweeps = most_sweeps
         self.force_share = force_share
-        self._capacity = 0
-        self._workspace = None
 
     def solve(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
         """Multipliers from a guess.
@@ -120,37 +117,14 @@ class ContactGaussSeidel:
         parts = tuple(np.ascontiguousarray(part, dtype=np.float64) for part in problem[:5])
         force = guess.copy()
         gap, newtons, count = _solve(
-            *parts, problem.rows_per_contact, force, self._prepare(len(guess), len(problem.friction)),
-            self.tolerance, self.most_sweeps, self.force_share,
+            *parts, problem.rows_per_contact, force, self.tolerance, self.most_sweeps,
+            self.force_share,
         )  # fmt: skip
         if gap < np.inf:
             return ContactSolution(force, gap, newtons, count, gap <= self.tolerance)
         problem.check()
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
-
-    def _prepare(self, n: int, contact_count: int) -> tuple:
-        """Workspace for n rows: views of the buffers, which grow where they are too small.
-
-        It comes as a plain tuple: numba finds the type of a named one more slowly.
-        """
-        if self._workspace is None or n > self._capacity:
-            self._capacity = max(n, 2 * self._capacity)
-            self._vectors = np.zeros((5, self._capacity))
-            self._indices = np.zeros((2, self._capacity), dtype=np.int64)
-            self._frame = np.zeros((self._capacity, 4))
-            self._matrix = np.zeros(self._capacity**2)
-            self._local = np.zeros((self._capacity, CONTACT_SIZE))
-            self._workspace = None
-        if self._workspace is None or self._sizes != (n, contact_count):
-            self._sizes = n, contact_count
-            delta, trial, trial_delta, best, right = self._vectors[:, :n]
-            self._workspace = (
-                self._local[:contact_count], delta, trial, trial_delta, best,
-                self._indices[0, :n], self._indices[1, :n], self._frame[:n],
-                self._matrix[: n * n].reshape(n, n), right,
-            )  # fmt: skip
-        return self._workspace
 
 
 @njit(**INNER)
@@ -281,8 +255,8 @@ def residual(W, lower, upper, friction, rows_per_contact, force, delta):
 
 @njit(**KERNEL)
 def _solve(
-    W, violation, lower, upper, friction, rows_per_contact, force, workspace, tolerance,
-    most_sweeps, force_share,
+    W, violation, lower, upper, friction, rows_per_contact, force, tolerance, most_sweeps,
+    force_share,
 ):  # fmt: skip
     """Sweeps, and Newton steps where forces are not exact; force in place.
 
@@ -293,7 +267,13 @@ def _solve(
     if not _usable(W, violation, lower, upper, friction, force):
         return np.inf, np.inf, 0
     rows = (W, violation, lower, upper, friction, rows_per_contact)
-    workspace = _Workspace(*workspace)
+    n = len(force)
+    delta, trial, trial_delta, best, right = np.empty((5, n))
+    active, kinds = np.empty((2, n), dtype=np.int64)
+    workspace = _Workspace(
+        np.empty((len(friction), CONTACT_SIZE)), delta, trial, trial_delta, best, active, kinds,
+        np.empty((n, 4)), np.empty((n, n)), right,
+    )  # fmt: skip
     gap, newtons, count = _iterate(*rows, force, workspace, tolerance, most_sweeps)
     greatest = 0.0
     for i in range(len(force)):

@@ -274,7 +274,13 @@ def own_compliance(W, actuators, per_contact):
     own = np.empty(len(W))
     for i in range(len(W)):
         own[i] = W[i, i]
-    if per_contact == 3:
-        for n in range(actuators, len(W), 3):
-            own[n + 1] = own[n + 2] = 0.5 * (own[n + 1] + own[n + 2])
+    average_tangents(own, actuators, per_contact)
     return own
+
+
+@njit(**INNER)
+def average_tangents(own, actuators, per_contact):
+    """Give both tangents of each contact the mean of their own compliances."""
+    if per_contact == 3:
+        for n in range(actuators, len(own), 3):
+            own[n + 1] = own[n + 2] = 0.5 * (own[n + 1] + own[n + 2])

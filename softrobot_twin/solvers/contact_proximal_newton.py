@@ -41,6 +41,7 @@ from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.contact_gauss_seidel import motion
 from softrobot_twin.solvers.contact_law import (
     admissible,
+    average_tangents,
     copy_into,
     law,
     natural_residual,
@@ -333,9 +334,7 @@ def _own_by_factor(Yt, actuators, per_contact):
     own = np.empty(len(Yt))
     for i in range(len(Yt)):
         own[i] = _dot(Yt[i], Yt[i])
-    if per_contact == 3:
-        for n in range(actuators, len(Yt), 3):
-            own[n + 1] = own[n + 2] = 0.5 * (own[n + 1] + own[n + 2])
+    average_tangents(own, actuators, per_contact)
     return own
 
 
