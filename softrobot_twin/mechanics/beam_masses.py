@@ -48,8 +48,8 @@ from scipy.sparse import block_diag, bsr_array, coo_array
 from scipy.sparse.linalg import spsolve
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
-from softrobot_twin.geometry.matrix3 import cross_matrix
-from softrobot_twin.geometry.vector3 import add, cross, dot, row, set_row, subtract
+from softrobot_twin.geometry.matrix3 import ZERO, add_outer, cross_matrix, plus_identity
+from softrobot_twin.geometry.vector3 import add, add_scaled, cross, dot, row, scaled, set_row, subtract
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.beam_sections import BeamSection
 from softrobot_twin.mechanics.beams import BeamElements
@@ -187,27 +187,22 @@ def write_element_stiffness(z, M, factor, out):
     """factor Dᵀ M D by the translations and rotations of both ends, shape (12, 12)."""
     for a in range(2):
         for b in range(2):
-            lever_a, lever_b, products = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.zeros((3, 3))
+            lever_a, lever_b, products = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ZERO
             for j in range(1, 4):
                 r, m, n = row(z, 4 * b + j), M[4 * a, 4 * b + j], M[4 * b, 4 * a + j]
-                own = row(z, 4 * a + j)
-                lever_b = (lever_b[0] + m * r[0], lever_b[1] + m * r[1], lever_b[2] + m * r[2])
-                lever_a = (lever_a[0] + n * own[0], lever_a[1] + n * own[1],
-                           lever_a[2] + n * own[2])  # fmt: skip
+                lever_b = add_scaled(lever_b, r, m)
+                lever_a = add_scaled(lever_a, row(z, 4 * a + j), n)
                 for i in range(1, 4):
                     mass, first = M[4 * a + i, 4 * b + j], row(z, 4 * a + i)
-                    along = mass * dot(first, r)
-                    for p in range(3):
-                        products[p, p] += along
-                        for q in range(3):
-                            products[p, q] -= mass * r[p] * first[q]
+                    products = plus_identity(products, mass * dot(first, r))
+                    products = add_outer(products, scaled(r, -mass), first)
             by_b, by_a = cross_matrix(lever_b), cross_matrix(lever_a)
             for p in range(3):
                 for q in range(3):
                     out[6 * a + p, 6 * b + q] = factor * M[4 * a, 4 * b] if p == q else 0.0
                     out[6 * a + p, 6 * b + 3 + q] = -factor * by_b[p][q]
                     out[6 * a + 3 + p, 6 * b + q] = factor * by_a[p][q]
-                    out[6 * a + 3 + p, 6 * b + 3 + q] = factor * products[p, q]
+                    out[6 * a + 3 + p, 6 * b + 3 + q] = factor * products[p][q]
 
 
 @njit(**INNER)

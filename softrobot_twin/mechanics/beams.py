@@ -63,6 +63,7 @@ import numpy as np
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
     add_outer,
     add_scaled_matrix,
     cross_matrix,
@@ -182,7 +183,7 @@ def curvature_factors(square):
 def symmetric_slope(psi, y, c, c_1):
     """∂(c [ψ]×² y)/∂ψ: c ((ψ·y) 1 + ψ yᵀ - 2 y ψᵀ) + c₁ (ψ (ψ·y) - ψ² y) ψᵀ."""
     along, square = dot(psi, y), dot(psi, psi)
-    second = scaled_matrix(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), c * along)
+    second = scaled_matrix(IDENTITY, c * along)
     second = add_outer(second, scaled(psi, c), y)
     by_psi = add_scaled(scaled(psi, c_1 * along), y, -2.0 * c - c_1 * square)
     return add_outer(second, by_psi, psi)
@@ -330,8 +331,7 @@ def curvature_of_chord(psi, y, n, c, c_1, c_2):
         add_scaled(scaled(n, dot(psi, y)), y, dot(psi, n)), psi, -2.0 * across
     )
     whole = dot(psi, n) * dot(psi, y) - dot(psi, psi) * across
-    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    out = scaled_matrix(identity, -2.0 * c * across + c_1 * whole)
+    out = scaled_matrix(IDENTITY, -2.0 * c * across + c_1 * whole)
     out = add_outer(add_outer(out, scaled(n, c), y), scaled(y, c), n)
     out = add_outer(add_outer(out, scaled(a, c_1), psi), scaled(psi, c_1), a)
     return add_outer(out, scaled(psi, c_2 * whole), psi)
@@ -468,9 +468,7 @@ def add_beam_stiffness(
         f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
         add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
         if len(predicted) > 0:
-            strain, bend = (predicted[e, 0], predicted[e, 1], predicted[e, 2]), (
-                predicted[e, 3], predicted[e, 4], predicted[e, 5]
-            )  # fmt: skip
+            strain, bend = row_of(predicted[e]), row_of(predicted[e, 3:])
             n, m = element_loads(bend, strain, k, pulls, e)
             f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
         K_yy, K_yt, K_tt = chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2)

@@ -54,12 +54,13 @@ from softrobot_twin.geometry.matrix3 import (
     ZERO,
     add_outer,
     add_scaled_matrix,
+    plus_identity,
     product,
     product_transposed,
     scaled_matrix,
     transform,
 )
-from softrobot_twin.geometry.vector3 import add_scaled, scaled
+from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row, subtract
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
@@ -113,10 +114,7 @@ def gather(x, cells, X):
     for a in range(len(cells)):
         node = of_node(X, a)
         for e in range(BATCH):
-            n = cells[a, e]
-            node[at(0, e)] = x[n, 0]
-            node[at(1, e)] = x[n, 1]
-            node[at(2, e)] = x[n, 2]
+            put_vector(node, 0, e, row(x, cells[a, e]))
 
 
 @njit(**INNER)
@@ -180,9 +178,7 @@ def subtract_forces(free, P, forces):
         for e in range(BATCH):
             n = free[a, e]
             if n >= 0:
-                forces[n, 0] -= node[at(0, e)]
-                forces[n, 1] -= node[at(1, e)]
-                forces[n, 2] -= node[at(2, e)]
+                set_row(forces, n, subtract(row(forces, n), vector_at(node, 0, e)))
 
 
 @njit(**INLINED)
@@ -256,10 +252,10 @@ def differentiate_node(law, k, q, b, weights, g, L, T):
     gradients, zero, like = of_node(g, b), (0.0, 0.0, 0.0), linearized_rows(law)
     for e in range(BATCH):
         here, at_point = law_at(law, k, q, e), rows_at(L, 0, like, e)
-        row = scaled(vector_at(gradients, 0, e), weights[e])
-        put_matrix(T, 0, e, differential(here, at_point, (row, zero, zero)))
-        put_matrix(T, 1, e, differential(here, at_point, (zero, row, zero)))
-        put_matrix(T, 2, e, differential(here, at_point, (zero, zero, row)))
+        g_b = scaled(vector_at(gradients, 0, e), weights[e])
+        put_matrix(T, 0, e, differential(here, at_point, (g_b, zero, zero)))
+        put_matrix(T, 1, e, differential(here, at_point, (zero, g_b, zero)))
+        put_matrix(T, 2, e, differential(here, at_point, (zero, zero, g_b)))
 
 
 @njit(**GENERIC)
@@ -396,13 +392,8 @@ def apply_derivatives(b, weights, g, C, T):
     gradients = of_node(g, b)
     for i in range(3):
         for entry in range(9):
-            first = 9 * entry + 3 * i
             for e in range(BATCH):
-                change = (
-                    C[at(first, e)] * gradients[at(0, e)]
-                    + C[at(first + 1, e)] * gradients[at(1, e)]
-                    + C[at(first + 2, e)] * gradients[at(2, e)]
-                )
+                change = dot(vector_at(C, 3 * entry + i, e), vector_at(gradients, 0, e))
                 T[at(9 * i + entry, e)] = weights[e] * change
 
 
@@ -615,9 +606,7 @@ def add_force_curvature(
             deform(U, G, F)
             deform(X, G, D)
             for e in range(BATCH):
-                D[at(0, e)] -= 1.0
-                D[at(4, e)] -= 1.0
-                D[at(8, e)] -= 1.0
+                put_matrix(D, 0, e, plus_identity(matrix_at(D, 0, e), -1.0))
             inverse = deform_along(D, F, step, shifted)
             find_state(law, shifted, R, upright)
             differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], S)

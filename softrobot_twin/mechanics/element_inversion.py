@@ -41,13 +41,14 @@ from softrobot_twin.geometry.matrix3 import (
     determinant,
     product,
     rows,
+    set_rows,
     symmetric,
     transposed,
 )
 from softrobot_twin.geometry.quadrature import barycentric_coordinates
 from softrobot_twin.geometry.shape_functions import ENHANCED_HEXAHEDRON, HEXAHEDRON_CORNERS
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row
-from softrobot_twin.mechanics.element_batches import BATCH, at, copy_entries, matrix_at, put_matrix
+from softrobot_twin.mechanics.element_batches import BATCH, copy_entries, matrix_at, put_matrix
 from softrobot_twin.mechanics.polar import is_upright
 
 # A part as small as this, by halvings, that is still not proved counts as folded: it is nearly
@@ -223,9 +224,7 @@ def find_folds(to_corners, F, corners, upright, sure):
 def mark_surely_upright(corners, sure):
     """Keep marked only the elements for which the first proof holds."""
     for e in range(BATCH):
-        mean = matrix_at(corners[0], 0, e)
-        for corner in range(1, 4):
-            mean = add_scaled_matrix(mean, matrix_at(corners[corner], 0, e), 1.0)
+        mean = sum_of_corners(corners, e)
         inverse = transposed(cofactor(mean))
         sure[e] = sure[e] if determinant(mean) > 0.0 else 0.0
         for corner in range(4):
@@ -233,6 +232,22 @@ def mark_surely_upright(corners, sure):
             minors = cofactor(relative)
             definite = relative[0][0] > 0.0 and minors[2][2] > 0.0
             sure[e] = sure[e] if definite and dot(relative[0], minors[0]) > 0.0 else 0.0
+
+
+@njit(**INNER)
+def write_element(corners, e, F):
+    """Write F at the corners of one element of a batch, shape (4, 3, 3)."""
+    for corner in range(4):
+        set_rows(F[corner], matrix_at(corners[corner], 0, e))
+
+
+@njit(**INNER)
+def sum_of_corners(corners, e):
+    """The sum of F at the corners of one element of a batch."""
+    total = matrix_at(corners[0], 0, e)
+    for corner in range(1, 4):
+        total = add_scaled_matrix(total, matrix_at(corners[corner], 0, e), 1.0)
+    return total
 
 
 @njit(**INNER)
@@ -247,9 +262,7 @@ def cut_the_unsure(corners, sure, upright):
     F = np.empty((4, 3, 3))
     for e in range(BATCH):
         if upright[e] > 0.0 and sure[e] == 0.0:
-            for q in range(4):
-                for i in range(9):
-                    F[q, i // 3, i % 3] = corners[q, at(i, e)]
+            write_element(corners, e, F)
             if is_folded(F):
                 upright[e] = 0.0
 
@@ -310,9 +323,7 @@ def is_folded(F):
     parts = np.empty((MOST_HALVINGS + 2, 4, 3, 3))
     halvings = np.zeros(MOST_HALVINGS + 2, np.int64)
     for i in range(4):
-        for r in range(3):
-            for s in range(3):
-                parts[0, i, r, s] = F[i, r, s]
+        set_rows(parts[0, i], rows(F[i]))
     count = 1
     while count > 0:
         count -= 1

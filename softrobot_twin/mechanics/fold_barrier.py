@@ -70,7 +70,9 @@ from softrobot_twin.mechanics.element_inversion import (
     deform_corners,
     least_coefficient,
     mixed_determinant,
+    sum_of_corners,
     write_corners,
+    write_element,
 )
 from softrobot_twin.mechanics.stencil import add_block
 from softrobot_twin.mechanics.volume_barrier import (
@@ -164,10 +166,7 @@ def mixed_cross(a, b, c, d):
 def bound_values(corners, bounds):
     """A lower bound of all J_t of each element, from F at its corners; not positive for NaN."""
     for e in range(BATCH):
-        mean = matrix_at(corners[0], 0, e)
-        for corner in range(1, 4):
-            mean = add_scaled_matrix(mean, matrix_at(corners[corner], 0, e), 1.0)
-        mean = scaled_matrix(mean, 0.25)
+        mean = scaled_matrix(sum_of_corners(corners, e), 0.25)
         volume, largest = determinant(mean), 0.0
         inverse = transposed(cofactor(mean))
         for corner in range(4):
@@ -182,9 +181,7 @@ def bound_values(corners, bounds):
 def least_of_corners(corners, e):
     """The least Bernstein coefficient of element e as a whole."""
     F = np.empty((4, 3, 3))
-    for corner in range(4):
-        for i in range(9):
-            F[corner, i // 3, i % 3] = corners[corner, i * BATCH + e]
+    write_element(corners, e, F)
     return least_coefficient(F) / 6.0
 
 

@@ -229,6 +229,15 @@ class ForceTerm(Protocol):
         return 0.0
 
 
+class OwnBlocks(ForceTerm):
+    """A force term whose stiffness couples each unknown with itself only."""
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Find the places of the diagonal blocks; see `ForceTerm.bind`."""
+        own = self._stencils.ravel()
+        self._offsets, self._strides = slots(own, own)
+
+
 class InertiaTerm(ForceTerm, Protocol):
     """A force term of masses that resist acceleration, -M w ((q - q₀)/h - v₀)/h.
 

@@ -83,7 +83,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
 )
 from softrobot_twin.mechanics.barycentric import writable
-from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.force_term import OwnBlocks
 from softrobot_twin.mechanics.kinematics import fold_own_forces
 from softrobot_twin.mechanics.rigid_bodies import (
     NOTHING_ATTACHED,
@@ -616,7 +616,7 @@ def add_unused(offsets, strides, is_ball, stiffness, share, storage):
 LEAST_STIFFNESS, PROJECTED_STIFFNESS = 1.0e-5, 1.0e-2
 
 
-class HingeBlocks(ForceTerm):
+class HingeBlocks(OwnBlocks):
     """What keeps the matrix definite at hinges. It exerts no forces.
 
     The two unused numbers of each hinge do no work and receive no force; a positive diagonal holds
@@ -635,17 +635,8 @@ class HingeBlocks(ForceTerm):
             stiffness: A typical stiffness of what each joint carries [N m], shape (hinge_count,),
                 positive.
         """
-        self._own, self._is_ball = frames.own, frames.is_ball
+        self._stencils, self._is_ball = frames.own[:, None], frames.is_ball
         self._stiffness = np.array(stiffness, float)
-        self._offsets = self._strides = None
-
-    def stencils(self) -> np.ndarray:
-        """The own unknowns, shape (hinge_count, 1)."""
-        return self._own.reshape(-1, 1)
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the diagonal blocks."""
-        self._offsets, self._strides = slots(self._own, self._own)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Adds none; see `ForceTerm.add_forces`."""

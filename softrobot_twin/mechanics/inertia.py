@@ -35,7 +35,7 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock
 from softrobot_twin.geometry.quadrature import tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import EDGES
-from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm
+from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm, OwnBlocks
 
 
 class RememberedNodes(ForceTerm):
@@ -112,10 +112,7 @@ def lumped_masses(mesh, density) -> np.ndarray:
         mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
     """
-    return _summed(
-        mesh, density,
-        lambda block, masses, _: _times(masses, _lumped_shares(block)),
-    )  # fmt: skip
+    return _summed(mesh, density, _lumped_shares)
 
 
 def borne_masses(mesh, density, lumped=None) -> np.ndarray:
@@ -126,26 +123,26 @@ def borne_masses(mesh, density, lumped=None) -> np.ndarray:
         density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
         lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left out.
     """
-
-    def of_block(block: CellBlock, masses: np.ndarray, is_lumped: np.ndarray | None):
-        shares = _times(masses, block.load_shares)
-        if is_lumped is not None:
-            shares[is_lumped] = _times(masses, _lumped_shares(block))[is_lumped]
-        return shares
-
-    return _summed(mesh, density, of_block, lumped)
+    return _summed(mesh, density, lambda block: block.load_shares, lumped)
 
 
-def _summed(mesh, density, of_block: Callable, lumped=None) -> np.ndarray:
-    """Sum of the masses that each cell gives to its nodes [kg], shape (node_count,)."""
-    total = None
+def _summed(mesh, density, shares_of: Callable, lumped=None) -> np.ndarray:
+    """Sum of the masses that cells give to their nodes [kg], shape (node_count,).
+
+    Args:
+        mesh: The body, a `CellMesh`.
+        density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
+        shares_of: Gives the shares of the nodes of a block, the same for all cells or of each.
+        lumped: Elements that are divided by `_lumped_shares` instead; none when left out.
+    """
+    total = np.zeros(mesh.node_count)
     for block in mesh.blocks():
-        masses = _of_cells(density, block) * block.volumes
-        own = of_block(block, masses, None if lumped is None else lumped[block.places])
-        sums = np.bincount(
-            block.mesh.cells.ravel(), weights=own.ravel(), minlength=mesh.node_count
-        )
-        total = sums if total is None else total + sums
+        masses = (_of_cells(density, block) * block.volumes)[:, None]
+        own = masses * shares_of(block)
+        if lumped is not None:
+            is_lumped = lumped[block.places]
+            own[is_lumped] = (masses * _lumped_shares(block))[is_lumped]
+        total += np.bincount(block.mesh.cells.ravel(), own.ravel(), mesh.node_count)
     return total
 
 
@@ -163,11 +160,6 @@ def _lumped_shares(block: CellBlock) -> np.ndarray:
     """Shares of a cell's mass in proportion to the diagonal of its mass matrix."""
     diagonal = np.diagonal(_block_shares(block), axis1=-2, axis2=-1)
     return diagonal / diagonal.sum(axis=-1, keepdims=True)
-
-
-def _times(masses: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Each cell's mass [kg] times its shares, which may be the same for all, (cell_count, n)."""
-    return masses[:, None] * shares
 
 
 def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
@@ -215,7 +207,7 @@ def add_multiples(values, factor, offsets, strides, storage):
         storage[offsets[k] + 2 * step] += value
 
 
-class NodalMasses(RememberedNodes):
+class NodalMasses(RememberedNodes, OwnBlocks):
     """Masses at moving nodes whose state at the beginning of the step is remembered.
 
     Attributes:
@@ -248,15 +240,7 @@ class NodalMasses(RememberedNodes):
             raise ValueError("masses must be positive and finite [kg]")
         if np.any(self._unknowns < 0):
             raise ValueError("a node that does not move cannot have a mass that moves")
-        self._offsets = self._strides = None
-
-    def stencils(self) -> np.ndarray:
-        """Each mass is coupled to itself only, shape (mass_count, 1)."""
-        return self._unknowns[:, None]
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the diagonal blocks."""
-        self._offsets, self._strides = slots(self._unknowns, self._unknowns)
+        self._stencils = self._unknowns[:, None]
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -c m ((q - q₀)/h - v₀) [N] to the forces; it inverts no element.

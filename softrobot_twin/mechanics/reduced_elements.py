@@ -36,7 +36,7 @@ import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
-from softrobot_twin.geometry.matrix3 import product
+from softrobot_twin.geometry.matrix3 import product, transposed_product
 from softrobot_twin.geometry.vector_arrays import gather_vectors, multiply_transposed
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
@@ -50,7 +50,14 @@ from softrobot_twin.mechanics.element_assembly import (
     seen_by_law,
     weighted_stresses,
 )
-from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at, scratch
+from softrobot_twin.mechanics.element_batches import (
+    BATCH,
+    at,
+    matrix_at,
+    put_vector,
+    scratch,
+    vector_at,
+)
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.corotational import linearize as spin_stiffness
@@ -208,21 +215,13 @@ def turn_derivatives(R, C):
         turn = matrix_at(R, 0, e)
         for i in range(3):
             for j in range(3):
+                first = 9 * i + j
                 block = (
-                    (C[at(27 * i + 3 * j, e)], C[at(27 * i + 3 * j + 1, e)],
-                     C[at(27 * i + 3 * j + 2, e)]),
-                    (C[at(27 * i + 9 + 3 * j, e)], C[at(27 * i + 10 + 3 * j, e)],
-                     C[at(27 * i + 11 + 3 * j, e)]),
-                    (C[at(27 * i + 18 + 3 * j, e)], C[at(27 * i + 19 + 3 * j, e)],
-                     C[at(27 * i + 20 + 3 * j, e)]),
+                    vector_at(C, first, e), vector_at(C, first + 3, e), vector_at(C, first + 6, e)
                 )  # fmt: skip
-                right = product(block, turn)
+                turned = transposed_product(turn, product(block, turn))
                 for k in range(3):
-                    for n in range(3):
-                        C[at(9 * (3 * i + k) + 3 * j + n, e)] = (
-                            turn[0][k] * right[0][n] + turn[1][k] * right[1][n]
-                            + turn[2][k] * right[2][n]
-                        )  # fmt: skip
+                    put_vector(C, first + 3 * k, e, turned[k])
 
 
 @njit(**INNER)

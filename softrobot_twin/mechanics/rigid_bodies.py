@@ -88,7 +88,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
 )
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
-from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm
+from softrobot_twin.mechanics.force_term import InertiaTerm, OwnBlocks
 from softrobot_twin.mechanics.rotation import (
     exponential,
     inverse_jacobian,
@@ -487,7 +487,7 @@ def remember_poses(x, origins, centres, rotations):
         set_rows(rotations[k], rotation_at(x, origins[k]))
 
 
-class RigidMotion(ForceTerm):
+class RigidMotion(OwnBlocks):
     """Force term whose forces follow the motion since the step's beginning.
 
     Nodes of beams are free bodies without a mass of their own, after all others.
@@ -528,17 +528,9 @@ class RigidMotion(ForceTerm):
         # Before the first step there is no motion yet, and no force.
         self._scale, self._in_middle = 0.0, False
         self._pushes, self._twists = np.zeros((count, 3)), np.zeros((count, 3))
-        self._offsets = self._strides = None
-
-    def stencils(self) -> np.ndarray:
-        """Translation and rotation do not couple about the centre of mass, shape (2 k, 1)."""
+        # Translation and rotation do not couple about the centre of mass.
         unknowns = np.column_stack([self._translations, self._rotation_unknowns])
-        return unknowns.reshape(-1, 1)
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the diagonal blocks."""
-        unknowns = self.stencils().ravel()
-        self._offsets, self._strides = slots(unknowns, unknowns)
+        self._stencils = unknowns.reshape(-1, 1)
 
     def _remember_poses(self, positions: np.ndarray) -> None:
         remember_poses(positions, self._origins, self._centres, self._rotations)

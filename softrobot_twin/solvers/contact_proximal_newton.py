@@ -55,6 +55,7 @@ from softrobot_twin.solvers.contact_newton_step import (
     solve_system,
 )
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.small_cholesky import dot_product
 
 # Compliance ε without a guess, with a guess, and at least.
 COLD, WARM, LEAST = 1.0, 1.0e-2, 1.0e-8
@@ -222,14 +223,14 @@ def _newton_round(
         if by_factor:
             if not _step_by_factor(Yt, slope, len(lower), per_contact, g, step):
                 return made, False
-            length = _dot(step, step)
+            length = dot_product(step, step)
         else:
             _step_by_matrix(
                 W, slope, force, delta, centre, stiffness, g, friction, len(lower), per_contact,
                 step,
             )  # fmt: skip
             motion(W, none, step, moved)
-            length = _dot(step, moved)
+            length = dot_product(step, moved)
         part, fell, merit, size = 1.0, False, 0.0, 0.0
         for halving in range(MOST_HALVINGS):
             for i in range(size_of_point):
@@ -243,7 +244,7 @@ def _newton_round(
             merit = _residual(W, Yt, violation, trial, trial_delta, force, by_force, trial_g)
             fell = merit < square * (1.0 - ENOUGH * part)
             if by_factor:
-                size = _dot(trial, trial)
+                size = dot_product(trial, trial)
             else:
                 size = _energy(trial, none, trial_delta, violation)
             if not fell and halving == 0 and length <= ROUND_OFF * ROUND_OFF * size:
@@ -270,7 +271,7 @@ def _residual(W, Yt, violation, point, delta, force, by_force, g):
         gather(Yt, force, g)
         for i in range(len(g)):
             g[i] = point[i] - g[i]
-        return _dot(g, g)
+        return dot_product(g, g)
     motion(W, violation, force, by_force)
     for i in range(len(g)):
         g[i] = point[i] - force[i]
@@ -320,20 +321,11 @@ def _step_by_matrix(
 
 
 @njit(**INNER)
-def _dot(a, b):
-    """Scalar product."""
-    total = 0.0
-    for p in range(len(a)):
-        total += a[p] * b[p]
-    return total
-
-
-@njit(**INNER)
 def _own_by_factor(Yt, actuators, per_contact):
     """See `own_compliance`, from the factor."""
     own = np.empty(len(Yt))
     for i in range(len(Yt)):
-        own[i] = _dot(Yt[i], Yt[i])
+        own[i] = dot_product(Yt[i], Yt[i])
     average_tangents(own, actuators, per_contact)
     return own
 

@@ -142,16 +142,12 @@ def solve_towards(
     """
     scale = compliance_scale(np.ascontiguousarray(W))
     rows = W * np.outer(scale, scale)
+    gradient = -rows @ (tensions / scale) - SHARING * (tensions / scale)
     return _solve(
-        W,
-        scale,
-        -rows @ (tensions / scale) - SHARING * (tensions / scale),
-        rows,
-        bounds.effort_min,
-        bounds.effort_max,
+        W, scale, gradient, rows, bounds.effort_min, bounds.effort_max,
         scale * (bounds.displacement_min - free_violation),
         scale * (bounds.displacement_max - free_violation),
-    )
+    )  # fmt: skip
 
 
 def _solve(

@@ -10,6 +10,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+BLOCK, BLOCK_STRIDE = 9, 3  # doubles in a block that is stored contiguously, and in its columns
+
 
 class NodeRows(NamedTuple):
     """Rows of H as node blocks; entries of the same row and node add up.
@@ -121,6 +123,29 @@ class Factorization(Protocol):
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """A⁻¹ b, shape (node_count, 3)."""
+
+
+def block_slots(
+    keys: np.ndarray, rows: np.ndarray, columns: np.ndarray, node_count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets and column strides of blocks that are stored contiguously, in the order of their keys.
+
+    Args:
+        keys: `node_count` times the column, plus the row, of each block stored, ascending.
+        rows: Ranks of the rows of the blocks, shape (count,).
+        columns: Ranks of their columns, same shape.
+        node_count: Number of nodes.
+
+    Raises:
+        ValueError: A block lies above the diagonal or outside the pattern.
+    """
+    if np.any(rows < columns):
+        raise ValueError("a block lies above the diagonal of the elimination order")
+    wanted = columns * node_count + rows
+    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    if np.any(keys[place] != wanted):
+        raise ValueError("a block lies outside the pattern")
+    return BLOCK * place, np.full(place.shape, BLOCK_STRIDE, dtype=np.int64)
 
 
 def laid_out_like(

@@ -127,18 +127,7 @@ def build_inverse_problem(
     if contacts:
         lower = np.concatenate([lower, np.zeros(contacts)])
         upper = np.concatenate([upper, np.full(contacts, np.inf)])
-    return QPCC(
-        P,
-        g,
-        lower,
-        upper,
-        A,
-        least,
-        most,
-        C,
-        system.gaps,
-        force_max,
-    )
+    return QPCC(P, g, lower, upper, A, least, most, C, system.gaps, force_max)
 
 
 def with_effort_rows(

@@ -1,10 +1,19 @@
-"""Cholesky factorization of matrices of a few rows, within kernels."""
+"""Cholesky factorization of matrices of a few rows, and products of their rows, within kernels."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from softrobot_twin.compilation import INNER, njit
+
+
+@njit(**INNER)
+def dot_product(a, b):
+    """Sum of the products of the numbers of two arrays, of the first to the last, shape (n,)."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
 
 
 @njit(**INNER)

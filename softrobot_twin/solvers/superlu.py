@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.solvers.factorization import Condensed, NodeRows
+from softrobot_twin.solvers.factorization import Condensed, NodeRows, block_slots
 from softrobot_twin.traced_stage import clear
 
 OPTIONS = {
@@ -72,14 +72,8 @@ class SuperLU:
 
     def slots(self, rows, columns) -> tuple[np.ndarray, np.ndarray]:
         """See `Factorization.slots`."""
-        rows, columns = np.asarray(rows, np.int64), np.asarray(columns, np.int64)
-        if np.any(rows < columns):
-            raise ValueError("a block lies above the diagonal of the elimination order")
-        keys = columns * self._node_count + rows
-        place = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        if np.any(self._keys[place] != keys):
-            raise ValueError("a block lies outside the pattern")
-        return 9 * place, np.full(place.shape, 3, dtype=np.int64)
+        rank = self.elimination_rank
+        return block_slots(self._keys, rank[rows], rank[columns], self._node_count)
 
     def blocks(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Factorization.blocks`."""

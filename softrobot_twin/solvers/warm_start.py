@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
-from softrobot_twin.solvers.small_cholesky import backward, factorize, forward
+from softrobot_twin.solvers.small_cholesky import backward, dot_product, factorize, forward
 
 # Active sets that are tried before the caller's general solver is used.
 MOST_GUESSES = 6
@@ -183,7 +183,7 @@ def _update_rows(z, A, row_lower, row_upper, duals, active):
                 active[i], changed = 0, True
             k += 1
         else:
-            value = product(A[i], z)
+            value = dot_product(A[i], z)
             if not row_lower[i] <= value <= row_upper[i]:
                 active[i], changed = -1 if value < row_lower[i] else 1, True
     return changed
@@ -202,7 +202,7 @@ def _wrong_contacts(z, C, d, force_max, touching):
         most, widest = max(most, z[first + k]), max(widest, abs(d[k]))
     wrong, contact = 0, -1
     for k in range(len(d)):
-        force, gap = z[first + k], d[k] + product(C[k], z)
+        force, gap = z[first + k], d[k] + dot_product(C[k], z)
         if touching[k] and CLEAR * most < force <= force_max[k]:
             continue
         if not touching[k] and gap > CLEAR * widest:
@@ -224,7 +224,7 @@ def objective_at(P, g, z):
     total = 0.0
     for i in range(len(z)):
         if z[i] != 0.0:
-            total += z[i] * (0.5 * product(P[i], z) + g[i])
+            total += z[i] * (0.5 * dot_product(P[i], z) + g[i])
     return total
 
 
@@ -253,7 +253,7 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
     for a in range(f):
         i = free[a]
         scale[a] = 1.0 / np.sqrt(P[i, i])
-        y[a] = -scale[a] * (g[i] + product(P[i], z))
+        y[a] = -scale[a] * (g[i] + dot_product(P[i], z))
         for b in range(a + 1):
             factor[a, b] = P[i, free[b]] * scale[a] * scale[b]
     if not factorize(factor, DEFINITE):
@@ -264,15 +264,15 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
         for a in range(f):
             Q[r, a] = rows[r, free[a]] * scale[a]
         forward(factor, Q[r])
-        length = np.sqrt(product(Q[r], Q[r]))
+        length = np.sqrt(dot_product(Q[r], Q[r]))
         # Twice: the remainder may be short and have lost digits.
         for _ in range(2):
             for s in range(r):
-                share = product(Q[r], Q[s])
+                share = dot_product(Q[r], Q[s])
                 L[r, s] += share
                 for a in range(f):
                     Q[r, a] -= share * Q[s, a]
-        L[r, r] = np.sqrt(product(Q[r], Q[r]))
+        L[r, r] = np.sqrt(dot_product(Q[r], Q[r]))
         if not L[r, r] > DISTINCT * length:
             return False
         for a in range(f):
@@ -303,12 +303,3 @@ def minimum_under_equations(P, g, free, rows, values, z, duals):
         for r in range(k):
             duals[r] += left[r]
     return False
-
-
-@njit(**INNER)
-def product(a, b):
-    """Scalar product of two vectors, shape (n,) each."""
-    total = 0.0
-    for j in range(len(a)):
-        total += a[j] * b[j]
-    return total

@@ -30,8 +30,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
-from softrobot_twin.geometry.matrix3 import determinant, product, transposed
-from softrobot_twin.geometry.vector3 import add_scaled
+from softrobot_twin.geometry.matrix3 import determinant, transposed_product
+from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
 from softrobot_twin.mechanics.principal_axes import (
     principal_axes,
@@ -161,12 +161,7 @@ def stress(law, F):
     """P [Pa]."""
     U, stretches, V = principal_axes(F)
     s = stresses_of_stretches(law, stretches, determinant(F))
-    scaled_axes = (
-        (s[0] * V[0][0], s[0] * V[0][1], s[0] * V[0][2]),
-        (s[1] * V[1][0], s[1] * V[1][1], s[1] * V[1][2]),
-        (s[2] * V[2][0], s[2] * V[2][1], s[2] * V[2][2]),
-    )
-    return product(transposed(U), scaled_axes)
+    return transposed_product(U, (scaled(V[0], s[0]), scaled(V[1], s[1]), scaled(V[2], s[2])))
 
 
 @njit(**INLINED)

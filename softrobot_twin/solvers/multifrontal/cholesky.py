@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
+from softrobot_twin.solvers.factorization import (
+    BLOCK,
+    Condensed,
+    LowRankCondensed,
+    NodeRows,
+    block_slots,
+)
 from softrobot_twin.solvers.multifrontal import condensation
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
-from softrobot_twin.solvers.multifrontal.memory_layout import BLOCK, lay_out
+from softrobot_twin.solvers.multifrontal.memory_layout import lay_out
 from softrobot_twin.solvers.multifrontal.numeric_factorization import SUCCESS, factorize
 from softrobot_twin.solvers.multifrontal.ordering import best_elimination
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, node_graph, renumbered
@@ -17,7 +23,6 @@ from softrobot_twin.traced_stage import TracedStages, clear
 
 # W is given by its factor where its rank is at most this share of its rows.
 LOW_RANK = 0.5
-_BLOCK_STRIDE = 3  # between the columns of a block, which is stored contiguously
 
 
 class Multifrontal:
@@ -85,14 +90,8 @@ class Multifrontal:
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `Factorization.slots`."""
-        row_rank, column_rank = self.elimination_rank[rows], self.elimination_rank[columns]
-        if np.any(row_rank < column_rank):
-            raise ValueError("a block lies above the diagonal of the elimination order")
-        keys, wanted = self.layout.block_keys, column_rank * self._node_count + row_rank
-        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        if np.any(keys[place] != wanted):
-            raise ValueError("a block lies outside the pattern")
-        return BLOCK * place, np.full(place.shape, _BLOCK_STRIDE, dtype=np.int64)
+        rank = self.elimination_rank
+        return block_slots(self.layout.block_keys, rank[rows], rank[columns], self._node_count)
 
     def blocks(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Factorization.blocks`."""

@@ -18,7 +18,6 @@ from softrobot_twin.solvers.multifrontal.dense_kernels import TRIANGLE, WIDE
 from softrobot_twin.solvers.multifrontal.symbolic import Elimination, front_of_rows
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
-BLOCK = 9  # doubles in a block
 
 # One front. Rows and columns count degrees of freedom; offsets and strides count doubles. Ranges
 # `x_start` to `x_end` are indices into another array of the layout.
@@ -125,13 +124,18 @@ def _stack(fronts: np.ndarray, field: str, sizes: np.ndarray) -> int:
     return int(ends[-1]) if len(ends) else 0
 
 
+def _write_ranges(fronts: np.ndarray, name: str, front_of_entry: np.ndarray) -> None:
+    """Write where the entries of each front begin and end in a list that is sorted by fronts."""
+    numbers = np.arange(len(fronts))
+    fronts[f"{name}_start"] = np.searchsorted(front_of_entry, numbers)
+    fronts[f"{name}_end"] = np.searchsorted(front_of_entry, numbers, side="right")
+
+
 def _children(fronts: np.ndarray, parent: np.ndarray) -> np.ndarray:
     """Children of all fronts, in the order in which they are finished."""
     children = np.argsort(parent, kind="stable")
     sorted_parents = parent[children]
-    numbers = np.arange(len(fronts))
-    fronts["child_start"] = np.searchsorted(sorted_parents, numbers)
-    fronts["child_end"] = np.searchsorted(sorted_parents, numbers, side="right")
+    _write_ranges(fronts, "child", sorted_parents)
     return children.astype(np.int64)
 
 
@@ -150,9 +154,7 @@ def _runs(fronts: np.ndarray, elimination: Elimination) -> np.ndarray:
     runs = np.zeros(len(at), dtype=RUN)
     runs["source"], runs["target"] = 3 * source[at], 3 * target[at]
     runs["count"] = 3 * np.diff(np.append(at, len(rows)))
-    numbers = np.arange(len(fronts))
-    fronts["run_start"] = np.searchsorted(front_of_row[at], numbers)
-    fronts["run_end"] = np.searchsorted(front_of_row[at], numbers, side="right")
+    _write_ranges(fronts, "run", front_of_row[at])
     into_panel = np.bincount(front_of_row[at], weights=in_panel[at], minlength=len(fronts))
     fronts["run_split"] = fronts["run_start"] + into_panel.astype(np.int64)
     return runs
@@ -186,9 +188,7 @@ def _blocks(
         + 3 * _local_rows(elimination, number, row)
         + 3 * (column - front["first_rank"]) * front["stride"]
     )
-    numbers = np.arange(len(fronts))
-    fronts["block_start"] = np.searchsorted(number, numbers)
-    fronts["block_end"] = np.searchsorted(number, numbers, side="right")
+    _write_ranges(fronts, "block", number)
     return keys, places
 
 
