@@ -300,6 +300,13 @@ def fill_tables(row_starts, multipliers, at_start, tables):
             tables[1, c, row - row_starts[c]] = at_start[row]
 
 
+@njit(**KERNEL)
+def share_within(longest, reach):
+    """Share of a move, whose longest one is of shape (1,), that is no longer than a reach of shape (1,).
+    """
+    return 1.0 if longest[0] <= reach[0] else reach[0] / longest[0]
+
+
 class ContactMemory:
     """Forces of the last solution, found again by the contacts' keys, whatever rows they have.
 
@@ -388,7 +395,7 @@ class Contacts(VaryingTerm):
     curvature = None
 
     def __init__(
-        self, pairs: tuple, free_index: np.ndarray, longest: Callable,
+        self, pairs: tuple, free_index: np.ndarray, write_largest: Callable,
         alarm_distance: float, contact_distance: float, push_out_speed: float,
     ):  # fmt: skip
         """Take the pairs.
@@ -396,7 +403,7 @@ class Contacts(VaryingTerm):
         Args:
             pairs: Pairs that may touch, see `contact_pairs`.
             free_index: Unknown or carried point of each node, -1 where there is none.
-            longest: Gives the largest of velocities [m/s], turning counted at the rim.
+            write_largest: Writes the largest of moves [m] or velocities [m/s], see `Nodes`.
             alarm_distance: What is nearer is watched [m].
             contact_distance: What is as near touches [m].
             push_out_speed: Bodies that overlap are parted no faster [m/s].
@@ -410,10 +417,11 @@ class Contacts(VaryingTerm):
         self.rubs = self._most_rows > 1
         self.conserves = not self.rubs
         self.count, self.margin = 0, alarm_distance
-        self._reach, self._start = np.empty(1), np.empty((0, 3))
+        self._reach, self._start = np.array([alarm_distance]), np.empty((0, 3))
         is_traceable = all(pair.is_traceable for pair in pairs)
         self._stages = TracedStages(is_traceable, self._detect)
-        self._free_index, self._longest = free_index, longest
+        self._free_index, self._write_largest = free_index, write_largest
+        self._largest = np.zeros(1)
         self._alarm, self._distance = alarm_distance, contact_distance
         self._push_out_speed, self._allowed = push_out_speed, np.inf
         self.memory = ContactMemory(self._most_rows)
@@ -501,8 +509,11 @@ class Contacts(VaryingTerm):
         self._start[:] = positions
         self.memory.begin_step()
         self._allowed = self._push_out_speed * time_step if time_step > 0.0 else np.inf
-        fastest = self._longest(velocities) if len(velocities) else 0.0
-        self.margin = self._alarm + LOOK_AHEAD * fastest * time_step
+        self._largest[0] = 0.0
+        if len(velocities):
+            self._write_largest(writable(velocities), False, self._largest)
+        self.margin = self._alarm + LOOK_AHEAD * float(self._largest[0]) * time_step
+        self._reach[0] = self.margin
 
     def detect(self, positions: np.ndarray) -> None:
         """Find what is near at a state.
@@ -510,7 +521,6 @@ class Contacts(VaryingTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        self._reach[0] = self.margin
         while True:
             # Their points follow by products of matrices, which the driver does not know.
             for surface in self._rigid:
@@ -565,7 +575,6 @@ class Contacts(VaryingTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        self._reach[0] = self.margin
         ends, overlaps = np.zeros_like(self._ends), np.zeros(len(self.pairs))
         found = empty_proximities(self._capacity)
         self._write_near(positions, found, ends)
@@ -618,8 +627,8 @@ class Contacts(VaryingTerm):
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """No move is longer than the distance that was searched: nothing is passed unseen."""
-        longest = self._longest(move)
-        return 1.0 if longest <= self.margin else self.margin / longest
+        self._write_largest(move, False, self._largest)
+        return share_within(self._largest, self._reach)
 
     @property
     def last_multipliers(self) -> np.ndarray:

@@ -98,7 +98,7 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         pairs.append(_pair(first, second, friction, f"contact.between[{index}]", layout))
     pairs += _known_ahead(layout, sides)
     contacts = Contacts(
-        tuple(pairs), layout.nodes.free_index, layout.nodes.longest, entry.alarm_distance,
+        tuple(pairs), layout.nodes.free_index, layout.nodes.write_largest, entry.alarm_distance,
         entry.contact_distance, entry.push_out_speed,
     )  # fmt: skip
     contacts.curvature = _curvature(pairs, layout)

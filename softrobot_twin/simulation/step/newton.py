@@ -65,9 +65,9 @@ LESS_PROJECTION, LEAST_PROJECTION, MORE_PROJECTION = 8.0, 2.0**-16, 2.0
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
-# Places of the traced stages.
-GATHER, ASSEMBLE, ASSEMBLE_LATER, MOVE, LOAD = range(5)
-EVALUATE, ADD_STIFFNESS = 0, 1
+# Places of the traced stages, of terms and of rows apart from them; moves are with the rows.
+MOVE, LOAD, GATHER, ASSEMBLE, ASSEMBLE_LATER = range(5)
+EVALUATE, ADD_STIFFNESS = GATHER, ASSEMBLE
 # Halvings of a move that still folds an element.
 MOST_UNFOLDINGS = 40
 
@@ -149,8 +149,7 @@ class Newton:
         # What moves the nodes depends on nothing but arrays, where nothing but A holds them.
         self._memory_count = getattr(factorization, "memory_count", None)
         self._makes_whole = (
-            are_traceable and not self._has_rows_apart and model.slides is None
-            and self._memory_count is not None
+            are_traceable and are_rows and model.slides is None and self._memory_count is not None
             and all(getattr(kind, "is_traceable", False) for kind in model.nodes.kinds)
         )  # fmt: skip
         self._longest, self._work, self._limit, self._largest = np.zeros((4, 1))
@@ -160,11 +159,14 @@ class Newton:
         # Terms that remember where a step began do something else there than later in it.
         self._starts_apart = any(term.remembers_start for term in model.forces)
         self._is_at_start = True
-        stages = (
-            self._gather, self._assemble, self._assemble, self._make_whole, self._load_rows
-        )  # fmt: skip
-        self._stages = TracedStages(are_traceable, *stages[: None if self._makes_whole else MOVE])
-        self._row_stages = TracedStages(are_rows, self._rows.evaluate, self._rows.add_stiffness)
+        moves = self._make_whole, self._load_rows
+        self._stages = TracedStages(
+            are_traceable, *moves, self._gather, self._assemble, self._assemble
+        )
+        self._row_stages = TracedStages(
+            are_rows, *moves, self._rows.evaluate, self._rows.add_stiffness
+        )
+        self._move_stages = self._row_stages if self._has_rows_apart else self._stages
         self._traced = [self._stages, self._row_stages]
         assembled = without_rows(factorization)
         if hasattr(assembled, "stages"):
@@ -317,9 +319,6 @@ class Newton:
         """
         if self.is_folded is None:
             self._sum_forces(positions)
-        if self._makes_whole and self._memory_count != self._model.factorization.memory_count:
-            self._memory_count = self._model.factorization.memory_count
-            self._stages.forget()
         self._was_folded = self.is_folded
         if self._rows.varies:
             self._rows.detect(positions)
@@ -564,9 +563,12 @@ class Newton:
         nodes = self._model.nodes
         self._set_multipliers(actuation)
         self._rows.remember(self.multipliers)
-        if self._makes_whole and not self.is_augmented:
+        if self._makes_whole and not self.is_augmented and self._linear.rows is None:
+            if self._memory_count != self._model.factorization.memory_count:
+                self._memory_count = self._model.factorization.memory_count
+                self._move_stages.forget()
             self._limit[0] = self._step_limit
-            if self._stages.run(MOVE, positions):
+            if self._move_stages.run(MOVE, positions):
                 self._last_move = float(self._longest[0])
                 is_judged = is_judged and self._last_move > self._round_off
                 self._note(actuation, is_judged, float(self._work[0]))
@@ -839,7 +841,7 @@ class Newton:
         self.gather_forces(positions)
         self._set_multipliers(actuation)
         if self._makes_whole:
-            self._stages.run(LOAD)
+            self._move_stages.run(LOAD)
         else:
             self._load_rows()
         if self._judges_projection:
