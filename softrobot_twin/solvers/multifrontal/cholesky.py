@@ -85,7 +85,7 @@ class Multifrontal:
         self._columns = ConstraintColumns(self.elimination)
         self._Y, self._gram, self._work = aligned(0), aligned(0), aligned(0)
         self._W, self._free, self._ranks = np.empty((0, 0)), np.empty(0), np.empty(0, np.int64)
-        self.stages, self.memory_count = TracedStages(True, self._condense), 0
+        self.stages, self.memory_count = TracedStages(True, self._condense, self._is_placed), 0
         self.prepare_rows(np.zeros(0, dtype=np.int64))
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,7 +158,9 @@ class Multifrontal:
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
         """See `Factorization.condense_low_rank`; the rank is at most that of the reached fronts."""
         columns, k = self._columns, H.row_count
-        if self._place(H):
+        self._row_count = k
+        if not self.stages.run(1, H.row_index, H.node_index):
+            self._place(H)
             # A trace of `condense` has the sizes of the columns before.
             self.stages.forget()
         rank = columns.rank
@@ -169,22 +171,26 @@ class Multifrontal:
         condensation.gather_factor(columns.trees, columns.rows, self._Y, Yt, free)
         return LowRankCondensed(Yt, free)
 
-    def _place(self, H: NodeRows) -> bool:
-        """Assign the rows their columns in Y, and reserve its memory; whether they had others."""
-        columns = self._columns
-        if len(self._ranks) != len(H.node_index):
-            self._ranks = np.empty(len(H.node_index), np.int64)
+    def _is_placed(self, row_index: np.ndarray, node_index: np.ndarray) -> bool:
+        """Whether rows have their columns in Y."""
+        if len(self._ranks) != len(node_index):
+            self._ranks = np.empty(len(node_index), np.int64)
         condensation.write_ranks(
-            self.elimination_rank, np.asarray(H.node_index, dtype=np.int64), self._ranks
+            self.elimination_rank, np.asarray(node_index, dtype=np.int64), self._ranks
         )
+        return self._columns.are_placed(np.ascontiguousarray(row_index, dtype=np.int64), self._ranks)
+
+    def _place(self, H: NodeRows) -> None:
+        """Assign the rows their columns in Y, and reserve its memory."""
+        columns = self._columns
         before = columns.column
-        rows = np.ascontiguousarray(H.row_index, dtype=np.int64)
-        is_changed = columns.place(rows, self._ranks, H.row_count)
+        if not self._is_placed(H.row_index, H.node_index):
+            rows = np.ascontiguousarray(H.row_index, dtype=np.int64)
+            columns.place(rows, self._ranks, H.row_count)
         if columns.column is not before:
             self._forget()
         self._reserve(columns.size, columns.work_size, columns.gram_size)
         self._row_count = H.row_count
-        return is_changed
 
     def _solve_forward(self, H: NodeRows, b: np.ndarray) -> None:
         """Y ← L⁻¹ Hᵀ and y ← L⁻¹ b, for rows that have been placed."""

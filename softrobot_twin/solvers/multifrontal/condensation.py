@@ -110,19 +110,18 @@ class ConstraintColumns:
         self._placed_count = NONE
         self._column_of_row = np.zeros(row_count, dtype=np.int64)
 
-    def place(self, row_index: np.ndarray, ranks: np.ndarray, row_count: int) -> bool:
-        """Assign the rows of H their columns, unless they have them.
+    def are_placed(self, row_index: np.ndarray, ranks: np.ndarray) -> bool:
+        """Whether the rows of H have their columns; see `place`."""
+        return _same(row_index, ranks, self._placed, self._placed_count)
+
+    def place(self, row_index: np.ndarray, ranks: np.ndarray, row_count: int) -> None:
+        """Assign the rows of H their columns.
 
         Args:
             row_index: Row of each entry, shape (entry_count,).
             ranks: Rank of the node of each entry, shape (entry_count,).
             row_count: Number of rows.
-
-        Returns:
-            Whether they were assigned.
         """
-        if _same(row_index, ranks, self._placed, self._placed_count):
-            return False
         if len(row_index) > len(self.column) or row_count > len(self._column_of_row):
             entries = max(len(row_index), 2 * len(self.column))
             self._allocate(entries, max(row_count, 2 * len(self._column_of_row)))
@@ -141,7 +140,6 @@ class ConstraintColumns:
         self._measure()
         self._placed_count = len(row_index)
         _note(row_index, ranks, self._placed)
-        return True
 
     def _measure(self) -> None:
         self.size, self.work_size, self.gram_size, self.rank = _stack_trees(self.trees)
