@@ -15,6 +15,7 @@ import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.geometry.vector_arrays import are_same, copy_vectors
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
@@ -64,6 +65,7 @@ class RowStack:
         values: δ of every row at the state evaluated last, shape (row_count,).
         told: Efforts of the actuators of an `EffortTerm`, whose forces are part of the force terms;
             zero for other actuators, shape (actuator_row_count,). None without such a term.
+        may_know: Whether rows follow from the positions alone; then `knows` tells of which.
         is_told: Whether each actuator belongs to an `EffortTerm`, shape (actuator_row_count,). None
             without such a term.
         reached_nodes: Unknowns with entries in the rows, in any state.
@@ -99,6 +101,9 @@ class RowStack:
         self._told_parts = [(term, rows) for term, rows in constant if term.takes_efforts]
         self._yielding = [(term, rows) for term, rows in constant if term.yields]
         self.told = self.is_told = None
+        # Rows that follow from the positions alone are evaluated once at a state.
+        self._at: np.ndarray | None = None
+        self.may_know = self.is_traceable and not (self.varies or self._told_parts or self._yielding)
         if self._told_parts:
             self.told = np.zeros(self.groups.actuators.stop)
             self.is_told = np.zeros(self.groups.actuators.stop, bool)
@@ -213,6 +218,10 @@ class RowStack:
             positions: Node positions [m], shape (node_count, 3).
         """
         positions = writable(positions)
+        if self.may_know:
+            if self._at is None:
+                self._at = np.empty_like(positions)
+            copy_vectors(positions, self._at)
         for term, blocks, rows in self._parts:
             term.evaluate(positions, blocks, self.values[rows])
         if self._carried is not None:
@@ -221,6 +230,10 @@ class RowStack:
                 self.row_index = carried.row_index[:count]
                 self.node_index = carried.node_index[:count]
                 self.blocks = carried.blocks[:count]
+
+    def knows(self, positions: np.ndarray) -> bool:
+        """Whether the rows are those at some node positions [m], shape (node_count, 3)."""
+        return self._at is not None and are_same(writable(positions), self._at)
 
     def actuator_blocks_at(self, positions: np.ndarray) -> np.ndarray:
         """Entries of the actuators' rows at another state, which come first in `blocks`.

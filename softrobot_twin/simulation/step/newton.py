@@ -153,9 +153,11 @@ class Newton:
             and all(getattr(kind, "is_traceable", False) for kind in model.nodes.kinds)
         )  # fmt: skip
         self._longest, self._work, self._limit, self._largest = np.zeros((4, 1))
-        self._knowing = [
+        self._knowing: list = [
             term for term in model.forces if type(term).knows is not ForceTerm.knows
-        ]  # fmt: skip
+        ]
+        if self._rows.may_know:
+            self._knowing.append(self._rows)
         # Terms that remember where a step began do something else there than later in it.
         self._starts_apart = any(term.remembers_start for term in model.forces)
         self._is_at_start = True
@@ -967,4 +969,5 @@ class Newton:
             term.add(positions, self.forces, factorization.storage, projected)
         if not self._has_rows_apart:
             self._rows.add_stiffness(positions, multipliers, factorization.storage, projected)
-            self._rows.evaluate(positions)
+            if not self._rows.may_know:
+                self._rows.evaluate(positions)
