@@ -103,5 +103,6 @@ class Dynamics(Statics):
         self, before: State, positions: np.ndarray, actuation: Actuation, time_step: float
     ) -> Motion:
         """See `Statics.end_step`."""
-        velocities = self._nodes.displacement(before.positions, positions) / time_step
+        velocities = self._nodes.displacement(before.positions, positions)
+        velocities /= time_step
         return Motion(velocities, None, actuation)
