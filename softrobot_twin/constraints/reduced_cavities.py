@@ -22,7 +22,6 @@ and every mode first: large coordinates that mostly carry a cavity along leave n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import reduce
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -82,10 +81,6 @@ class VolumePolynomial(NamedTuple):
     linear: np.ndarray
     quadratic: np.ndarray
     cubic: np.ndarray
-
-    def plus(self, other: VolumePolynomial) -> VolumePolynomial:
-        """The growths of both together."""
-        return VolumePolynomial(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 def volume_polynomial(surface: CavitySurface, walls: ReducedWalls) -> VolumePolynomial:
@@ -310,14 +305,11 @@ class BodyVolumes:
 
     def _sum_coefficients(self) -> None:
         """Sum the coefficients of each cavity."""
-        sums = [
-            reduce(
-                VolumePolynomial.plus,
-                (volume_polynomial(own, self._walls) for own in self._walls.surfaces
-                 if own.name == name),
-            )
-            for name in self._names
-        ]  # fmt: skip
+        sums = []
+        for name in self._names:
+            surfaces = (own for own in self._walls.surfaces if own.name == name)
+            parts = zip(*(volume_polynomial(own, self._walls) for own in surfaces), strict=True)
+            sums.append(VolumePolynomial(*map(sum, parts)))
         self._linear = np.array([own.linear for own in sums])
         self._quadratic = np.array([own.quadratic for own in sums])
         self._cubic = np.hstack([by_pairs(own.cubic, len(own.linear)) for own in sums])

@@ -392,19 +392,11 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
     if s_probe > PARALLEL_EDGE:
         return no_interval
     if sign * s_end > PARALLEL_EDGE:
-        s_probe *= sign
-        if sign > 0.0:
-            low, high = slope_crossing(
-                kind, extents, x, a, b, PARALLEL_EDGE, probe, s_probe - PARALLEL_EDGE - LEVEL,
-                end, s_end - PARALLEL_EDGE,
-            )  # fmt: skip
-            end = low
-        else:
-            low, high = slope_crossing(
-                kind, extents, x, a, b, -PARALLEL_EDGE, end, s_end + PARALLEL_EDGE,
-                probe, s_probe + PARALLEL_EDGE + LEVEL,
-            )  # fmt: skip
-            end = high
+        level = sign * PARALLEL_EDGE
+        inner, outer = (probe, sign * s_probe - level - sign * LEVEL), (end, s_end - level)
+        low, high = (inner, outer) if sign > 0.0 else (outer, inner)
+        ends = slope_crossing(kind, extents, x, a, b, level, low[0], low[1], high[0], high[1])
+        end = ends[0] if sign > 0.0 else ends[1]
     span = end - bottom
     s_near = at_fraction(kind, extents, x, a, b, bottom + 0.25 * span)[0]
     s_far, _, gradient = at_fraction(kind, extents, x, a, b, bottom + 0.75 * span)
