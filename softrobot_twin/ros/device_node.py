@@ -74,8 +74,7 @@ class DeviceNode(TickingNode):
         self._ambient_pressure = float(values["ambient_pressure"])
         self._sends_force = values["device_touch_sends"] == "force"
         settings = LoopSettings(
-            message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
-        )
+            **{name: values[name] for name in ("message_timeout", "future_tolerance")})
         self._commands = ActuatorInput(ActuatorNames(self.device.actuator_names), settings)
         self.refusals = self._commands.refusals
         self._carried = self.device if isinstance(self.device, CarriedDevice) else None
@@ -101,12 +100,8 @@ class DeviceNode(TickingNode):
             self.get_logger().warning(note)
         simulation.warm_up()
         self.get_logger().info(f"scene: {path}, {simulation.node_count} nodes")
-        presses = None
-        if values["device_touch"]:
-            presses = Presses(
-                values["device_touch"], values["device_touch_depth"], values["device_touch_period"],
-                values["device_touch_direction"],
-            )  # fmt: skip
+        touch = [values[f"device_touch{part}"] for part in ("", "_depth", "_period", "_direction")]
+        presses = Presses(*touch) if touch[0] else None
         return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]), presses)
 
     def _open(self, twin: str) -> None:

@@ -58,6 +58,16 @@ def first_of(values: dict[str, object], fine: str, *rows: tuple[object, bytes, s
     return level, message, values
 
 
+def status_message(name: str, robot: str, part: Part) -> DiagnosticStatus:
+    """A part of a robot as a message; numbers have six digits."""
+    level, message, values = part
+    pairs = [
+        KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value))
+        for key, value in values.items()
+    ]
+    return DiagnosticStatus(level=level, name=name, message=message, hardware_id=robot, values=pairs)
+
+
 def contact_status(contact: Contact, window: DiagnosticsWindow, follows: bool) -> Part:
     """Status of the contacts: their number, the forces of each pair, and the accuracy of the
     solution.
@@ -184,13 +194,7 @@ class TwinDiagnostics:
         if loop.touches.names:
             parts["touch"] = self._of_touches() if has_ticked else waits
         name = self._loop.simulation.scene.name
-        return [
-            DiagnosticStatus(
-                level=level, name=f"{self._name}: {part}", message=message, hardware_id=name,
-                values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
-            )
-            for part, (level, message, values) in parts.items()
-        ]
+        return [status_message(f"{self._name}: {key}", name, part) for key, part in parts.items()]
 
     def _new(self, key: str, count: int) -> int:
         """Increase of a count since the last message."""
@@ -520,8 +524,3 @@ def _refusals(counts) -> dict[str, int]:
     """Refused messages by reason, one key for each."""
     refused = {f"refused_{word}": count for word, count in counts.by_word().items()}
     return {"refused": counts.total, **refused}
-
-
-def _text(value: object) -> str:
-    """A value as text, numbers with six digits."""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

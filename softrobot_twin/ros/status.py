@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
+from softrobot_twin.ros.diagnostics import status_message
 from softrobot_twin.ros.topics import TWIN_TOPICS, open_publisher
 from softrobot_twin.simulation import Status
 
@@ -73,12 +74,9 @@ class StatusOutput:
             "kept_back": "",
         })  # fmt: skip
 
-    def _publish(self, found: tuple, level: bytes, message: str, values: dict[str, str]) -> None:
+    def _publish(self, found: tuple, level: bytes, message: str, values: dict[str, object]) -> None:
         """Publishes what was found; see `DiagnosticStatus`."""
         self._sent, loop = found, self._loop
         values |= {"mode": loop.mode.value, "uses_device": str(loop.use_device).lower()}
-        self.publisher.publish(DiagnosticStatus(
-            level=level, name=f"{self._name}: status", message=message,
-            hardware_id=loop.simulation.scene.name,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        ))  # fmt: skip
+        self.publisher.publish(status_message(
+            f"{self._name}: status", loop.simulation.scene.name, (level, message, values)))

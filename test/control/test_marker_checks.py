@@ -18,20 +18,12 @@ def at(place):
     return np.full((2, 3), float(place))
 
 
-def test_between_two_ticks_the_markers_lie_on_a_line():
+@pytest.mark.parametrize(("time", "place"), [(50, 1), (125, 1.5), (200, 3), (300, 3)])
+def test_between_two_ticks_the_markers_lie_on_a_line_and_outside_the_nearest_one_counts(time, place):
     history = MarkerHistory(2)
     history.add(100, at(1))
     history.add(200, at(3))
-    assert history.at(125).tolist() == at(1.5).tolist()
-
-
-def test_outside_the_ticks_the_nearest_one_counts():
-    history = MarkerHistory(2)
-    history.add(100, at(1))
-    history.add(200, at(3))
-    assert history.at(50).tolist() == at(1).tolist()
-    assert history.at(300).tolist() == at(3).tolist()
-    assert history.at(200).tolist() == at(3).tolist()
+    assert history.at(time).tolist() == at(place).tolist()
 
 
 def test_only_the_newest_ticks_are_remembered():
