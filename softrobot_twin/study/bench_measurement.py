@@ -377,7 +377,6 @@ class NoDefaultSceneError(SoftRobotTwinError):
     """The Diamond's scene file is not where the package keeps it."""
 
     def __init__(self, looked: list[Path]):
-        self.looked = looked
         super().__init__("the Diamond's scene was not found; give a scene. Looked for "
                          + ", ".join(map(str, looked)))
 

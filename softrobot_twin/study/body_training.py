@@ -395,7 +395,7 @@ def begin_training(path: Path, options: TrainingOptions) -> Training:
         body = next(own for own in plain.model.bodies if own.name == name)
         refuse_unreducible(scene, body)
         sampling = _sampling(scene, body, options)
-        way = None if options.along is None else _way(scene, plain, options)
+        way = None if options.along is None else _way(plain, options)
         simulation = plain
         if sampling.load_points or sampling.in_contact:
             simulation = Simulation(training_scene(scene, sampling), with_warnings=False)
@@ -413,7 +413,7 @@ def begin_training(path: Path, options: TrainingOptions) -> Training:
     return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way)
 
 
-def _way(scene: Scene, simulation: Simulation, options: TrainingOptions) -> TargetWay:
+def _way(simulation: Simulation, options: TrainingOptions) -> TargetWay:
     """The path of targets of a file."""
     table = read_targets(options.along, simulation)
     if table.kind != "targets":

@@ -36,6 +36,7 @@ from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
 from softrobot_twin.simulation.building.reduced_body import rides_on_a_slide, without_reductions
 from softrobot_twin.simulation.effects.touches import Touched
+from softrobot_twin.simulation.runs.input_tables import between_rows
 from softrobot_twin.study.equilibrium import ANY_TIME
 from softrobot_twin.study.output_file import BROKEN_OFF, output_file, writing
 from softrobot_twin.study.sample_workers import (
@@ -111,9 +112,8 @@ class TargetWay(NamedTuple):
     def at(self, shares: np.ndarray) -> np.ndarray:
         """Targets at shares of its duration, (count,) [m], shape (count, effector_count, 3)."""
         times = self.times[0] + shares * (self.times[-1] - self.times[0])
-        columns = self.targets.reshape(len(self.times), -1).T
-        found = [np.interp(times, self.times, column) for column in columns]
-        return np.column_stack(found).reshape(len(shares), *self.targets.shape[1:])
+        found = between_rows(times, self.times, self.targets.reshape(len(self.times), -1))
+        return found.reshape(len(shares), *self.targets.shape[1:])
 
 
 class Columns(NamedTuple):

@@ -109,7 +109,6 @@ class SoftPartModel:
         inner = np.full(len(positions), -1)
         inner[part.inner] = np.arange(len(part.inner))
         every = np.arange(len(positions))
-        self._inner = inner
         self._terms, self._cavities = self._build(inner)
         self._free_terms, self._free_cavities = self._build(every)
         for term in self._free_terms:

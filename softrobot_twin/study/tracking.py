@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import NamedError
+from softrobot_twin.simulation.runs.input_tables import between_rows
 from softrobot_twin.study.figure import figure_file, legend_below
 from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.machine_facts import machine, versions
@@ -36,9 +37,7 @@ class TimedValues(NamedTuple):
         """Values at other times, interpolated linearly; NaN outside, shape (n, width)."""
         if not len(self.times):
             return np.full((len(times), self.values.shape[1]), np.nan)
-        return np.column_stack([
-            np.interp(times, self.times, column, left=np.nan, right=np.nan)
-            for column in self.values.T])
+        return between_rows(times, self.times, self.values, np.nan)
 
 
 @dataclass(frozen=True)

@@ -175,7 +175,7 @@ def divisions(scene: Scene) -> list[Division]:
 
 
 def reduce_body(
-    division: Division, deformations: np.ndarray, pressures: np.ndarray, seed: int, note
+    division: Division, deformations: np.ndarray, pressures: np.ndarray, seed: int
 ) -> tuple[Reduction, list[FittedPart]]:
     """Make the superelements of a body.
 
@@ -184,7 +184,6 @@ def reduce_body(
         deformations: e that occur, shape (state_count, part_count, 6).
         pressures: Least and greatest pressure of each of its cavities [Pa], shape (count, 2).
         seed: Of the samples.
-        note: Called with a text for each soft part.
 
     Returns:
         They, and how each was made.
@@ -201,7 +200,6 @@ def reduce_body(
         count = sample_count(model.variable_count, degree)
         samples, lost = sample(model, within, count, seed + index)
         made.append(fit_enthalpy(model, part, within, samples, degree, lost))
-        note(index, part, made[-1])
     reduction = Reduction(
         tuple(fitted.fit for fitted in made), degree, tuple(fitted.samples for fitted in made),
         tuple(fitted.residuals for fitted in made), volumes, areas,
@@ -340,18 +338,15 @@ def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, o
         if division.body.name not in outdated:
             continue
         pressures = _pressure_ranges(division, full, np.array(efforts))
-        rows = table(f"Superelements of {division.body.name}", "between", "inner nodes", "cavities",
-                     "samples", "not reached", "residual of the fit, median", "95 %", "worst")
-
-        def note(index, part, made, rows=rows, division=division):
-            rows.add_row(
-                " - ".join(division.names[end] for end in part.ends), str(len(part.inner)),
-                ", ".join(division.cavities[c] for c in part.cavities) or "-",
-                str(len(made.samples)), str(made.lost),
-                *(f"{100.0 * np.percentile(made.shares, q):.2f} %" for q in (50, 95, 100)),
-            )  # fmt: skip
-
-        reduction, _ = reduce_body(division, np.array(states), pressures, seed, note)
+        reduction, made = reduce_body(division, np.array(states), pressures, seed)
+        rows = table(
+            f"Superelements of {division.body.name}", "between", "inner nodes", "cavities", "samples",
+            "not reached", "residual of the fit, median", "95 %", "worst", rows=(
+                [" - ".join(division.names[end] for end in part.ends), str(len(part.inner)),
+                 ", ".join(division.cavities[c] for c in part.cavities) or "-",
+                 str(len(fitted.samples)), str(fitted.lost),
+                 *(f"{100.0 * np.percentile(fitted.shares, q):.2f} %" for q in (50, 95, 100))]
+                for part, fitted in zip(division.parts, made, strict=True)))
         path = reduction_path(division.body, scene)
         write_reduction(path, reduction, fingerprints(division))
         out.print(rows)

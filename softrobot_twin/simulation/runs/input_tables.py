@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import SoftRobotTwinError
@@ -658,7 +659,7 @@ class Pose:
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
         """Position [m] and quaternion x, y, z, w (None without rotations) at a time [s]."""
-        position = _between(time, self._times, self._positions)
+        position = between_rows(time, self._times, self._positions)
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
@@ -677,15 +678,18 @@ class TouchColumns(NamedTuple):
     are_forces: bool
 
 
-def _between(time: float, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values at a time [s] between rows, shape (column_count,).
+def between_rows(
+    time: ArrayLike, times: np.ndarray, values: np.ndarray, outside: float | None = None
+) -> np.ndarray:
+    """Values at times between rows, interpolated linearly, shape (*shape of time, column_count).
 
     Args:
-        time: The time [s].
+        time: The time or times [s].
         times: Of the rows [s], shape (row_count,).
         values: Of the rows, shape (row_count, column_count).
+        outside: Value before the first and after the last row; None for the values there.
     """
-    return np.array([np.interp(time, times, column) for column in values.T])
+    return np.array([np.interp(time, times, column, outside, outside) for column in values.T]).T
 
 
 @dataclass(frozen=True)
@@ -720,7 +724,7 @@ class CommandTable:
         names = simulation.touch_names
         touched = Touched.none(len(names))
         for name, columns in self.touches.items():
-            index, value = names.index(name), _between(time, self.times, columns.values)
+            index, value = names.index(name), between_rows(time, self.times, columns.values)
             if columns.are_forces:
                 touched.forces[index] = value if value.any() else np.nan
             else:
@@ -731,7 +735,7 @@ class CommandTable:
         """Command of the actuators at a time [s], for a step of a duration [s]."""
         if self.kind == HOLD:
             return Hold(time_step)
-        return _OF_ACTUATORS[self.kind](_between(time, self.times, self.values), time_step)
+        return _OF_ACTUATORS[self.kind](between_rows(time, self.times, self.values), time_step)
 
     @property
     def longest_hold(self) -> tuple[float, float]:
