@@ -63,45 +63,33 @@ ROUND_CONE, CAP_CONE = 1.0e-4, 0.02
 
 
 @njit(**INNER)
-def keep_within_rigid_cones(x, fans, edges, ridges, cone, vertex_count, begin, count, found):
-    """Keep the vertex and edge candidates whose direction lies in the cone of their feature.
+def keep_within_rigid_cones(x, fans, edges, crests, ridges, cone, count, found):
+    """Keep the candidates at crests and ridges whose direction lies in the cone of their feature.
 
     Args:
         x: Points of the surface [m].
         fans: See `ClosedSurface`.
         edges: See `ClosedSurface`.
+        crests: Whether each vertex ends a ridge.
         ridges: Indices of the edges that were searched.
         cone: Sine by which a direction may lie outside its cone.
-        vertex_count: Number of vertices; edges are numbered after them.
-        begin: First row to check.
         count: Number of candidates found.
         found: The candidates; those that are kept move to the front.
 
     Returns:
         Number of candidates kept.
     """
-    kept = begin
-    for i in range(begin, count):
+    kept, vertex_count = 0, len(crests)
+    for i in range(count):
         feature = found.keys[i] // KEY_STRIDE
         n = row(found.normals, i)
         if feature < vertex_count:
-            if steepest_descent(x, fans, feature, n) > cone:
+            if not crests[feature] or steepest_descent(x, fans, feature, n) > cone:
                 continue
         elif is_outside_cone(x, edges, ridges[feature - vertex_count], scaled(n, -1.0), cone):
             continue
         move_candidate(found, i, kept)
         kept += 1
-    return kept
-
-
-@njit(**INNER)
-def keep_crests(crests, found, count):
-    """Keep the candidates at convex vertices; returns their number."""
-    kept = 0
-    for i in range(count):
-        if crests[found.points[i, 0]]:
-            move_candidate(found, i, kept)
-            kept += 1
     return kept
 
 
@@ -244,9 +232,6 @@ def search_solid(
     count = search_vertices(
         kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
-    if count > capacity:
-        return missing_room(found, count)
-    count = keep_crests(crests, found, count)
     first_key = KEY_STRIDE * len(vertices)
     count, _ = search_edges(
         kind, extents, x, distances, gradients, ridge_points, ridge_sides, triangles, margin,
@@ -255,7 +240,7 @@ def search_solid(
     if count > capacity:
         return missing_room(found, count)
     cone = ROUND_CONE if kind == CAPSULE else CAP_CONE
-    count = keep_within_rigid_cones(x, fans, edges, ridges, cone, len(vertices), 0, count, found)
+    count = keep_within_rigid_cones(x, fans, edges, crests, ridges, cone, count, found)
     compute_normals(x, links, normals)
     apply_region_planes(leaders, normals)
     first_key += KEY_STRIDE * len(ridges)
