@@ -117,6 +117,17 @@ class QPCC(NamedTuple):
         """½ zᵀPz + gᵀz."""
         return float(0.5 * z @ self.P @ z + self.g @ z)
 
+    def whitening(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Scale, shape (n,), factor L and T, shape (n, n), of unknowns w with z = T w, by which the
+        Hessian is the identity: P = L Lᵀ by z / scale, and w = Lᵀ (z / scale).
+
+        Raises:
+            numpy.linalg.LinAlgError: P is not positive definite.
+        """
+        scale = 1.0 / np.sqrt(self.P.diagonal())
+        factor = np.linalg.cholesky(self.P * np.outer(scale, scale))
+        return scale, factor, scale[:, None] * np.linalg.inv(factor).T
+
     def gaps(self, z: np.ndarray) -> np.ndarray:
         """Gaps C z + d, shape (contact_count,)."""
         return self.C @ z + self.d
@@ -307,9 +318,7 @@ class BranchSolver:
         self._lower = np.concatenate([problem.lower, problem.row_lower, -problem.d])
         self._upper = np.concatenate([problem.upper, problem.row_upper, np.full(contacts, np.inf)])
         self._limited = np.flatnonzero(np.isfinite(problem.force_max))
-        scale = 1.0 / np.sqrt(problem.P.diagonal())
-        factor = np.linalg.cholesky(problem.P * np.outer(scale, scale))
-        T = scale[:, None] * np.linalg.inv(factor).T
+        scale, factor, T = problem.whitening()
         q, whitened = problem.g @ T, (reference / scale) @ factor
         size = problem.size_of(max(np.linalg.norm(q), np.linalg.norm(whitened)), T)
         self._T, self._scale, self._factor, self._size = T * size, scale, factor, size

@@ -92,10 +92,7 @@ def whiten(problem: QPCC) -> WhitenedQP:
     """
     if problem.contact_count:
         raise ValueError(f"{problem.contact_count} contacts: not a quadratic program")
-    scale = 1.0 / np.sqrt(problem.P.diagonal())
-    # P = L Lᵀ in scaled unknowns, and w = Lᵀ (z / scale): the Hessian by w is the identity.
-    factor = np.linalg.cholesky(problem.P * np.outer(scale, scale))
-    T = scale[:, None] * np.linalg.inv(factor).T
+    _, _, T = problem.whitening()
     q = T.T @ problem.g
     size = np.linalg.norm(q) or 1.0
     T = T * size
@@ -153,16 +150,10 @@ class OSQPSolver:
 
     def _set_up(self, problem: WhitenedQP, lower: np.ndarray, upper: np.ndarray) -> None:
         self._solver, self._shape = self._osqp.OSQP(), problem.C.shape
-        rows, count = self._shape
-        C = sp.csc_matrix(
-            (
-                problem.C.T.ravel(),
-                np.tile(np.arange(rows), count),
-                np.arange(0, rows * count + 1, rows),
-            ),
-            shape=(rows, count),
-        )
-        identity = sp.eye(count, format="csc")
+        # Every entry is present, also one that is zero now.
+        C = sp.csc_matrix(np.ones(self._shape))
+        C.data = problem.C.T.ravel()
+        identity = sp.eye(self._shape[1], format="csc")
         self._solver.setup(
             identity, problem.q, C, lower, upper,
             eps_abs=self._tolerance, eps_rel=self._tolerance, **OSQP_SETTINGS,
