@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_path
+from softrobot_twin.simulation.runs.input_tables import TableFileError, Waypoints, read_path
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -79,35 +79,6 @@ class Lemniscate(ClosedCurve):
         return self._placed(math.cos(angle), math.sin(angle) * math.cos(angle))
 
 
-@dataclass(frozen=True)
-class Waypoints:
-    """Points with times, joined by straight lines; after the last time the position stays.
-
-    Attributes:
-        times: Increasing times [s], shape (n,).
-        points: Positions [m], shape (n, 3).
-        quaternions: Orientations (x, y, z, w), shape (n, 4), joined by turns about fixed axes, the
-            shorter way round; None without.
-        notes: What the user should know about the file.
-    """
-
-    times: np.ndarray
-    points: np.ndarray
-    quaternions: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
-
-    def position(self, time: float) -> np.ndarray:
-        """Position [m], shape (3,), at a time since the path began [s]."""
-        return np.array([np.interp(time, self.times, column) for column in self.points.T])
-
-    def orientation(self, time: float) -> np.ndarray | None:
-        """Orientation (x, y, z, w) at a time since the path began [s], or None."""
-        if self.quaternions is None or len(self.times) == 1:
-            return None if self.quaternions is None else self.quaternions[0]
-        turns = Slerp(self.times, Rotation.from_quat(self.quaternions))
-        return turns(np.clip(time, self.times[0], self.times[-1])).as_quat()
-
-
 def read_waypoints(file: Path, effector: str) -> Waypoints:
     """Reads the path of an effector from a targets file, or from what a run wrote.
 
@@ -118,10 +89,9 @@ def read_waypoints(file: Path, effector: str) -> Waypoints:
         ParameterError: The file cannot be read, lacks a column, or does not contain a path.
     """
     try:
-        times, points, quaternions, notes = read_path(file, effector)
+        return read_path(file, effector)
     except TableFileError as error:
         raise ParameterError("target_path", str(file), "", error.what) from None
-    return Waypoints(times, points, quaternions, notes)
 
 
 @dataclass(frozen=True)

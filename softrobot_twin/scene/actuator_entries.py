@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from softrobot_twin.scene.entry import (
     ClosedRange,
@@ -127,12 +127,11 @@ class Cable(ActuatorEntry):
     """How far it moves over a point until friction that was absent acts wholly; by default a
     thousandth of its length at rest."""
 
-    @model_validator(mode="after")
-    def _has_friction_to_build_up(self):
+    def check(self) -> None:
+        """Refuse presliding without friction."""
         if self.presliding is not None and not self.friction:
             raise refusal("presliding", self.presliding,
                           "is how friction builds up, but the cable has none: give friction")
-        return self
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
@@ -163,14 +162,13 @@ class CavityWall(Entry):
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Scale of the file."""
 
-    @model_validator(mode="after")
-    def _one_source(self):
+    def check(self) -> None:
+        """Refuse what is not exactly one source, and keys that have no effect on it."""
         if (self.part is None) == (self.file is None):
             raise ValueError("a wall of a cavity is either a part of its body's mesh or a file")
         if self.also_on and self.file is None:
             raise refusal("also_on", list(self.also_on),
                           "a part of one body's mesh lies on that body; give a file")
-        return self
 
 
 class WalledEntry(Entry):
@@ -227,12 +225,11 @@ class Cavity(WalledEntry, ActuatorEntry):
     filled with gas, which weighs nothing. The pressure is then that at its highest point at rest.
     """
 
-    @model_validator(mode="after")
-    def _commands_what_flow_does_not(self):
+    def check(self) -> None:
+        """Refuse a flow where the volume is commanded."""
         if self.flow is not None and self.control == "volume":
             raise refusal("flow", self.flow,
                           "the volume is commanded: give its greatest change per second as rate")
-        return self
 
 
 class SealedCavity(WalledEntry):
@@ -243,11 +240,10 @@ class SealedCavity(WalledEntry):
     ambient_pressure: Annotated[float, unit("Pa", ge=0.0)] = 101_325.0
     """Absolute pressure around it."""
 
-    @model_validator(mode="after")
-    def _holds_gas(self):
+    def check(self) -> None:
+        """Refuse a pressure below that of a vacuum."""
         if self.pressure + self.ambient_pressure <= 0.0:
             raise refusal("pressure", self.pressure, "the absolute pressure of a gas is above zero")
-        return self
 
 
 class Motor(Entry):
@@ -302,13 +298,12 @@ class HingeMotor(ActuatorEntry):
     torque: Annotated[OpenRange, unit("N m"), allows_zero("no torque")] = NO_LIMITS
     """Limits of the torque that it exerts on the beam; by default none."""
 
-    @model_validator(mode="after")
-    def _turns_less_than_once(self):
+    def check(self) -> None:
+        """Refuse limits that are a turn or more apart."""
         if self.angle[1] - self.angle[0] > MOST_TURN:
             raise refusal("angle", self.angle,
                           f"the limits must be at most {MOST_TURN:g} rad apart: an angle is known "
                           "up to whole turns")
-        return self
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""

@@ -58,14 +58,13 @@ class BoxMesh(Entry):
     """Numbers of cells along x, y, z, in place of cell_size. A cell is a hexahedron or six
     tetrahedra, as the element of the body asks."""
 
-    @model_validator(mode="after")
-    def _can_be_meshed(self):
+    def check(self) -> None:
+        """Refuse more cells than `MOST_BOX_CELLS`."""
         count = math.prod(self.cell_counts)
         if count > MOST_BOX_CELLS:
             key = "cells" if self.cell_size is None else "cell_size"
             raise refusal(key, getattr(self, key) if self.cells is None else list(self.cells),
                           f"makes {count:.6g} cells, more than {MOST_BOX_CELLS}")  # fmt: skip
-        return self
 
     @property
     def cell_counts(self) -> tuple[int, int, int]:
@@ -99,8 +98,8 @@ class Mesh(Entry):
     """Nodes nearer than this are merged; by default only coincident nodes that would separate the
     mesh into several parts; 0 merges none."""
 
-    @model_validator(mode="after")
-    def _one_source(self):
+    def check(self) -> None:
+        """Refuse what is not exactly one source, and keys that have no effect on it."""
         if self.file is None and self.box is None:
             raise refusal("file", "(nothing)", "is required, or a box in its place")
         if self.box is not None:
@@ -109,19 +108,18 @@ class Mesh(Entry):
                     value = getattr(self, key)
                     raise refusal(key, str(value) if key == "file" else value,
                                   "is given beside box, where it has no effect")  # fmt: skip
-            return self
+            return
         assert self.file is not None, "checked above"
         if not self.is_cad:
             if self.size is not None:
                 raise refusal("size", self.size, f"is that of tetrahedra made from CAD files "
                               f"({', '.join(CAD_SUFFIXES)}); {self.label} has its own")
-            return self
+            return
         if self.size is None:
             raise refusal("size", "(nothing)", f"is required: the edge of the tetrahedra that "
                           f"{self.label} is meshed with")
         if self.scale != 1.0 and not self.label.lower().endswith(".stl"):
             raise refusal("scale", self.scale, "is not taken: a STEP file states its unit")
-        return self
 
     @property
     def is_cad(self) -> bool:
@@ -244,23 +242,16 @@ class ElasticEntry(Entry):
             entry = {"preset": entry}
         return with_preset(entry) if isinstance(entry, Mapping) else entry
 
-    @model_validator(mode="after")
-    def _strains_in_order(self):
-        if self.strain_range is None:
-            return self
-        least, greatest = self.strain_range
-        if not -1.0 < least < 0.0 < greatest:
-            raise refusal("strain_range", list(self.strain_range),
+    def check(self) -> None:
+        """Refuse strains that are not in order, and two constants that say the same."""
+        strains = self.strain_range
+        if strains is not None and not -1.0 < strains[0] < 0.0 < strains[1]:
+            raise refusal("strain_range", list(strains),
                           "must be two strains: the least between -1 and 0, the greatest above 0")
-        return self
-
-    @model_validator(mode="after")
-    def _one_volume_constant(self):
         if self.poisson_ratio is not None and self.bulk_modulus is not None:
             raise refusal("bulk_modulus", self.bulk_modulus,
                           f"is beside poisson_ratio {self.poisson_ratio:g}, which says the same; "
                           "give one")
-        return self
 
     def volume_constants(
         self, otherwise: ElasticEntry | None = None
@@ -368,19 +359,15 @@ class Material(ElasticEntry):
     """Prony series of a hyperelastic law: creep, relaxation, hysteresis."""
     softening: Softening | None = None
 
-    @model_validator(mode="after")
-    def _one_mass(self):
+    def check(self) -> None:
+        """Refuse no mass, two masses, and constants that are not those of the law."""
+        super().check()
         if self.density is not None and self.total_mass is not None:
             raise ValueError(f"density {self.density:g} kg/m³ and total_mass {self.total_mass:g} "
                              "kg are both given; give one of them")
         if self.density is None and self.total_mass is None:
             raise ValueError("density [kg/m³] or total_mass [kg] is required")
-        return self
-
-    @model_validator(mode="after")
-    def _fits_its_law(self):
         self.check_law(self.law)
-        return self
 
 
 class BoxRegion(Entry):
@@ -391,11 +378,10 @@ class BoxRegion(Entry):
     maximum: Vector
     """Upper corner."""
 
-    @model_validator(mode="after")
-    def _ordered(self):
+    def check(self) -> None:
+        """Refuse corners that are not in order."""
         if any(a > b for a, b in zip(self.minimum, self.maximum, strict=True)):
             raise ValueError("the minimum of a box is above its maximum")
-        return self
 
 
 class RegionMaterial(ElasticEntry):
@@ -498,15 +484,14 @@ class Reduced(Entry):
     error: Annotated[float | None, unit("m", gt=0.0)] = None
     """Wanted error of the effectors, for the fallback."""
 
-    @model_validator(mode="after")
-    def _falls_back_from_an_error(self):
+    def check(self) -> None:
+        """Refuse a fallback without its error, and an error without a fallback."""
         if self.fallback is not None and self.error is None:
             raise refusal("error", None, "is needed beside fallback", unit="m")
         if self.error is not None and self.fallback is None:
             raise refusal("fallback", None, "is needed beside error")
         if self.fallback == "enrich" and self.spare_modes:
             raise refusal("fallback", self.fallback, "needs modes that spare_modes leaves out")
-        return self
 
 
 class Damping(Entry):
@@ -571,18 +556,25 @@ class Body(Entry):
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
 
-    @model_validator(mode="after")
-    def _weighs_each_part(self):
+    def check(self) -> None:
+        """Refuse materials without a density, and what is not built for the body."""
         if self.materials and self.material.density is None:
             raise ValueError("a body with materials needs material.density: a total_mass does not "
                              "say how the mass is distributed")
-        return self
+        self._check_reduction()
+        self._check_memory()
+        for index, part in enumerate(self.materials):
+            try:
+                part.check_law(part.law or self.material.law, self.material)
+            except PydanticCustomError as error:
+                inner = error.context or {}
+                raise refusal(f"materials[{index}].{inner['key']}", inner["value"], inner["reason"],
+                              unit=inner["unit"]) from None
 
-    @model_validator(mode="after")
-    def _reduces(self):
+    def _check_reduction(self) -> None:
         """Refuse what is not built for bodies in the coordinates of a basis, or with vertebrae."""
         if self.reduced is None and self.vertebrae is None:
-            return self
+            return
         if self.reduced is not None and self.vertebrae is not None:
             raise refusal("reduced", str(self.reduced.file),
                           "is given beside vertebrae: name one of them")  # fmt: skip
@@ -593,10 +585,8 @@ class Body(Entry):
             for name in ("viscosity", "softening"):
                 if getattr(entry, name):
                     raise refusal(f"{key}.{name}", self.name, f"is not built for {bodies}")
-        return self
 
-    @model_validator(mode="after")
-    def _remembers(self):
+    def _check_memory(self) -> None:
         """Refuse viscosity and softening where they are not built."""
         base = self.material
         for key, entry in self._materials_by_key().items():
@@ -616,22 +606,10 @@ class Body(Entry):
                              if has_bulk_modulus(law_named(name).parameters)]  # fmt: skip
                     raise refusal(f"{key}.{name}", law,
                                   f"is not a law that {name} is built for: {', '.join(names)}")
-        return self
 
     def _materials_by_key(self) -> dict[str, Any]:
         parts = {f"materials[{index}]": part for index, part in enumerate(self.materials)}
         return {"material": self.material, **parts}
-
-    @model_validator(mode="after")
-    def _fits_the_laws_of_parts(self):
-        for index, part in enumerate(self.materials):
-            try:
-                part.check_law(part.law or self.material.law, self.material)
-            except PydanticCustomError as error:
-                inner = error.context or {}
-                raise refusal(f"materials[{index}].{inner['key']}", inner["value"], inner["reason"],
-                              unit=inner["unit"]) from None
-        return self
 
     @property
     def has_patches(self) -> bool:
@@ -678,11 +656,10 @@ class TubeSection(Entry):
     wall: Annotated[float, unit("m", gt=0.0)]
     """Thickness of the wall."""
 
-    @model_validator(mode="after")
-    def _is_hollow(self):
+    def check(self) -> None:
+        """Refuse a wall that leaves no hollow."""
         if self.wall >= self.radius:
             raise ValueError("the wall of a tube is thinner than its radius; a circle has no wall")
-        return self
 
 
 class GivenSection(Entry):
@@ -747,15 +724,14 @@ class BeamJoint(Entry):
     axis: Direction | None = None
     """Axis of a hinge, through the point that is joined, in the world at rest."""
 
-    @model_validator(mode="after")
-    def _has_axis(self):
+    def check(self) -> None:
+        """Refuse a hinge without an axis, and an axis without a hinge."""
         if self.by == "hinge" and (self.axis is None or not any(self.axis)):
             raise ValueError("a hinge needs an axis that is not zero")
         if self.by != "hinge" and self.axis is not None:
             raise ValueError(f"an axis is that of a hinge; this joint is {self.by}")
         if self.by == "rigid" and self.to == "world":
             raise ValueError("an end that is clamped in the world is given as fixed")
-        return self
 
 
 class Beam(Entry):
@@ -782,8 +758,8 @@ class Beam(Entry):
     joined: tuple[BeamJoint, ...] = ()
     damping: Damping = Damping()
 
-    @model_validator(mode="after")
-    def _has_shape(self):
+    def check(self) -> None:
+        """Refuse points, elements, joints and fixed ends that make no beam."""
         spans = len(self.points) - 1
         for index, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):
             if a == b:
@@ -798,7 +774,6 @@ class Beam(Entry):
                 raise ValueError(f"joins point {joint.at}, but has the points 0 to {spans}")
         if len(set(self.fixed)) != len(self.fixed):
             raise ValueError("names an end twice in fixed")
-        return self
 
 
 # --- rigid shapes, in the coordinates of their body or obstacle ----------------------------------
@@ -937,8 +912,8 @@ class RigidBody(Shaped):
     turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
     """Greatest angular speed of a guided body; by default one radian per second."""
 
-    @model_validator(mode="after")
-    def _has_mass(self):
+    def check(self) -> None:
+        """Refuse what a body of its motion does not have, and a free one without mass."""
         given = [value for value in (self.mass, self.density) if value is not None]
         if self.motion == "free" and len(given) != 1:
             raise ValueError("a free rigid body has either a mass or a density")
@@ -950,7 +925,6 @@ class RigidBody(Shaped):
             raise ValueError("a guided rigid body has no initial velocity")
         if self.plane is not None:
             raise ValueError("a plane is infinite: it can only be an obstacle")
-        return self
 
 
 class SpringEnd(Entry):
@@ -1023,8 +997,8 @@ class Helix(Entry):
     segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
     """Straight pieces of a thread in one turn."""
 
-    @model_validator(mode="after")
-    def _has_direction_and_length(self):
+    def check(self) -> None:
+        """Refuse a helix without length, and too fine ones."""
         if not self.reach[0] < self.reach[1]:
             raise ValueError("the first place of a helix along its axis is not before the last")
         turns = (self.reach[1] - self.reach[0]) / self.pitch
@@ -1033,7 +1007,6 @@ class Helix(Entry):
             raise ValueError(f"{turns:.3g} turns of {self.count} threads have {segments:.3g} "
                              f"segments of {self.segments_per_turn} a turn, more than "
                              f"{MOST_SEGMENTS}: are pitch and reach in metres?")
-        return self
 
 
 class Fibre(Entry):
@@ -1081,8 +1054,8 @@ class MassSpringBody(Entry):
     fixed: tuple[Annotated[int, Field(ge=0)], ...] = ()
     """Points that do not move, by their index in the list."""
 
-    @model_validator(mode="after")
-    def _fits(self):
+    def check(self) -> None:
+        """Refuse masses, springs and fixed points that do not fit the points."""
         count = len(self.points)
         if len(self.masses) not in (1, count):
             raise ValueError(f"has {count} points but {len(self.masses)} masses")
@@ -1091,4 +1064,3 @@ class MassSpringBody(Entry):
             raise ValueError(f"names point {max(named)}, but has the points 0 to {count - 1}")
         if any(a == b for a, b in self.springs):
             raise ValueError("a spring connects a point to itself")
-        return self

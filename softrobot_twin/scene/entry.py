@@ -53,7 +53,7 @@ class Entry(BaseModel):
         return expanded(cls, entry)
 
     @model_validator(mode="after")
-    def _within_range_of_floats(self):
+    def _checked(self):
         for name in type(self).model_fields:
             value = getattr(self, name)
             for number in _numbers(value):
@@ -61,7 +61,17 @@ class Entry(BaseModel):
                     raise refusal(name, value, f"must not be greater than {LARGEST:g}")
                 if number == value and 0.0 < abs(number) < SMALLEST:
                     raise refusal(name, value, f"must be 0 or at least {SMALLEST:g} in magnitude")
+        if self.one_of and len(self.given(self.one_of)) != 1:
+            raise ValueError(self.one_of_words.format(", ".join(self.one_of)))
+        self.check()
         return self
+
+    def check(self) -> None:
+        """Refuses values that do not fit each other; entries that have such values define it.
+
+        Raises:
+            ValueError: It says what is required; so does an error of `refusal`.
+        """
 
     def given(self, keys: Iterable[str]) -> list[str]:
         """Those of some keys that have a value."""
@@ -76,12 +86,6 @@ class Entry(BaseModel):
         return self.model_copy(update={
             key: _inside(getattr(self, key), value) for key, value in values.items()
         })  # fmt: skip
-
-    @model_validator(mode="after")
-    def _has_one_of_them(self):
-        if self.one_of and len(self.given(self.one_of)) != 1:
-            raise ValueError(self.one_of_words.format(", ".join(self.one_of)))
-        return self
 
 
 def _inside(entry: Any, value: Any) -> Any:
@@ -194,33 +198,27 @@ def check_range(bounds: Range) -> Range:
 
 def allows_zero(what: str, limits: str = "its limits") -> AfterValidator:
     """Refuses limits that 0, which is what a quantity is at rest, does not lie within."""
-
-    def check(bounds: Range) -> Range:
-        if not bounds[0] <= 0.0 <= bounds[1]:
-            raise refusal("", bounds, f"{what}, 0, must lie within {limits}")
-        return bounds
-
-    return AfterValidator(check)
+    return _required(lambda bounds: bounds[0] <= 0.0 <= bounds[1],
+                     f"{what}, 0, must lie within {limits}")
 
 
 def not_below_zero(words: str) -> AfterValidator:
     """Refuses limits of which the lower one is negative, with these words."""
-
-    def check(bounds: Range) -> Range:
-        if bounds[0] < 0.0:
-            raise refusal("", bounds, words)
-        return bounds
-
-    return AfterValidator(check)
+    return _required(lambda bounds: bounds[0] >= 0.0, words)
 
 
 def not_zero(words: str) -> AfterValidator:
     """Refuses a vector that is zero, with these words."""
+    return _required(lambda vector: vector is None or any(vector), words)
 
-    def check(vector: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if vector is not None and not any(vector):
-            raise refusal("", vector, words)
-        return vector
+
+def _required(fits: Callable[[Any], bool], words: str) -> AfterValidator:
+    """Refuses values that do not fit, with these words."""
+
+    def check(value: Any) -> Any:
+        if not fits(value):
+            raise refusal("", value, words)
+        return value
 
     return AfterValidator(check)
 

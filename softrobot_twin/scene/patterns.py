@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.helix import across
@@ -75,8 +75,8 @@ class Pattern(Entry):
     first: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Number of the first copy."""
 
-    @model_validator(mode="after")
-    def _is_whole(self):
+    def check(self) -> None:
+        """Refuse patterns whose copies are not known by count, name and place."""
         if self.names is None and self.count is None:
             raise refusal("count", "(nothing)", "is required, or names")
         if self.names is not None:
@@ -87,7 +87,6 @@ class Pattern(Entry):
             raise refusal("angle", self.angle, "is an angle about an axis: about is required")
         if self.angle == 0.0 and not any(self.step):
             raise refusal("angle", self.angle, "its copies would have the same place")
-        return self
 
     def _check_names(self, names: tuple[str, ...]) -> None:
         if self.count not in (None, len(names)) or not names:

@@ -24,38 +24,17 @@ def check_names(scene) -> None:
         raise refusal("body", "(nothing)",
                       "the scene has no body: give body, bodies, beams, rigid_bodies or "
                       "mass_springs")
-    bodies = {
-        "body" if scene.body is not None else "bodies": scene.deformables,
-        "rigid_bodies": scene.rigid_bodies, "mass_springs": scene.mass_springs,
-        "beams": scene.beams, "obstacles": scene.obstacles,
-    }  # fmt: skip
-    actuators = {**scene.actuator_entries, "motors": scene.motors}
-    springs = {"springs": scene.springs, "tubes": scene.tubes, "fibres": scene.fibres}
-    for kind, groups in (
-        (_either(scene), actuators),
-        ("sealed cavity", {"sealed_cavities": scene.sealed_cavities}),
-        ("effector", {"effectors": scene.effectors}),
-        ("touch", {"touches": scene.touches}),
-        ("marker id", {"markers": scene.markers}),
-        ("body or obstacle", bodies),
-        ("spring", springs),
-    ):  # fmt: skip
-        _check_once(kind, groups)
-
-
-def _either(scene) -> str:
-    """Kinds that share their names: ``cable, slide or motor``."""
     nouns = dict.fromkeys(e.noun for entries in scene.actuator_entries.values() for e in entries)
-    return f"{', '.join(nouns)} or motor" if nouns else "motor"
-
-
-def _check_once(kind: str, groups: dict) -> None:
-    seen: dict[object, str] = {}
-    for section, entries in groups.items():
-        word = "id" if section == "markers" else "name"
-        for index, entry in enumerate(entries):
-            key = f"{section}[{index}].{word}" if section != "body" else f"body.{word}"
-            name = getattr(entry, word)
+    for kind, sections in (
+        (f"{', '.join(nouns)} or motor" if nouns else "motor", (*scene.actuator_entries, "motors")),
+        ("sealed cavity", ("sealed_cavities",)), ("effector", ("effectors",)),
+        ("touch", ("touches",)), ("marker id", ("markers",)),
+        ("body or obstacle", ("deformables", "rigid_bodies", "mass_springs", "beams", "obstacles")),
+        ("spring", ("springs", "tubes", "fibres")),
+    ):  # fmt: skip
+        word, seen = "id" if kind == "marker id" else "name", dict[object, str]()
+        for key, entry in (keyed for section in sections for keyed in scene.keyed(section)):
+            key, name = f"{key}.{word}", getattr(entry, word)
             if name in seen:
                 raise refusal(key, name,
                               f"{kind} {name} is given more than once, also in ", seen[name])
@@ -73,44 +52,38 @@ def check_references(scene) -> None:
     Raises:
         PydanticCustomError: A named object does not exist.
     """
-    deformable = [body.name for body in scene.deformables]
-    rigid = [body.name for body in scene.rigid_bodies]
-    masses = [body.name for body in scene.mass_springs]
-    obstacles = [obstacle.name for obstacle in scene.obstacles]
-    cables = [cable.name for cable in scene.cables]
-    framed = rigid + [beam.name for beam in scene.beams]
-    movable = deformable + framed + masses
-    checked = {**scene.actuator_entries, "sealed_cavities": scene.sealed_cavities}
-    for section, entries in checked.items():
-        for index, entry in enumerate(entries):
-            entry.check_references(scene, f"{section}[{index}]")
+    sections = "deformables", "rigid_bodies", "beams", "mass_springs", "obstacles", "cables"
+    deformable, rigid, beams, masses, obstacles, cables = (
+        [entry.name for entry in getattr(scene, section)] for section in sections
+    )
+    framed = rigid + beams
+    for section in (*scene.actuator_entries, "sealed_cavities"):
+        for key, entry in scene.keyed(section):
+            entry.check_references(scene, key)
     for section, word, others in (
         ("effectors", "body", framed), ("tubes", "on", framed), ("touches", "body", []),
         ("fibres", "on", []), ("markers", "body", framed),
     ):  # fmt: skip
-        for index, entry in enumerate(getattr(scene, section)):
+        for key, entry in scene.keyed(section):
             name = f"marker {entry.id}" if section == "markers" else entry.name
-            check_carrier(f"{section}[{index}].{word}", name, getattr(entry, word), deformable,
-                          others)  # fmt: skip
-    for place, beam in enumerate(scene.beams):
+            check_carrier(f"{key}.{word}", name, getattr(entry, word), deformable, others)
+    for key, beam in scene.keyed("beams"):
         for index, joint in enumerate(beam.joined):
             others = [name for name in framed if name != beam.name]
             others += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
-            check_pattern(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
-                          joint.to, others)  # fmt: skip
-    for place, body in enumerate(scene.deformables):
-        section = "body" if scene.body is not None else f"bodies[{place}]"
+            what = f"beam {beam.name} is joined to"
+            check_pattern(f"{key}.joined[{index}].to", what, joint.to, others)
+    for key, body in scene.keyed("deformables"):
         for index, attachment in enumerate(body.attached):
-            check_known(f"{section}.attached[{index}].to", f"body {body.name} is attached to",
-                        attachment.to, rigid)  # fmt: skip
-    for place, spring in enumerate(scene.springs):
+            what = f"body {body.name} is attached to"
+            check_known(f"{key}.attached[{index}].to", what, attachment.to, rigid)
+    for key, spring in scene.keyed("springs"):
         for index, end in enumerate(spring.ends):
-            what = f"spring {spring.name} is connected to"
-            check_known(f"springs[{place}].ends[{index}].on", what, end.on, ["world", *movable])
-    for place, motor in enumerate(scene.motors):
+            what, known = f"spring {spring.name} is connected to", deformable + framed + masses
+            check_known(f"{key}.ends[{index}].on", what, end.on, ["world", *known])
+    for key, motor in scene.keyed("motors"):
         for index, cable in enumerate(motor.cables):
-            check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} drives", cable,
-                        cables)  # fmt: skip
+            check_known(f"{key}.cables[{index}]", f"motor {motor.name} drives", cable, cables)
     _check_pulleys(scene)
     if scene.contact is not None:
         for place, touching in enumerate(scene.contact.between):
@@ -119,22 +92,24 @@ def check_references(scene) -> None:
                             name, deformable + framed + obstacles)  # fmt: skip
         for index, point in enumerate(scene.contact.points):
             check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable, [])
-    _check_markers(scene)
+    ids = {marker.id for marker in scene.markers}
+    for key, effector in scene.keyed("effectors"):
+        missing = sorted(set(effector.measured_by) - ids)
+        if missing:
+            raise refusal(f"{key}.measured_by", list(effector.measured_by),
+                          f"effector {effector.name} is measured by markers {missing}, which the "
+                          "scene does not have")
 
 
 def _check_pulleys(scene) -> None:
     """Refuses cables that are wound by two pulleys."""
-    wound = {cable.name: f"cables[{index}].pulley"
-             for index, cable in enumerate(scene.cables) if cable.pulley is not None}  # fmt: skip
-    for place, motor in enumerate(scene.motors):
-        if motor.pulley is None:
-            continue
-        key = f"motors[{place}].pulley"
-        for cable in motor.cables:
+    wound = {cable.name: f"{key}.pulley" for key, cable in scene.keyed("cables") if cable.pulley}
+    for key, motor in scene.keyed("motors"):
+        for cable in motor.cables if motor.pulley else ():
             if cable in wound:
-                raise refusal(key, motor.name,
+                raise refusal(f"{key}.pulley", motor.name,
                               f"winds cable {cable}, which {wound[cable]} winds too")
-            wound[cable] = key
+            wound[cable] = f"{key}.pulley"
 
 
 def check_known(key: str, what: str, name: str, known: list[str]) -> None:
@@ -209,13 +184,3 @@ def check_carrier(
 
 def _listed(names: list[str]) -> str:
     return ", ".join(names) if names else "none"
-
-
-def _check_markers(scene) -> None:
-    known = {marker.id for marker in scene.markers}
-    for index, effector in enumerate(scene.effectors):
-        missing = sorted(set(effector.measured_by) - known)
-        if missing:
-            raise refusal(f"effectors[{index}].measured_by", list(effector.measured_by),
-                          f"effector {effector.name} is measured by markers {missing}, which the "
-                          "scene does not have")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr
 from pydantic.fields import FieldInfo
 
 from softrobot_twin.errors import SceneError
@@ -92,13 +92,12 @@ class Contact(Entry):
     """Greatest number of sweeps over all contacts; with friction Newton's method follows after 60.
     """
 
-    @model_validator(mode="after")
-    def _touches(self):
+    def check(self) -> None:
+        """Refuse a section without pairs, and distances that are not in order."""
         if not self.between and not self.points:
             raise ValueError("has no pairs: between or points is required")
         if self.contact_distance >= self.alarm_distance:
             raise ValueError("contact_distance must be below alarm_distance")
-        return self
 
 
 class Marker(Entry):
@@ -161,12 +160,11 @@ class PointsOnBody(Entry):
     """Axes of the world along which a target counts, or a touch acts; along the others a touching
     finger slides."""
 
-    @model_validator(mode="after")
-    def _directions(self):
+    def check(self) -> None:
+        """Refuse no directions, and the same one twice."""
         has_directions = self.directions or getattr(self, "orientation", None) is not None
         if not has_directions or len(set(self.directions)) != len(self.directions):
             raise ValueError("directions must be x, y or z, each at most once")
-        return self
 
 
 class Effector(PointsOnBody):
@@ -255,12 +253,11 @@ class Scene(Entry):
     """The scene file; set by the loader."""
     _source: Source = PrivateAttr(default=Source())
 
-    @model_validator(mode="after")
-    def _cross_check(self):
+    def check(self) -> None:
+        """Refuse entries that do not fit each other."""
         self._check_time_scheme()
         check_names(self)
         check_references(self)
-        return self
 
     def _check_time_scheme(self) -> None:
         """Refuse a scheme, or its parameter, where it would have no effect."""
@@ -271,9 +268,8 @@ class Scene(Entry):
             raise ValueError("spectral_radius needs time_scheme generalized_alpha")
         if self.time_scheme != "generalized_alpha":
             return
-        for index, body in enumerate(self.deformables):
+        for key, body in self.keyed("deformables"):
             if body.material.viscosity or any(part.viscosity for part in body.materials):
-                key = "body" if self.body is not None else f"bodies[{index}]"
                 raise refusal("time_scheme", self.time_scheme,
                               f"is not built for viscous materials, which {key} has")  # fmt: skip
 
@@ -302,6 +298,17 @@ class Scene(Entry):
     def deformables(self) -> tuple[Body, ...]:
         """All deformable bodies."""
         return self.bodies if self.body is None else (self.body,)
+
+    def keyed(self, section: str) -> Iterator[tuple[str, Any]]:
+        """The entries of a section, each after its key, such as ``cables[0]``.
+
+        Args:
+            section: The section; ``deformables`` for all deformable bodies.
+        """
+        is_single = section == "deformables" and self.body is not None
+        word = "bodies" if section == "deformables" else section
+        for index, entry in enumerate(getattr(self, section)):
+            yield "body" if is_single else f"{word}[{index}]", entry
 
     def with_deformables(self, change: dict | Callable[[Body], Body]) -> Scene:
         """The same scene with all deformable bodies changed; see `changed`."""

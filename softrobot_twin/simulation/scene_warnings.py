@@ -70,24 +70,21 @@ def _idle_damping(scene: Scene) -> Iterator[str]:
     if scene.integration != "quasi_static":
         return
     for section in ("deformables", "beams", "springs", "mass_springs"):
-        for index, entry in enumerate(getattr(scene, section)):
+        for key, entry in scene.keyed(section):
             rate = entry.damping
             if not isinstance(rate, float):
                 rate = max(rate.mass, rate.stiffness)
-            key = f"{section.replace('deformables', 'bodies')}[{index}].damping"
-            if section == "deformables" and scene.body is not None:
-                key = "body.damping"
             if rate > 0.0:
-                yield (f"{key} has no effect: integration is quasi_static, where nothing has a "
+                yield (f"{key}.damping has no effect: integration is quasi_static, where nothing has a "
                        "speed; first_order and dynamic scenes are damped")  # fmt: skip
 
 
 def _untouched_obstacles(scene: Scene) -> Iterator[str]:
     pairs = () if scene.contact is None else scene.contact.between
     named = {name for touching in pairs for name in touching.pair}
-    for index, obstacle in enumerate(scene.obstacles):
+    for key, obstacle in scene.keyed("obstacles"):
         if obstacle.name not in named:
-            yield (f"obstacles[{index}] ({obstacle.name}) has no effect: contact.between names no "
+            yield (f"{key} ({obstacle.name}) has no effect: contact.between names no "
                    "pair with it, so everything passes through it")  # fmt: skip
 
 
@@ -104,10 +101,9 @@ def _angles_in_degrees(scene: Scene) -> Iterator[str]:
 
 def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
     """Lengths that are not part of the largest body, but larger than it."""
-    found = [(f"cables[{index}].hold_radius", cable.hold_radius, size)
-             for index, cable in enumerate(scene.cables)]  # fmt: skip
-    found += [(f"slides[{index}].travel", max(map(abs, slide.travel)), MOST_SIZES * size)
-              for index, slide in enumerate(scene.slides)]  # fmt: skip
+    found = [(f"{key}.hold_radius", one.hold_radius, size) for key, one in scene.keyed("cables")]
+    found += [(f"{key}.travel", max(map(abs, slide.travel)), MOST_SIZES * size)
+              for key, slide in scene.keyed("slides")]  # fmt: skip
     if scene.contact is not None:
         found += [("contact.alarm_distance", scene.contact.alarm_distance, size),
                   ("contact.contact_distance", scene.contact.contact_distance, size)]  # fmt: skip

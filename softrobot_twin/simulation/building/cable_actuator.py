@@ -52,8 +52,7 @@ class CableActuator(ActuatorKind):
     def build(self, layout: Layout, entries: tuple[Cable, ...], notes: list[str]) -> ActuatorGroup:
         """See `ActuatorKind.build`. No cable is shortened by more than its length at rest."""
         rest = layout.nodes.rest_positions
-        paths = [_path(layout, cable, f"cables[{index}]", notes)
-                 for index, cable in enumerate(entries)]  # fmt: skip
+        paths = [_path(layout, *keyed, notes) for keyed in layout.scene.keyed("cables")]
         cables = _term(layout, tuple(paths), entries)
         _check_cables_move(cables, rest, layout.scene)
         ranges = np.array([cable.shortening for cable in entries])
@@ -72,8 +71,8 @@ class CableActuator(ActuatorKind):
         """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
         asked = any(0.0 < cable.tension[1] < np.inf for cable in model.scene.cables)
         tensions = efforts_at_scale(model, group.term) if asked else None
-        for index, cable in enumerate(model.scene.cables):
-            key, length = f"cables[{index}]", float(group.term.rest_lengths[index])
+        for index, (key, cable) in enumerate(model.scene.keyed("cables")):
+            length = float(group.term.rest_lengths[index])
             stated = f"the cable is {length:.4g} m long at rest"
             ends = [abs(end) for end in cable.shortening if np.isfinite(end)]
             yield from unlikely(f"{key}.shortening", max(ends, default=0.0), "m", length,
@@ -198,7 +197,7 @@ def _limit_by_pulleys(
     return tuple(names)
 
 
-def _path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
+def _path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
     """A cable's path, carried by its bodies; a note names the points where it folds back."""
     path = _carried_path(layout, cable, key, notes)
     for fold in folds(path.positions(layout.nodes.rest_positions)):

@@ -65,10 +65,8 @@ class CavityActuator(ActuatorKind):
         if term is None:
             term = reduced_cavity_term(layout, entries, notes)
         if term is None:
-            surfaces = tuple(
-                cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
-                for index, cavity in enumerate(entries)
-            )
+            surfaces = tuple(cavity_surface(layout, cavity.name, cavity.walls, key, notes)
+                             for key, cavity in layout.scene.keyed(self.section))
             nodes = layout.nodes
             term = Cavities(surfaces, nodes.free_index, nodes.rest_positions, nodes.carried)
             _check_walls_move(term, layout)
@@ -86,21 +84,19 @@ class CavityActuator(ActuatorKind):
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
         """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
-        cavities = model.scene.cavities
-        ends = [max(map(abs, cavity.pressure)) for cavity in cavities]
-        asked = [0.0 < end < np.inf for end in ends]
-        doubling = efforts_at_scale(model, group.term) if any(asked) else None
-        for index, cavity in enumerate(cavities):
+        ends = [max(map(abs, cavity.pressure)) for cavity in model.scene.cavities]
+        asked = any(0.0 < end < np.inf for end in ends)
+        doubling = efforts_at_scale(model, group.term) if asked else None
+        for index, (key, cavity) in enumerate(model.scene.keyed("cavities")):
             volume = float(group.term.rest_volumes[index])
             growth = max((abs(end) for end in cavity.growth if np.isfinite(end)), default=0.0)
             yield from unlikely(
-                f"cavities[{index}].growth", growth, "m³", volume, GROWTH_RANGE,
+                f"{key}.growth", growth, "m³", volume, GROWTH_RANGE,
                 f"the cavity holds {volume:.3g} m³ at rest; is the limit in cubic metres?",
             )  # fmt: skip
-            if doubling is not None and asked[index]:
+            if doubling is not None:
                 yield from unlikely(
-                    f"cavities[{index}].pressure", ends[index], "Pa", float(doubling[index]),
-                    PRESSURE_RANGE,
+                    f"{key}.pressure", ends[index], "Pa", float(doubling[index]), PRESSURE_RANGE,
                     f"some {doubling[index]:.2g} Pa would double its volume; is the limit in "
                     "pascals?",
                 )  # fmt: skip
@@ -144,15 +140,15 @@ def _reduced_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCa
         names += [wall.name for wall in body.vertebrae.division.walls]
     if not names:
         return None
-    for index, cavity in enumerate(entries):
+    scene = layout.scene
+    for key, cavity in scene.keyed("cavities"):
         if cavity.liquid_density is not None:
-            raise layout.scene.error(f"cavities[{index}].liquid_density", cavity.liquid_density,
-                                     "a liquid filling of a body with vertebrae is not built",
-                                     unit="kg/m³")
+            raise scene.error(f"{key}.liquid_density", cavity.liquid_density,
+                              "a liquid filling of a body with vertebrae is not built", "kg/m³")
         if names.count(cavity.name) != len(cavity.walls):
-            raise layout.scene.error(f"cavities[{index}].walls", cavity.name,
-                                     "lies on a body without vertebrae; where one body with "
-                                     "cavities has vertebrae, all of them must have some")
+            raise scene.error(f"{key}.walls", cavity.name,
+                              "lies on a body without vertebrae; where one body with cavities has "
+                              "vertebrae, all of them must have some")
     surfaces = tuple(_drawn_surface(layout, name) for name in order)
     return SuperelementCavities(tuple(layout.superelements.values()), volumes, areas, surfaces)
 
@@ -208,9 +204,9 @@ def reduced_cavity_term(
     # Points on the nodes of the meshes.
     on_mesh = [replace(body, first_node=0, reduction=None) for body in layout.bodies]
     whole, walls = whole_layout(layout.scene, on_mesh), {name: [] for name in bodies}
-    for index, cavity in enumerate(entries):
+    for key, cavity in layout.scene.keyed("cavities"):
         for place, wall in enumerate(cavity.walls):
-            found = cavity_wall(whole, wall, f"cavities[{index}].walls[{place}]", notes)
+            found = cavity_wall(whole, wall, f"{key}.walls[{place}]", notes)
             own = walls[whole.body_named(wall.body).name]
             own.append(CavitySurface(cavity.name, *found))
     walls = {name: tuple(own) for name, own in walls.items() if own}

@@ -135,36 +135,33 @@ def check_walls_of_reduced(scene: Scene) -> None:
             body, or cavities lie on it and on bodies that are not reduced.
     """
     reduced = {body.name for body in scene.deformables if body.reduced is not None}
-    for section in ("cavities", "sealed_cavities") if reduced else ():
-        for index, cavity in enumerate(getattr(scene, section)):
-            for place, wall in enumerate(cavity.walls):
-                _check_one_body(scene, wall, f"{section}[{index}].walls[{place}]", reduced)
-    on_reduced = [
-        [_body_of(wall, scene) in reduced for wall in cavity.walls] for cavity in scene.cavities
-    ]
-    for index, (cavity, own) in enumerate(zip(scene.cavities, on_reduced, strict=True)):
-        if any(own) and cavity.liquid_density is not None:
-            raise scene.error(f"cavities[{index}].liquid_density", cavity.liquid_density,
+    if not reduced:
+        return
+    cavities, sealed = list(scene.keyed("cavities")), list(scene.keyed("sealed_cavities"))
+    carriers = {key: [_body_of(wall, scene) for wall in cavity.walls]
+                for key, cavity in (*cavities, *sealed)}  # fmt: skip
+    for key, cavity in (*cavities, *sealed):
+        for place, (wall, own) in enumerate(zip(cavity.walls, carriers[key], strict=True)):
+            names = {own, *wall.also_on}
+            if len(names) > 1 and names & reduced:
+                raise scene.error(f"{key}.walls[{place}].also_on", list(wall.also_on),
+                                  f"{sorted(names & reduced)[0]} is reduced: a wall that it forms "
+                                  "with another body is not built")
+    are_reduced = any(reduced & set(carriers[key]) for key, _ in cavities)
+    for key, cavity in cavities:
+        if reduced & set(carriers[key]) and cavity.liquid_density is not None:
+            raise scene.error(f"{key}.liquid_density", cavity.liquid_density,
                               "a liquid filling of a reduced body is not built", unit="kg/m³")
-        if any(map(any, on_reduced)) and not all(own):
-            other = _body_of(cavity.walls[own.index(False)], scene)
-            raise scene.error(f"cavities[{index}].walls", cavity.name,
-                              f"lies on {other}, which is not reduced; where one body with "
+        others = [name for name in carriers[key] if name not in reduced]
+        if are_reduced and others:
+            raise scene.error(f"{key}.walls", cavity.name,
+                              f"lies on {others[0]}, which is not reduced; where one body with "
                               "cavities is reduced, all of them must be")
-    for index, cavity in enumerate(scene.sealed_cavities):
-        if any(_body_of(wall, scene) in reduced for wall in cavity.walls):
-            raise scene.error(f"sealed_cavities[{index}].walls", cavity.name,
+    for key, cavity in sealed:
+        if reduced & set(carriers[key]):
+            raise scene.error(f"{key}.walls", cavity.name,
                               "lies on a reduced body: gas sealed there is not built")
 
 
 def _body_of(wall: CavityWall, scene: Scene) -> str:
     return scene.deformables[0].name if wall.body is None else wall.body
-
-
-def _check_one_body(scene: Scene, wall: CavityWall, key: str, reduced: set[str]) -> None:
-    """Refuse a wall that several bodies form where one of them is reduced."""
-    names = {_body_of(wall, scene), *wall.also_on}
-    if len(names) > 1 and names & reduced:
-        raise scene.error(f"{key}.also_on", list(wall.also_on),
-                          f"{sorted(names & reduced)[0]} is reduced: a wall that it forms with "
-                          "another body is not built")

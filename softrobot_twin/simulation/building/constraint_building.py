@@ -27,8 +27,7 @@ def effector_term(layout: Layout, notes: list[str]):
         SceneError: A point does not lie on its body, or the points of an orientation lie on a line.
     """
     effectors, orientations = [], []
-    for index, effector in enumerate(layout.scene.effectors):
-        key = f"effectors[{index}]"
+    for index, (key, effector) in enumerate(layout.scene.keyed("effectors")):
         points = layout.carried(effector.body, effector.points, f"{key}.points", notes)
         carriers = points.nodes[points.barycentric_weights != 0.0]
         if not layout.scene.slides and (layout.nodes.free_index[carriers] < 0).all():

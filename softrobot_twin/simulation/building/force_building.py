@@ -102,13 +102,12 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
 def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
     """All touches of a scene in one term."""
     scene, mappings, stiffness = layout.scene, [], []
-    for index, touch in enumerate(scene.touches):
+    for key, touch in scene.keyed("touches"):
         body = layout.body_named(touch.body)
         if body.vertebrae is not None:
-            raise scene.error(f"touches[{index}].body", body.name,
+            raise scene.error(f"{key}.body", body.name,
                               "is reduced to vertebrae: touches on such bodies are not built")
-        key = f"touches[{index}].points"
-        mappings.append(_mean(layout.carried(touch.body, touch.points, key, notes)))
+        mappings.append(_mean(layout.carried(touch.body, touch.points, f"{key}.points", notes)))
         size = size_of_points(body.mesh.node_positions)
         stiffest = max(part.young_modulus for part in body.materials)
         stiffness.append(HELD_STIFFNESS * stiffest * size)
@@ -171,8 +170,7 @@ def _hinged_terms(layout: Layout, elements: BeamElements) -> Iterator[ForceTerm]
 def _sealed_gas(layout: Layout, notes: list[str]) -> SealedGas:
     scene, nodes = layout.scene, layout.nodes
     entries, surfaces = scene.sealed_cavities, []
-    for index, cavity in enumerate(entries):
-        key = f"sealed_cavities[{index}]"
+    for key, cavity in scene.keyed("sealed_cavities"):
         surfaces.append(cavity_surface(layout, cavity.name, cavity.walls, key, notes))
         carriers = nodes.free_index[surfaces[-1].vertices.nodes]
         if (carriers >= nodes.free_node_count).any():
@@ -189,9 +187,8 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
     scene, nodes = layout.scene, layout.nodes
     # Warnings of these walls are those of the actuators.
     surfaces = [
-        (cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", []),
-         cavity.liquid_density)
-        for index, cavity in enumerate(scene.cavities) if cavity.liquid_density is not None
+        (cavity_surface(layout, cavity.name, cavity.walls, key, []), cavity.liquid_density)
+        for key, cavity in scene.keyed("cavities") if cavity.liquid_density is not None
     ]  # fmt: skip
     return LiquidFilling(
         tuple(surface for surface, _ in surfaces), nodes.free_index, nodes.rest_positions,
@@ -389,10 +386,10 @@ def check_masses_held(layout: Layout) -> None:
         pairs += [(int(nodes[a]), int(nodes[b])) for a, b in entry.springs]
         pairs += [(int(nodes[k]), world) for k in entry.fixed]
     piece = connected_pieces(*np.array(pairs, np.int64).reshape(-1, 2).T, world + 1)
-    for index, entry in enumerate(layout.scene.mass_springs):
+    for key, entry in layout.scene.keyed("mass_springs"):
         loose = np.flatnonzero(piece[layout.mass_nodes[entry.name]] != piece[world])
         if len(loose):
-            raise layout.scene.error(f"mass_springs[{index}]", f"point {loose[0]}",
+            raise layout.scene.error(key, f"point {loose[0]}",
                                      f"of {entry.name} floats: in quasi_static integration a chain "
                                      "of springs must join it to a fixed point or to a body that "
                                      "is held")
@@ -439,12 +436,12 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
         SceneError: A point does not lie on its body.
     """
     scene, nodes = layout.scene, layout.nodes
-    parts = [_between(layout, s, f"springs[{i}]", notes) for i, s in enumerate(scene.springs)]
-    for index, tube in enumerate(scene.tubes):
-        path = layout.carried(tube.on, tube.points, f"tubes[{index}].points", notes)
+    parts = [_between(layout, s, key, notes) for key, s in scene.keyed("springs")]
+    for key, tube in scene.keyed("tubes"):
+        path = layout.carried(tube.on, tube.points, f"{key}.points", notes)
         parts.append(_along(segments(path, nodes.rest_positions), tube.axial_stiffness))
-    for index, fibre in enumerate(scene.fibres):
-        parts += _fibre_parts(layout, fibre, f"fibres[{index}]", notes)
+    for key, fibre in scene.keyed("fibres"):
+        parts += _fibre_parts(layout, fibre, key, notes)
     parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
     first, second = (
         reduce(BarycentricMapping.followed_by, (part[end] for part in parts)) for end in (0, 1)

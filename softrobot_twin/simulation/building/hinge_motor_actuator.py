@@ -52,8 +52,8 @@ class HingeMotorActuator(ActuatorKind):
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
         """Limits that are out of scale; see `ActuatorKind.doubts`."""
         beams = {beam.name: beam for beam in model.beams}
-        for index, motor in enumerate(model.scene.hinge_motors):
-            key, beam = f"hinge_motors[{index}]", beams[motor.beam]
+        for key, motor in model.scene.keyed("hinge_motors"):
+            beam = beams[motor.beam]
             yield from unlikely(f"{key}.rate", motor.rate or 0.0, "rad/s", 1.0, RATE_RANGE,
                                 "is the rate in radians per second?")  # fmt: skip
             bending = _bending(beam)

@@ -158,8 +158,7 @@ def build_rigid_parts(
     if net is not None and scene.integration == "quasi_static":
         held = net.all_held(held)
     parts = []
-    for index, entry in enumerate(scene.rigid_bodies):
-        key = f"rigid_bodies[{index}]"
+    for index, (key, entry) in enumerate(scene.keyed("rigid_bodies")):
         if entry.name not in held and scene.integration == "quasi_static":
             raise scene.error(f"{key}.motion", "free",
                               f"{entry.name} floats: in quasi_static integration nothing gives it "
@@ -429,8 +428,7 @@ def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | Non
     held_bodies = set() if net is None else net.reached(guided)
     bodies: list[Body] = []
     first_node = 0
-    for index, entry in enumerate(scene.deformables):
-        key = "body" if scene.body is not None else f"bodies[{index}]"
+    for key, entry in scene.keyed("deformables"):
         bodies.append(build_body(entry, key, first_node, scene, notes, held_bodies))
         if entry.reduced is not None:
             bodies[-1] = _with_coordinates(bodies[-1], scene, asked)
@@ -496,11 +494,11 @@ def walls_on(body: Body, whole: Layout) -> tuple[CavitySurface, ...]:
         whole: All bodies; see `whole_layout`.
     """
     walls = []
-    for index, cavity in enumerate(whole.scene.cavities):
+    for key, cavity in whole.scene.keyed("cavities"):
         for place, wall in enumerate(cavity.walls):
             if whole.body_named(wall.body).name == body.name:
-                key = f"cavities[{index}].walls[{place}]"
-                walls.append(CavitySurface(cavity.name, *cavity_wall(whole, wall, key, [])))
+                made = cavity_wall(whole, wall, f"{key}.walls[{place}]", [])
+                walls.append(CavitySurface(cavity.name, *made))
     return tuple(walls)
 
 

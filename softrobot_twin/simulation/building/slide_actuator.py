@@ -19,7 +19,7 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.scene.actuator_entries import Slide
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 NOWHERE = -1
@@ -184,7 +184,7 @@ class Slides:
         return contact_columns.T @ contact_forces - self._weights
 
 
-class SlideActuator:
+class SlideActuator(ActuatorKind):
     """The kind `slides`; see `ActuatorKind`. Files call its position a length, as a cable's."""
 
     section = "slides"
@@ -195,10 +195,7 @@ class SlideActuator:
     effort = Quantity("tension", "N")
     # A positive move of a slide is a negative shortening.
     sign = -1
-    one_sided = False
     takes_efforts = False
-    is_effort_driven = False
-    least_setpoint = -np.inf
 
     def build(self, layout: Layout, entries: tuple[Slide, ...], notes: list[str]) -> ActuatorGroup:
         """See `ActuatorKind.build`."""
@@ -210,14 +207,6 @@ class SlideActuator:
             np.array([np.inf if slide.rate is None else slide.rate for slide in entries]),
             np.tile([-np.inf, np.inf], (len(entries), 1)), np.ones(len(entries)),
         )  # fmt: skip
-
-    def doubts(self, model, group: ActuatorGroup):
-        """None; see `ActuatorKind.doubts`."""
-        return iter(())
-
-    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
-        """None: the platform itself is drawn; see `ActuatorKind.paths`."""
-        return ()
 
     def details(self, entry: Slide, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""

@@ -17,6 +17,7 @@ import csv
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
@@ -353,6 +354,42 @@ class TargetTable:
         return _OF_ACTUATORS[self.kind](values, step)
 
 
+@dataclass(frozen=True)
+class Waypoints:
+    """Points with times, joined by straight lines; after the last time the position stays.
+
+    Attributes:
+        times: Increasing times [s], shape (n,).
+        points: Positions [m], shape (n, 3).
+        quaternions: Orientations (x, y, z, w), shape (n, 4), joined by turns about fixed axes, the
+            shorter way round; None without.
+        notes: What the user should know about the file.
+    """
+
+    times: np.ndarray
+    points: np.ndarray
+    quaternions: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def _turns(self) -> Slerp:
+        return Slerp(self.times, Rotation.from_quat(self.quaternions))
+
+    def position(self, time: float) -> np.ndarray:
+        """Position [m], shape (3,), at a time since the path began [s]."""
+        return between_rows(time, self.times, self.points)
+
+    def orientation(self, time: float) -> np.ndarray | None:
+        """Orientation (x, y, z, w) at a time since the path began [s], or None."""
+        if self.quaternions is None or len(self.times) == 1:
+            return None if self.quaternions is None else self.quaternions[0]
+        return self._turns(np.clip(time, self.times[0], self.times[-1])).as_quat()
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
+        """Position and orientation at a time [s]; see both."""
+        return self.position(time), self.orientation(time)
+
+
 def read_targets(source: Path | str | Mapping, simulation: Simulation) -> TargetTable:
     """Reads and checks a targets file.
 
@@ -387,19 +424,13 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
     return TargetTable(kind, times, _time_steps(times), *wanted, columns.notes)
 
 
-def read_path(
-    source: Path | str, effector: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, tuple[str, ...]]:
+def read_path(source: Path | str, effector: str) -> Waypoints:
     """Reads the targets of one effector from a targets file, whatever else that drives.
 
     Args:
         source: CSV file with a header; of what a run wrote the targets are read where it has some,
             the places that the effector reached where it has none.
         effector: The effector.
-
-    Returns:
-        Times [s], shape (row_count,); positions [m], shape (row_count, 3); unit quaternions
-        (x, y, z, w), shape (row_count, 4), or None; and notes for the user.
 
     Raises:
         TableFileError: The file cannot be read or contains no path of the effector.
@@ -412,7 +443,8 @@ def read_path(
     if not any(own in columns for own in _columns_of_targets(effector)):
         raise columns.error(position_columns(effector)[0], "the header lacks this column")
     _refuse_partial(columns, (effector,))
-    return times, *(_wanted(columns, effector, channel) for channel in WANTED[:2]), columns.notes
+    wanted = (_wanted(columns, effector, channel) for channel in WANTED[:2])
+    return Waypoints(times, *wanted, columns.notes)
 
 
 def take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
@@ -643,26 +675,6 @@ def _time_steps(times: np.ndarray) -> np.ndarray:
 _EXAMPLE = f"{TIME},<cable>_shortening_m"
 
 
-class Pose:
-    """Commanded poses of a guided body over time."""
-
-    def __init__(self, times: np.ndarray, positions: np.ndarray, quaternions: np.ndarray | None):
-        """Stores the rows.
-
-        Args:
-            times: Of the rows [s], shape (row_count,).
-            positions: Of the body's origin [m], shape (row_count, 3).
-            quaternions: x, y, z, w, shape (row_count, 4); None without rotations.
-        """
-        self._times, self._positions = times, positions
-        self._turn = None if quaternions is None else Slerp(times, Rotation.from_quat(quaternions))
-
-    def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
-        """Position [m] and quaternion x, y, z, w (None without rotations) at a time [s]."""
-        position = between_rows(time, self._times, self._positions)
-        return position, None if self._turn is None else self._turn([time]).as_quat()[0]
-
-
 class TouchColumns(NamedTuple):
     """Forces or displacements of a touch over time.
 
@@ -710,7 +722,7 @@ class CommandTable:
     kind: str
     times: np.ndarray
     values: np.ndarray
-    poses: Mapping[str, Pose]
+    poses: Mapping[str, Waypoints]
     is_constant: np.ndarray
     touches: Mapping[str, TouchColumns] = field(default_factory=dict)
 
@@ -882,7 +894,7 @@ def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], Actuator
                      for motor in simulation.scene.motors]
 
 
-def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Pose]:
+def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Waypoints]:
     """Takes the columns of guided bodies out; gives their poses."""
     poses = {}
     for entry in simulation.scene.rigid_bodies:
@@ -899,7 +911,7 @@ def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[
         if own[3] in columns:
             turns = columns.pop_all(own[3:])
             _refuse_lengths(columns.source, entry.name, turns, columns.lines)
-        poses[entry.name] = Pose(times, positions, turns)
+        poses[entry.name] = Waypoints(times, positions, turns)
     return poses
 
 
