@@ -383,6 +383,9 @@ class BoxRegion(Entry):
         if any(a > b for a, b in zip(self.minimum, self.maximum, strict=True)):
             raise ValueError("the minimum of a box is above its maximum")
 
+    def __str__(self) -> str:
+        return f"{list(self.minimum)}..{list(self.maximum)}"
+
 
 class RegionMaterial(ElasticEntry):
     """The material of some cells of a body: of a named region of its mesh file, or of a box."""

@@ -89,7 +89,7 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
         # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
         actuators, effectors, contacts, rows, *markers, factorization, guides, notes,
-        layout.superelements, layout.beams, is_dense,
+        layout.superelements, layout.beams, is_dense, layout.is_held,
     )  # fmt: skip
 
 

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from softrobot_twin.mechanics.hinged_frames import WORLD, HingedFrames
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
@@ -276,7 +275,7 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
     soft, soft_nodes = _soft_unknowns(model)
     if len(soft) == 0:
         return 0.0
-    if not are_held(model):
+    if not model.is_held:
         return None
     nodes, factorization = model.nodes, model.factorization
     _forget_motion(model)
@@ -359,32 +358,6 @@ def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
     # Hinged frames have no translation of their own; the rest of the beam shows the sag.
     free = (unknowns >= 0) & (unknowns < nodes.free_node_count)
     return (np.concatenate([own, unknowns[free]]), np.concatenate([soft_nodes, origins[free]]))
-
-
-def are_held(model: Model) -> bool:
-    """Whether all deformable bodies are fixed somewhere, and a chain of beams leads from each to a
-    frame that does not move by itself, or to a rigid body that deformable ones hold; a hinge or a
-    ball joint holds a beam as well.
-    """
-    if not all(body.is_held for body in model.bodies):
-        return False
-    frames = [set(beam.carriers.frame_nodes.tolist()) for beam in model.beams]
-    if not frames:
-        return True
-    kind = model.nodes.kinds[0]
-    if isinstance(kind, HingedFrames):
-        frames += [{*pair} for pair in zip(kind.hinged_nodes, kind.hinges.parents, strict=True)]
-    every = np.array(sorted(set().union(*frames) - {WORLD}))
-    held = {WORLD, *every[kind.unknowns_of(every) < 0].tolist()}
-    held |= {part.first_node for part in model.rigid if len(part.attached)}
-    waiting = frames
-    while waiting:
-        floating = [own for own in waiting if not own & held]
-        if len(floating) == len(waiting):
-            return False
-        held |= set().union(*(own for own in waiting if own & held))
-        waiting = floating
-    return True
 
 
 def _longest(moves: np.ndarray) -> float:

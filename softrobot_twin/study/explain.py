@@ -28,7 +28,7 @@ from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialP
 from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
-from softrobot_twin.simulation.scene_warnings import are_held, expected_sag
+from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.length_units import SHOWN
@@ -771,7 +771,7 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     sag = expected_sag(simulation.model)
     if sag is not None:
         sag_text = f"{1e3 * sag:.3g} mm"
-    elif are_held(simulation.model):
+    elif simulation.model.is_held:
         sag_text = "no equilibrium found"
     else:
         sag_text = "not fixed: the body falls"

@@ -109,22 +109,16 @@ def _curvature(pairs: list, layout: Layout):
     """Stiffness of facets that press on round shapes; None where there is no such pair."""
     found = []
     for index, pair in enumerate(pairs):
-        shape = getattr(pair, "shape", None)
-        if not isinstance(pair.first, DeformableSurface) or not isinstance(
-            shape, Sphere | Capsule | Cylinder
-        ):
+        shape, axis = getattr(pair, "shape", None), None
+        is_round = isinstance(shape, Sphere | Capsule | Cylinder)
+        if not is_round or not isinstance(pair.first, DeformableSurface):
             continue
-        axis = None
-        if isinstance(shape, Capsule | Cylinder):
+        if not isinstance(shape, Sphere):
             axis = (shape.ends[1] - shape.ends[0]) / np.linalg.norm(shape.ends[1] - shape.ends[0])
-        triangles = pair.first.point_nodes[pair.first.triangles]
-        found.append(
-            RoundPair(index, triangles, pair.second, shape.radius, axis,
-                             isinstance(shape, Capsule))
-        )  # fmt: skip
-    if not found:
-        return None
-    return ContactCurvature(tuple(found), layout.nodes.free_index, layout.nodes.carried)
+        triangles, has_caps = pair.first.point_nodes[pair.first.triangles], isinstance(shape, Capsule)
+        found.append(RoundPair(index, triangles, pair.second, shape.radius, axis, has_caps))
+    nodes = layout.nodes
+    return ContactCurvature(tuple(found), nodes.free_index, nodes.carried) if found else None
 
 
 def _sides(layout: Layout, notes: list[str]) -> dict[str, Side]:
@@ -160,22 +154,19 @@ def _facets(shape) -> tuple[np.ndarray, np.ndarray]:
 
 def _surface_of(body: Body, scene: Scene, notes: list[str]):
     """The contact surface of a deformable body: that of its mesh, or one that it carries."""
-    entry = body.entry.contact_surface
-    if entry is None and body.reduction is not None:
-        nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
-        return DeformableSurface(body.node_mapping(nodes).nodes[:, 0][triangles.reshape(-1, 3)])
-    if entry is None and body.vertebrae is not None:
-        nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
-        return CarriedSurface(body.node_mapping(nodes), triangles.reshape(-1, 3))
-    if entry is None:
-        return DeformableSurface(body.mesh.surface_triangles + body.first_node)
-    key = f"{body.key}.contact_surface"
-    mesh = body.entry.mesh
-    solid = read_solid_surface(
-        scene.file_path(entry.file), scale=entry.scale,
-        rotation=mesh.rotation, translation=mesh.translation, notes=notes,
-    )  # fmt: skip
-    return CarriedSurface(carry_surface(body, solid.points, entry, key, scene), solid.triangles)
+    entry, mesh = body.entry.contact_surface, body.entry.mesh
+    if entry is not None:
+        solid = read_solid_surface(
+            scene.file_path(entry.file), scale=entry.scale,
+            rotation=mesh.rotation, translation=mesh.translation, notes=notes,
+        )  # fmt: skip
+        key = f"{body.key}.contact_surface"
+        return CarriedSurface(carry_surface(body, solid.points, entry, key, scene), solid.triangles)
+    nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
+    carried, triangles = body.node_mapping(nodes), triangles.reshape(-1, 3)
+    if body.vertebrae is not None:
+        return CarriedSurface(carried, triangles)
+    return DeformableSurface(carried.nodes[:, 0][triangles])
 
 
 def _pair(first: Side, second: Side, friction: float, key: str, layout: Layout):

@@ -287,14 +287,13 @@ def _claimed(
                               f"{entry.mesh.label} {error.reason}") from None
     corners = mesh.corner_mesh.node_positions
     if other.frame == "mesh":
-        turn = Rotation.from_euler("xyz", entry.mesh.rotation)
-        corners = turn.inv().apply(corners - np.asarray(entry.mesh.translation))
+        corners = in_mesh(entry, corners)
     of_cells = corners[mesh.corner_mesh.cells]
     low, high = np.array(other.box.minimum), np.array(other.box.maximum)
     cells = nodes_in_box(mesh.corner_mesh.centres_at(corners), low, high)
     if not len(cells):
         lowest, highest = corners.min(axis=0), corners.max(axis=0)
-        raise scene.error(f"{place}.box", f"{low.tolist()}..{high.tolist()}",
+        raise scene.error(f"{place}.box", str(other.box),
                           "holds the centre of no cell of the body, which reaches from "
                           f"{lowest.tolist()} to {highest.tolist()} m", unit="m")
     _note_cut_cells(of_cells, cells, low, high, f"{place}.box", notes)
@@ -323,10 +322,7 @@ def _refuse_claimed_twice(
     taken = owner[cells]
     taken = taken[taken >= 0]
     if len(taken):
-        kind = "box" if other.region is None else "region"
-        value = other.region
-        if value is None:
-            value = f"{list(other.box.minimum)}..{list(other.box.maximum)}"
+        kind, value = ("region", other.region) if other.region else ("box", str(other.box))
         raise scene.error(f"{key}.materials[{index}].{kind}", value,
                           f"claims {len(taken)} cells that {key}.materials[{taken[0]}] claims too; "
                           "a cell has one material", unit="m" if kind == "box" else "")
@@ -638,7 +634,7 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
                 f"{key}: {around} nodes lie outside the box by less than {1e3 * beside:.2g} mm and "
                 "are not in it; give a face that lies between layers of nodes."
             )
-        value, unit = f"{list(region.box.minimum)}..{list(region.box.maximum)}", "m"
+        value, unit = str(region.box), "m"
     elif region.sphere is not None:
         nodes = points[
             nodes_in_sphere(positions[points], region.sphere.centre, region.sphere.radius)

@@ -44,6 +44,7 @@ class Model:
         superelements: Those of each body that is reduced to vertebrae, by its name.
         beams: Its beams.
         is_dense: Whether A has no zeros, as the coordinates of reduced bodies are all coupled.
+        is_held: See `Layout`.
     """
 
     scene: Scene
@@ -65,6 +66,7 @@ class Model:
     superelements: dict[str, Superelements] = field(default_factory=dict)
     beams: tuple = ()
     is_dense: bool = False
+    is_held: bool = True
 
     @property
     def terms(self) -> tuple:

@@ -287,6 +287,9 @@ class Layout(NamedTuple):
         superelements: Those of each reduced body, by its name.
         beams: Its beams.
         beam_frames: Frames of their nodes; they come after those of vertebrae.
+        is_held: Whether all deformable bodies are fixed somewhere, and a chain of beams leads from
+            each beam to a frame that does not move by itself, or to a rigid body that deformable
+            ones hold; a hinge or a ball joint holds a beam as well.
     """
 
     scene: Scene
@@ -298,6 +301,7 @@ class Layout(NamedTuple):
     superelements: dict[str, Superelements] = {}
     beams: tuple[BeamBody, ...] = ()
     beam_frames: tuple[FramePart, ...] = ()
+    is_held: bool = True
 
     @property
     def asked(self) -> dict[str, ReducedNodes] | None:
@@ -462,7 +466,10 @@ def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | Non
             first_node += 4 * len(placed.parts)
     vertebrae = tuple(part for body in bodies if body.vertebrae for part in body.vertebrae.parts)
     beams, beam_frames, hinges = (), (), None
+    is_held = all(body.is_held for body in bodies)
     if net is not None:
+        riders = {name for body in bodies for name in body.riding}
+        is_held = is_held and {beam.name for beam in net.beams} <= net.reached(guided | riders)
         beams, beam_frames = net.placed(rigid, first_node), net.frame_parts()
         sizes += [size_of_points(beam.places) for beam in beams]
     framed = (*rigid, *vertebrae, *beam_frames)
@@ -477,7 +484,7 @@ def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | Non
     }
     return Layout(
         scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements, beams,
-        beam_frames,
+        beam_frames, is_held,
     )  # fmt: skip
 
 

@@ -180,7 +180,7 @@ def _nodes_of(vertebra, key: str, body: Body, scene: Scene) -> np.ndarray:
     low, high = np.array(vertebra.box.minimum), np.array(vertebra.box.maximum)
     nodes = nodes_in_box(points, low, high)
     if len(nodes) < 3:
-        raise scene.error(f"{key}.box", f"{low.tolist()}..{high.tolist()}",
+        raise scene.error(f"{key}.box", str(vertebra.box),
                           f"holds {len(nodes)} nodes of the body; a vertebra needs three or more",
                           unit="m")
     return nodes
