@@ -12,6 +12,7 @@ A new kind is one class with the members of `ActuatorKind`, and one call of `reg
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -34,7 +35,8 @@ class Quantity(NamedTuple):
     unit: str
 
 
-class ActuatorGroup(NamedTuple):
+@dataclass
+class ActuatorGroup:
     """The actuators of one kind in a scene.
 
     Attributes:
@@ -53,14 +55,13 @@ class ActuatorGroup(NamedTuple):
         effort_bounds: Least and greatest effort [effort unit], shape (count, 2).
         force_per_effort: Force on the bodies by one unit of effort, in sum over all nodes: 1 for a
             tension, an area for a pressure [N per effort unit], shape (count,).
-        kinds: Kind of each actuator, where they are driven in different ways; else empty.
+        kinds: Kind of each actuator, where they are driven in different ways; by default `kind`.
         flows: Greatest change of the displacement in a second of effort-driven actuators, infinite
-            without a limit, shape (count,); None: no limits.
-        rest_extents: Extents at rest [displacement unit], shape (count,); empty where these are the
-            setpoints at rest.
+            without a limit, shape (count,); by default without limits.
+        rest_extents: Extents at rest [displacement unit], shape (count,); by default the setpoints
+            at rest.
         limit_names: Names of the least and the greatest displacement of each in reports, such as
-            ``shortening_min`` and ``angle_max``, shape (count, 2); empty where they are those of
-            the kind.
+            ``shortening_min`` and ``angle_max``, shape (count, 2); by default those of the kind.
     """
 
     kind: ActuatorKind
@@ -75,8 +76,18 @@ class ActuatorGroup(NamedTuple):
     force_per_effort: np.ndarray
     kinds: tuple[ActuatorKind, ...] = ()
     flows: np.ndarray | None = None
-    rest_extents: np.ndarray = np.empty(0)
+    rest_extents: np.ndarray | None = None
     limit_names: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in what is usual."""
+        count, word = len(self.names), self.kind.displacement.word
+        self.kinds = self.kinds or (self.kind,) * count
+        self.limit_names = self.limit_names or ((f"{word}_min", f"{word}_max"),) * count
+        if self.flows is None:
+            self.flows = np.full(count, np.inf)
+        if self.rest_extents is None:
+            self.rest_extents = self.rest_setpoints
 
 
 class ActuatorKind(Protocol):

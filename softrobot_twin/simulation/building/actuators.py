@@ -63,19 +63,14 @@ class Actuators:
         if len(prescribing) > 1:
             raise ValueError("only one kind of actuator may prescribe moves without multipliers")
         self.moves = prescribing[0] if prescribing else None
-        self.kinds: tuple[ActuatorKind, ...] = tuple(
-            kind for group in self.groups
-            for kind in group.kinds or (group.kind,) * len(group.names)
-        )
+        self.kinds: tuple[ActuatorKind, ...] = tuple(k for g in self.groups for k in g.kinds)
         self.names = tuple(name for group in self.groups for name in group.names)
         self.row_count = sum(len(g.names) for g in self.groups if g.term is not None)
         self.is_moved = np.arange(len(self.names)) >= self.row_count
         self.rest_setpoints = self._joined("rest_setpoints")
         self.rest_setpoints.setflags(write=False)
         self.is_effort_driven = np.array([kind.is_effort_driven for kind in self.kinds], bool)
-        self._rest_extents = np.concatenate([np.empty(0), *(
-            group.rest_extents if len(group.rest_extents) else group.rest_setpoints
-            for group in self.groups)])  # fmt: skip
+        self._rest_extents = self._joined("rest_extents")
         self._force_per_effort = self._joined("force_per_effort")
         scale = self._joined("displacement_scale")
         displacements, efforts = self._joined("displacement_bounds"), self._joined("effort_bounds")
@@ -88,25 +83,14 @@ class Actuators:
             self.names, least, greatest, self._joined("rates"), effort_min, effort_max, scale,
             _effort_scale(efforts, work / scale), self._signs,
             self.is_effort_driven, tuple(kind.displacement.word for kind in self.kinds),
-            tuple(kind.effort.word for kind in self.kinds), self._flows(), self._limit_names(),
+            tuple(kind.effort.word for kind in self.kinds),
+            np.where(self.is_effort_driven, self._joined("flows"), np.inf),
+            tuple(names for group in self.groups for names in group.limit_names),
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
         self.stalls = np.array([getattr(kind, "stalls", False) for kind in self.kinds], bool)
         self.pulleys = Pulleys(scene, self.names, self.rest_setpoints)
-
-    def _flows(self) -> np.ndarray:
-        """Greatest change of the displacement of each in a second, shape (count,)."""
-        parts = [np.full(len(group.names), np.inf) if group.flows is None else group.flows
-                 for group in self.groups]  # fmt: skip
-        return np.where(self.is_effort_driven, np.concatenate([np.empty(0), *parts]), np.inf)
-
-    def _limit_names(self) -> tuple[tuple[str, str], ...]:
-        """Names of the least and the greatest displacement of each, shape (count, 2)."""
-        return tuple(
-            names for group in self.groups
-            for names in group.limit_names or _names_of_kinds(group)
-        )
 
     def _joined(self, field: str) -> np.ndarray:
         width = (0, 2) if field.endswith("bounds") else (0,)
@@ -283,12 +267,6 @@ class Actuators:
         """Warnings of unlikely values; see `ActuatorKind.doubts`."""
         for group in self.groups:
             yield from group.kind.doubts(model, group)
-
-
-def _names_of_kinds(group: ActuatorGroup) -> list[tuple[str, str]]:
-    """Names of the least and the greatest displacement of each actuator of a group."""
-    kinds = group.kinds or (group.kind,) * len(group.names)
-    return [(f"{kind.displacement.word}_min", f"{kind.displacement.word}_max") for kind in kinds]
 
 
 def _effort_scale(bounds: np.ndarray, straining: np.ndarray) -> np.ndarray:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from softrobot_twin.simulation.building.cavity_walls import (
     check_walls_of_reduced,
     joined_walls,
 )
-from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.building.reduced_body import Placed
 from softrobot_twin.simulation.building.scene_layout import Layout, whole_layout
@@ -163,18 +161,16 @@ def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
     return joined_walls(own, name)
 
 
-class _JoinedPoints(NamedTuple):
-    """Points on several reduced bodies, one body after the other; see `Placed`.
+class _JoinedPoints:
+    """Points on several reduced bodies, one body after the other; see `Placed`."""
 
-    Attributes:
-        parts: Those on each.
-    """
-
-    parts: tuple[Placed, ...]
+    def __init__(self, parts: Iterable[Placed]):
+        """Take those on each."""
+        self._parts = tuple(parts)
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Positions of the points [m], shape (point_count, 3); see `Placed.positions`."""
-        return np.concatenate([part.positions(node_positions) for part in self.parts])
+        return np.concatenate([part.positions(node_positions) for part in self._parts])
 
 
 def reduced_cavity_term(
@@ -215,25 +211,15 @@ def reduced_cavity_term(
         for own, nodes in ((own, bodies[name].reduction) for name, own in walls.items())
     ]  # fmt: skip
     names = tuple(cavity.name for cavity in entries)
-    shown = tuple(_shown_surface(name, walls, bodies) for name in names)
-    term = ReducedCavities(names, parts, layout.nodes.free_index, shown)
+    shown = [wall._replace(vertices=bodies[name].shown(wall.vertices))
+             for name, own in walls.items() for wall in own]  # fmt: skip
+    surfaces = tuple(
+        joined_walls([wall for wall in shown if wall.name == name], name, _JoinedPoints)
+        for name in names
+    )
+    term = ReducedCavities(names, parts, layout.nodes.free_index, surfaces)
     _check_walls_move(term, layout)
     return term
-
-
-def _shown_surface(
-    name: str, walls: dict[str, tuple[CavitySurface, ...]], bodies: dict[str, Body]
-) -> CavitySurface:
-    """The walls of a cavity on reduced bodies, placed from the coordinates."""
-    parts, triangles, count = [], [], 0
-    for body, own in walls.items():
-        for wall in own:
-            if wall.name == name:
-                parts.append(bodies[body].shown(wall.vertices))
-                triangles.append(wall.triangles + count)
-                count += wall.vertices.point_count
-    vertices = parts[0] if len(parts) == 1 else _JoinedPoints(tuple(parts))
-    return CavitySurface(name, vertices, np.concatenate(triangles))
 
 
 def _growths(

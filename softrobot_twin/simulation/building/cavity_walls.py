@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import reduce
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
 
 import numpy as np
 
@@ -48,9 +48,12 @@ def cavity_surface(
     return joined_walls(found, name)
 
 
-def joined_walls(walls: Sequence[CavitySurface], name: str) -> CavitySurface:
-    """Several walls as the surface of one cavity."""
-    vertices = reduce(BarycentricMapping.followed_by, (wall.vertices for wall in walls))
+def joined_walls(
+    walls: Sequence[CavitySurface], name: str,
+    join: Callable = partial(reduce, BarycentricMapping.followed_by),
+) -> CavitySurface:
+    """Several walls as the surface of one cavity, their vertices joined by a function."""
+    vertices = join(wall.vertices for wall in walls)
     starts = np.cumsum([0, *(wall.vertices.point_count for wall in walls[:-1])])
     triangles = [wall.triangles + start for wall, start in zip(walls, starts, strict=True)]
     return CavitySurface(name, vertices, np.concatenate(triangles))

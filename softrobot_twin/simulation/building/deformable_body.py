@@ -474,9 +474,7 @@ def build_body(
     """
     reading = _read_mesh(entry, scene)
     notes.extend(f"{key}.mesh ({entry.mesh.label}): {note}" for note in reading.notes)
-    if reading.mid_edge_nodes is not None:
-        entry = _with_element_of_file(entry, key, notes)
-    entry = _with_element_of_cells(entry, key, reading, scene)
+    entry = _with_element_of_cells(entry, key, reading, scene, notes)
     mesh = element_named(entry.element).make_mesh(reading.mesh)
     search = _RegionSearch(entry, mesh, reading, scene, notes)
     fixed = np.zeros(mesh.node_count, dtype=bool)
@@ -523,29 +521,24 @@ def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
     return reading._replace(notes=(*notes, *reading.notes))
 
 
-def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
-    """The entry with quadratic elements for ten-node tetrahedra, unless the scene sets the element.
-    """
-    if "element" not in entry.model_fields_set:
-        return entry.model_copy(update={"element": "quadratic"})
-    if entry.element == "linear":
-        notes.append(f"{key}.element = linear: of the file's ten-node tetrahedra only the corners "
-                     "are used.")  # fmt: skip
-    return entry
-
-
 def _with_element_of_cells(
-    entry: BodyEntry, key: str, reading: MeshReading, scene: Scene
+    entry: BodyEntry, key: str, reading: MeshReading, scene: Scene, notes: list[str]
 ) -> BodyEntry:
-    """The entry with hexahedral elements for hexahedra, unless the scene sets the element.
+    """The entry with hexahedral elements for hexahedra, and quadratic ones for ten-node tetrahedra,
+    unless the scene sets the element.
 
     Raises:
         SceneError: The element that the scene sets is made of other cells, or the body is reduced
             to vertebrae.
     """
     has_hexahedra = isinstance(reading.mesh, HexahedralMesh)
-    if has_hexahedra and "element" not in entry.model_fields_set:
-        entry = entry.model_copy(update={"element": HEXAHEDRAL})
+    has_mid_edge_nodes = reading.mid_edge_nodes is not None
+    if "element" not in entry.model_fields_set and (has_mid_edge_nodes or has_hexahedra):
+        element = "quadratic" if has_mid_edge_nodes else HEXAHEDRAL
+        entry = entry.model_copy(update={"element": element})
+    elif has_mid_edge_nodes and entry.element == "linear":
+        notes.append(f"{key}.element = linear: of the file's ten-node tetrahedra only the corners "
+                     "are used.")  # fmt: skip
     if element_named(entry.element).of_hexahedra != has_hexahedra:
         held = "hexahedra" if has_hexahedra else "tetrahedra only"
         raise scene.error(f"{key}.element", entry.element,

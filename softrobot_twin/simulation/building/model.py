@@ -18,6 +18,10 @@ from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.solvers.factorization import Factorization
 
+STAGES = ("fallback", "detect", "assemble", "factor", "condense", "stiffness", "optimise", "correct",
+          "residual")  # fmt: skip
+"""Names of all stages of a step, in the order they run."""
+
 
 @dataclass
 class Model:
@@ -103,13 +107,10 @@ class Model:
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages of a step, in the order they run."""
-        detect = ("detect",) if self.rows.varies else ()
-        solved = any(term.group != "effectors" for term in self.rows.terms)
-        optimise = ("optimise",) if solved else ()
-        stiffness = ("stiffness",) if self.weighs_stiffness else ()
         reduced = (body.entry.reduced for body in self.bodies)
-        falls_back = any(entry is not None and entry.fallback is not None for entry in reduced)
-        fallback = ("fallback",) if falls_back else ()
-        return (
-            *fallback, *detect, "assemble", "factor", "condense", *stiffness, *optimise, "correct", "residual"
-        )  # fmt: skip
+        is_there = {
+            "fallback": any(entry is not None and entry.fallback is not None for entry in reduced),
+            "detect": self.rows.varies, "stiffness": self.weighs_stiffness,
+            "optimise": any(term.group != "effectors" for term in self.rows.terms),
+        }  # fmt: skip
+        return tuple(stage for stage in STAGES if is_there.get(stage, True))

@@ -265,7 +265,7 @@ def with_entries(scene: Scene, reduced: dict) -> Scene:
 class Placed:
     """Points of a reduced body that no term needs, placed from its coordinates.
 
-    It has the `positions` of a `BarycentricMapping`.
+    It has `positions` and `point_count` as a `BarycentricMapping`.
     """
 
     def __init__(
@@ -282,6 +282,7 @@ class Placed:
         """
         self._nodes, self._rest, self._platform = coordinate_nodes, rest, platform
         self._rows = modes.reshape(3 * len(rest), modes.shape[2])
+        self.point_count = len(rest)
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Positions of the points [m], shape (point_count, 3).
