@@ -170,7 +170,7 @@ def divisions(scene: Scene) -> list[Division]:
         for body, entry in zip(layout.bodies, scene.deformables, strict=True)
     ]
     found = whole_layout(scene, whole)
-    return [divide(body, walls_on(body, found), scene)
+    return [divide(body, walls_on(body, found, []), scene)
             for body in whole if body.entry.vertebrae is not None]
 
 

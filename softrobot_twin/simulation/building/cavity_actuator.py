@@ -15,13 +15,12 @@ from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.cavity_walls import (
     cavity_surface,
-    cavity_wall,
     check_walls_of_reduced,
     joined_walls,
 )
 from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.building.reduced_body import Placed
-from softrobot_twin.simulation.building.scene_layout import Layout, whole_layout
+from softrobot_twin.simulation.building.scene_layout import Layout, walls_on, whole_layout
 
 # Limits outside these shares of a cavity's natural scales are reported: a wrong unit is a factor of
 # a thousand or more.
@@ -199,13 +198,8 @@ def reduced_cavity_term(
         return None
     # Points on the nodes of the meshes.
     on_mesh = [replace(body, first_node=0, reduction=None) for body in layout.bodies]
-    whole, walls = whole_layout(layout.scene, on_mesh), {name: [] for name in bodies}
-    for key, cavity in layout.scene.keyed("cavities"):
-        for place, wall in enumerate(cavity.walls):
-            found = cavity_wall(whole, wall, f"{key}.walls[{place}]", notes)
-            own = walls[whole.body_named(wall.body).name]
-            own.append(CavitySurface(cavity.name, *found))
-    walls = {name: tuple(own) for name, own in walls.items() if own}
+    whole = whole_layout(layout.scene, on_mesh)
+    walls = {name: walls_on(bodies[name], whole, notes) for name in bodies if name in carriers}
     parts = [
         ReducedWalls(own, nodes.rest, nodes.basis, nodes.coordinate_nodes)
         for own, nodes in ((own, bodies[name].reduction) for name, own in walls.items())

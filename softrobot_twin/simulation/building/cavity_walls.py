@@ -41,11 +41,10 @@ def cavity_surface(
         SceneError: A wall is open, intersects itself, does not lie on its body, or is no part of
             its mesh.
     """
-    found = [
-        CavitySurface(name, *cavity_wall(layout, wall, f"{key}.walls[{index}]", notes))
+    return joined_walls([
+        cavity_wall(layout, name, wall, f"{key}.walls[{index}]", notes)
         for index, wall in enumerate(walls)
-    ]
-    return joined_walls(found, name)
+    ], name)  # fmt: skip
 
 
 def joined_walls(
@@ -60,19 +59,21 @@ def joined_walls(
 
 
 def cavity_wall(
-    layout, wall: CavityWall, key: str, notes: list[str]
-) -> tuple[BarycentricMapping, np.ndarray]:
-    """Vertices and triangles of one wall; see `cavity_surface`."""
+    layout, name: str, wall: CavityWall, key: str, notes: list[str]
+) -> CavitySurface:
+    """Vertices and triangles of one wall of a cavity; see `cavity_surface`."""
     body = layout.body_named(wall.body)
-    if wall.part is not None:
-        points, triangles = _part(layout, body, wall.part, f"{key}.part", notes)
-    else:
-        points, triangles = _from_file(layout, body, wall, f"{key}.file", notes)
-    bodies = [body, *(layout.body_named(name) for name in wall.also_on)]
+    kind, read = ("file", _from_file) if wall.part is None else ("part", _part)
+    try:
+        points, triangles = read(layout.scene, body, wall, f"{key}.{kind}", notes)
+    except MeshError as error:
+        value = str(getattr(wall, kind))
+        raise layout.scene.error(f"{key}.{kind}", value, error.reason) from None
+    bodies = [body, *(layout.body_named(other) for other in wall.also_on)]
     # Pressure acts on nodes at the middle of edges too, and on bubbles.
     for _ in range(max(_cuts(body.mesh) for body in bodies)):
         points, triangles = _quartered(points, triangles)
-    return layout.carried_by_nearest(bodies, points, key, notes), triangles
+    return CavitySurface(name, layout.carried_by_nearest(bodies, points, key, notes), triangles)
 
 
 def _cuts(mesh) -> int:
@@ -84,34 +85,27 @@ def _cuts(mesh) -> int:
 
 
 def _from_file(
-    layout, body: Body, wall: CavityWall, key: str, notes: list[str]
+    scene: Scene, body: Body, wall: CavityWall, key: str, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    placed = body.entry.mesh
-    path = layout.scene.file_path(wall.file)
-    try:
-        surface = read_solid_surface(
-            path, notes=notes, scale=wall.scale, rotation=placed.rotation,
-            translation=placed.translation,
-        )  # fmt: skip
-    except MeshError as error:
-        raise layout.scene.error(key, str(wall.file), error.reason) from None
+    """Points [m] and outward triangles of a wall's file, placed as the mesh of its body."""
+    surface = read_solid_surface(
+        scene.file_path(wall.file), notes=notes, scale=wall.scale,
+        rotation=body.entry.mesh.rotation, translation=body.entry.mesh.translation,
+    )  # fmt: skip
     return surface.points, surface.triangles
 
 
 def _part(
-    layout, body: Body, part: str, key: str, notes: list[str]
+    scene: Scene, body: Body, wall: CavityWall, key: str, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] and outward triangles of a part of a body's mesh."""
-    surface = part_named(body, "surface", part, key, layout.scene)
+    surface = part_named(body, "surface", wall.part, key, scene)
     used, triangles = np.unique(surface, return_inverse=True)
     points = body.mesh.node_positions[used]
     repaired = repair_surface(points, triangles.reshape(-1, 3))
-    try:
-        surface_mass_properties(points, repaired.triangles)
-    except MeshError as error:
-        raise layout.scene.error(key, part, error.reason) from None
+    surface_mass_properties(points, repaired.triangles)
     # Mesh generators orient the triangles of a part as they like.
-    notes.extend(f"{key} ({part}): {note}." for note in repaired.notes if "all" not in note)
+    notes.extend(f"{key} ({wall.part}): {note}." for note in repaired.notes if "all" not in note)
     return points, repaired.triangles
 
 

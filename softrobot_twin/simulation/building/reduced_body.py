@@ -241,9 +241,7 @@ def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> Non
 
 def without_reductions(scene: Scene) -> Scene:
     """The same scene with all nodes of its reduced bodies as unknowns."""
-    return with_entries(scene, {
-        body.name: None for body in scene.deformables if body.reduced is not None
-    })  # fmt: skip
+    return with_reduced_entries(scene, None)
 
 
 def without_fallback(scene: Scene) -> Scene:
@@ -251,8 +249,8 @@ def without_fallback(scene: Scene) -> Scene:
     return with_reduced_entries(scene, {"fallback": None, "error": None})
 
 
-def with_reduced_entries(scene: Scene, changes: dict) -> Scene:
-    """The same scene with some keys of `reduced` of its reduced bodies changed."""
+def with_reduced_entries(scene: Scene, changes: dict | None) -> Scene:
+    """The same scene with some keys of `reduced` of its reduced bodies changed, or without these."""
     return scene.with_deformables({"reduced": changes})
 
 

@@ -493,20 +493,19 @@ def whole_layout(scene: Scene, bodies: list[Body]) -> Layout:
     return Layout(scene, tuple(bodies), (), {}, None)
 
 
-def walls_on(body: Body, whole: Layout) -> tuple[CavitySurface, ...]:
+def walls_on(body: Body, whole: Layout, notes: list[str]) -> tuple[CavitySurface, ...]:
     """Walls of cavities on a body, on its own nodes.
 
     Args:
         body: The body, not reduced.
         whole: All bodies; see `whole_layout`.
+        notes: List to which repairs and warnings are appended.
     """
-    walls = []
-    for key, cavity in whole.scene.keyed("cavities"):
-        for place, wall in enumerate(cavity.walls):
-            if whole.body_named(wall.body).name == body.name:
-                made = cavity_wall(whole, wall, f"{key}.walls[{place}]", [])
-                walls.append(CavitySurface(cavity.name, *made))
-    return tuple(walls)
+    return tuple(
+        cavity_wall(whole, cavity.name, wall, f"{key}.walls[{place}]", notes)
+        for key, cavity in whole.scene.keyed("cavities") for place, wall in enumerate(cavity.walls)
+        if whole.body_named(wall.body).name == body.name
+    )  # fmt: skip
 
 
 def _reduced(bodies: list[Body], scene: Scene) -> list[Body]:
@@ -515,7 +514,7 @@ def _reduced(bodies: list[Body], scene: Scene) -> list[Body]:
     whole = whole_layout(scene, own)
     return [
         body if body.entry.vertebrae is None
-        else reduced_body(alone, walls_on(alone, whole), scene)
+        else reduced_body(alone, walls_on(alone, whole, []), scene)
         for body, alone in zip(bodies, own, strict=True)
     ]  # fmt: skip
 
