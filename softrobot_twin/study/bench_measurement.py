@@ -208,8 +208,9 @@ def largest_drives(simulation: Simulation) -> np.ndarray:
     is_open = ~actuators.is_effort_driven & (limits.drive_max >= scales)
     most = np.where(is_open, OPEN_SHARE * limits.displacement_scale, limits.drive_max)
     for index in np.flatnonzero(~np.isfinite(most)):
-        name, word = actuators.names[index], limits.drive_words[index]
-        raise NothingToFollowError(simulation.scene.name, f"{name}.{word} has no upper limit")
+        word = actuators.driven_quantities(actuators.is_effort_driven)[index].word
+        raise NothingToFollowError(
+            simulation.scene.name, f"{actuators.names[index]}.{word} has no upper limit")
     return most
 
 

@@ -21,7 +21,7 @@ LIMITS = ActuatorLimits(
     displacement_scale=np.array([0.1, 0.2, 0.05]),
     effort_scale=np.full(3, 10.0),
     signs=-np.ones(3), is_effort_driven=np.zeros(3, bool),
-    displacement_words=("shortening",) * 3,
+    limit_names=(("shortening_min", "shortening_max"),) * 3,
     effort_words=("tension",) * 3,
 )
 

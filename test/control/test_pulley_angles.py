@@ -50,7 +50,7 @@ def measured(pulleys):
     infinite, many = np.full(4, np.inf), np.full(4, 0.05)
     limits = ActuatorLimits(
         NAMES, -many, many, infinite, np.zeros(4), infinite, REST, np.ones(4), -np.ones(4),
-        np.zeros(4, bool), ("shortening",) * 4, ("tension",) * 4,
+        np.zeros(4, bool), (("shortening_min", "shortening_max"),) * 4, ("tension",) * 4,
     )  # fmt: skip
     keeper = MeasuredSetpoints(NAMES, REST, limits, (), LoopSettings(), by_angle=("a", "b", "c"))
     return keeper, AngleInput(pulleys, keeper, LoopSettings(), True)

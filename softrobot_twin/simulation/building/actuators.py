@@ -82,10 +82,10 @@ class Actuators:
         self.limits = ActuatorLimits(
             self.names, least, greatest, self._joined("rates"), effort_min, effort_max, scale,
             _effort_scale(efforts, work / scale), self._signs,
-            self.is_effort_driven, tuple(kind.displacement.word for kind in self.kinds),
+            self.is_effort_driven,
+            tuple(names for group in self.groups for names in group.limit_names),
             tuple(kind.effort.word for kind in self.kinds),
             np.where(self.is_effort_driven, self._joined("flows"), np.inf),
-            tuple(names for group in self.groups for names in group.limit_names),
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)

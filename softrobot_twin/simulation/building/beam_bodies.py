@@ -481,19 +481,16 @@ class BeamNet:
             for index, joint in enumerate(beam.entry.joined):
                 node, key = beam.node_at(joint.at), f"{beam.key}.joined[{index}]"
                 joint = self._with_nearest(joint, beam, beam.places[node])
+                place, other = self._number(beam, node), -1
+                if joint.to in named:
+                    other = self._node_in_place(beam, node, named[joint.to], key)
                 if joint.by != "rigid":
-                    other = -1
-                    if joint.to in named:
-                        other = self._node_in_place(beam, node, named[joint.to], key)
-                    place = self._number(beam, node)
                     if place in self._pivots:
                         raise self._two_carriers(self._pivots[place], key)
                     self._pivots[place] = Pivot(beam, node, key, joint, other)
-                elif joint.to in named:
-                    other = named[joint.to]
-                    yield self._number(beam, node), self._node_in_place(beam, node, other, key)
+                elif other >= 0:
+                    yield place, other
                 else:
-                    place = self._number(beam, node)
                     if self._joined_to[place] not in (None, joint.to):
                         raise self._two_bodies(beam, key, self._joined_to[place], joint.to)
                     self._joined_to[place] = joint.to

@@ -203,14 +203,18 @@ def with_nodes(layout: Layout) -> list[Body]:
 
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     """A term for each material of a body and each kind of its cells, and one for its patches."""
-    free_index = layout.nodes.free_index
-    if body.reduction is not None:
-        yield from _reduced_terms(layout, body)
-        return
-    mesh = layout.mesh_among_nodes(body)
+    free_index, nodes = layout.nodes.free_index, body.reduction
+    mesh = layout.mesh_among_nodes(body) if nodes is None else body.mesh
     for part in body.materials:
-        for term in strained_terms(mesh, part, part.cells, free_index, body.entry.has_patches):
-            if part.strain_range is not None and isinstance(term, Elements):
+        if nodes is None:
+            terms = strained_terms(mesh, part, part.cells, free_index, body.entry.has_patches)
+        else:
+            points = (point_gradients(block, nodes.reduction.sampled, nodes.basis)
+                      for block in mesh.strained_blocks(part.cells))  # fmt: skip
+            terms = (ReducedElements(own, part.law_parameters, nodes.coordinate_nodes, free_index)
+                     for own in points)  # fmt: skip
+        for term in terms:
+            if part.strain_range is not None and not isinstance(term, PatchVolumes):
                 term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
             yield term
 
@@ -239,18 +243,6 @@ def strained_terms(
         if bulk_modulus > 0.0:
             tets, patches = patched_cells(block.mesh)
             yield PatchVolumes(tets, free_index, bulk_modulus, patches)
-
-
-def _reduced_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
-    """A term for each material of a reduced body and each kind of its cells."""
-    nodes, free_index = body.reduction, layout.nodes.free_index
-    for part in body.materials:
-        for block in body.mesh.strained_blocks(part.cells):
-            points = point_gradients(block, nodes.reduction.sampled, nodes.basis)
-            term = ReducedElements(points, part.law_parameters, nodes.coordinate_nodes, free_index)
-            if part.strain_range is not None:
-                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
-            yield term
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:

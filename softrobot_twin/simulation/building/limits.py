@@ -265,13 +265,11 @@ class ActuatorLimits:
         effort_scale: A large effort; tolerances are shares of it.
         signs: 1 where a setpoint grows with the displacement, -1 where it shrinks.
         is_effort_driven: Whether the setpoint is an effort.
-        displacement_words: Name of the displacement in names of limits.
-        effort_words: Name of the effort there.
+        limit_names: Names of the least and the greatest displacement, such as ``shortening_min``
+            and ``angle_max``, shape (actuator_count, 2).
+        effort_words: Name of the effort in names of limits.
         flow: Greatest change in a second of the displacement of what is effort-driven; None:
             no limits.
-        displacement_names: Names of the least and the greatest displacement, such as
-            ``shortening_min`` and ``angle_max``, shape (actuator_count, 2); empty for those of
-            `displacement_words`.
     """
 
     names: tuple[str, ...]
@@ -284,10 +282,9 @@ class ActuatorLimits:
     effort_scale: np.ndarray
     signs: np.ndarray
     is_effort_driven: np.ndarray
-    displacement_words: tuple[str, ...]
+    limit_names: tuple[tuple[str, str], ...]
     effort_words: tuple[str, ...]
     flow: np.ndarray | None = None
-    displacement_names: tuple[tuple[str, str], ...] = ()
 
     @cached_property
     def has_effort_driven(self) -> bool:
@@ -318,19 +315,6 @@ class ActuatorLimits:
         """Range of what each setpoint holds, another number where it has none, same shape."""
         travel = self.drive_max - self.drive_min
         return np.where(np.isfinite(travel) & (travel > 0.0), travel, otherwise)
-
-    @cached_property
-    def drive_words(self) -> tuple[str, ...]:
-        """Name of what the setpoint of each holds, in names of limits."""
-        words = zip(self.is_effort_driven, self.effort_words, self.displacement_words, strict=True)
-        return tuple(effort if by_effort else moved for by_effort, effort, moved in words)
-
-    @cached_property
-    def limit_names(self) -> tuple[tuple[str, str], ...]:
-        """Names of the least and the greatest displacement of each, shape (actuator_count, 2)."""
-        return self.displacement_names or tuple(
-            (f"{word}_min", f"{word}_max") for word in self.displacement_words
-        )
 
     @cached_property
     def drive_names(self) -> tuple[tuple[str, str], ...]:
