@@ -19,9 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
 from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
+    ModelFile,
+    ModelFileError,
     read_body_reduction,
     reduction_fingerprints,
     write_body_reduction,

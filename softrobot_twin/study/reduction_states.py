@@ -33,8 +33,12 @@ from softrobot_twin.scene.body_entries import PATCHES_NOT_REDUCED
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.building.deformable_body import Body
-from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
-from softrobot_twin.simulation.building.reduced_body import rides_on_a_slide, without_reductions
+from softrobot_twin.simulation.building.reduced_body import (
+    ModelFile,
+    ModelFileError,
+    rides_on_a_slide,
+    without_reductions,
+)
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.runs.input_tables import between_rows
 from softrobot_twin.study.equilibrium import ANY_TIME

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.building.model_file import ModelFileError
+from softrobot_twin.simulation.building.reduced_body import ModelFileError
 from softrobot_twin.simulation.building.scene_layout import lay_out, walls_on, whole_layout
 from softrobot_twin.simulation.building.vertebrae import (
     Division,

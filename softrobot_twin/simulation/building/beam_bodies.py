@@ -15,7 +15,7 @@ it, and touch with it what has no simpler shape.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -34,7 +34,6 @@ from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Beam, BeamJoint, CrossSection
 from softrobot_twin.scene.references import is_pattern, matching
-from softrobot_twin.simulation.building.frame_part import FramePart
 
 # Nodes of beams that are joined lie in the same place, within this share of the beam's length.
 SAME_PLACE = 1.0e-4
@@ -47,6 +46,35 @@ SUBDIVISION = 16
 # At a corner of the axis the outline is moved to the plane between both sides, along the axis by
 # no more than this many radii.
 MOST_MITRE = 3.0
+
+
+@dataclass(frozen=True)
+class FramePart:
+    """What moves with one frame, as a rigid body.
+
+    Attributes:
+        name: Its name, after that of its body, such as ``fetch.top``.
+        is_free: False where it is fixed.
+        origin: Origin of its frame at rest, the centre of its mass [m], shape (3,).
+        rotation: From its frame to the world at rest, shape (3, 3).
+        mass: Mass, including that of the attached nodes [kg].
+        inertia: About the origin, in its frame [kg m²], shape (3, 3).
+        radius: Distance of its furthest point from the origin [m].
+        damping: α: drag by mass and inertia [1/s].
+        attached: Nodes of soft bodies attached to it among all nodes, shape (attached_count,).
+        local: Their positions in its frame [m], shape (attached_count, 3).
+    """
+
+    name: str
+    is_free: bool
+    origin: np.ndarray
+    rotation: np.ndarray
+    mass: float
+    inertia: np.ndarray
+    radius: float
+    damping: float
+    attached: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    local: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
 
 class Carriers(NamedTuple):

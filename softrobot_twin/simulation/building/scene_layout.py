@@ -27,8 +27,9 @@ from softrobot_twin.scene.body_entries import (
     RigidBody,
     SphereShape,
 )
+from softrobot_twin.scene.entry import values_below
 from softrobot_twin.scene.references import matching
-from softrobot_twin.simulation.building.beam_bodies import BeamBody, BeamNet
+from softrobot_twin.simulation.building.beam_bodies import BeamBody, BeamNet, FramePart
 from softrobot_twin.simulation.building.cavity_walls import cavity_wall, check_walls_of_reduced
 from softrobot_twin.simulation.building.deformable_body import (
     Body,
@@ -37,9 +38,11 @@ from softrobot_twin.simulation.building.deformable_body import (
     holds_still,
     placed_in_world,
 )
-from softrobot_twin.simulation.building.frame_part import FramePart
-from softrobot_twin.simulation.building.model_file import check_files
-from softrobot_twin.simulation.building.reduced_body import ReducedNodes, on_platform, reduced_nodes
+from softrobot_twin.simulation.building.reduced_body import (
+    ReducedNodes,
+    on_platform,
+    reduced_nodes,
+)
 from softrobot_twin.simulation.building.vertebrae import reduced_body
 
 # Length of the facets of a triangulated round shape, as a share of its radius.
@@ -486,6 +489,29 @@ def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | Non
         scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements, beams,
         beam_frames, is_held,
     )  # fmt: skip
+
+
+def check_files(scene: Scene) -> None:
+    """Refuse missing files, including those of bodies without contact.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        SceneError: A file is missing; the error names its key and the searched place.
+    """
+    for key, name, file in values_below(scene):
+        if name != "file" or file is None:
+            continue
+        path = file
+        try:
+            path = scene.file_path(file)
+            if path.is_file():
+                continue
+            reason = "is a folder, not a file" if path.is_dir() else "there is no such file"
+        except (OSError, ValueError) as error:  # a name too long, or with a null character
+            reason = getattr(error, "strerror", None) or str(error)
+        raise scene.error(key, str(file), f"{reason} ({path})")
 
 
 def whole_layout(scene: Scene, bodies: list[Body]) -> Layout:

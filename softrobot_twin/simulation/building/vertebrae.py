@@ -36,18 +36,16 @@ from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.polynomials import Monomials
 from softrobot_twin.mechanics.superelements import CENTRE_DEGREE, DEFORMATIONS, SuperelementFit
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.building.beam_bodies import FramePart
 from softrobot_twin.simulation.building.deformable_body import Body, in_mesh, part_named
-from softrobot_twin.simulation.building.frame_part import FramePart
-from softrobot_twin.simulation.building.model_file import (
+from softrobot_twin.simulation.building.reduced_body import (
     LEAST,
     ModelFile,
     ModelFileError,
-    saved_prints,
-)
-from softrobot_twin.simulation.building.reduced_body import (
     digest,
     fingerprints_of,
     rounded_places,
+    saved_prints,
 )
 
 _SAVED = tuple(name for name in SuperelementFit._fields if name != "shares")

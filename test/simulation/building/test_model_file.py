@@ -11,8 +11,8 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation.building import model_file
-from softrobot_twin.simulation.building.model_file import ModelFile, ModelFileError
+from softrobot_twin.simulation.building import reduced_body
+from softrobot_twin.simulation.building.reduced_body import ModelFile, ModelFileError
 from softrobot_twin.simulation.building.scene_layout import lay_out
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -152,7 +152,7 @@ def test_a_file_that_unpacks_to_too_much_or_to_less_than_it_says_is_refused(tmp_
     np.savez_compressed(path, basis=np.zeros(10**6))
     assert path.stat().st_size < 20_000
     assert (ModelFile(path).taken("basis", None) == 0.0).all()
-    monkeypatch.setattr(model_file, "MOST_BYTES", 7_000_000)
+    monkeypatch.setattr(reduced_body, "MOST_BYTES", 7_000_000)
     with pytest.raises(ModelFileError, match="unpacks to 8 MB, the most is 7 MB"):
         ModelFile(path)
     # The table of the archive says less than what is packed.
