@@ -25,7 +25,7 @@ import io
 import json
 import shlex
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -478,7 +478,7 @@ class ReducedNodes:
         if self.points is None:
             self.asked.append(mapping)
             return BarycentricMapping(mapping.nodes + self.first_point, mapping.barycentric_weights)
-        places = [self.points[key] for key in map(_key_of, *_rows_of(mapping))]
+        places = [self.points[key] for key in _keys_of(mapping)]
         nodes = self.first_point + np.array(places, np.int64).reshape(-1, 1)
         return BarycentricMapping(nodes, np.ones((len(nodes), 1)))
 
@@ -494,7 +494,7 @@ class ReducedNodes:
 
     def with_asked_points(self) -> ReducedNodes:
         """The same with the points that were asked for, each once, in place of all nodes."""
-        keys = [key for mapping in self.asked for key in map(_key_of, *_rows_of(mapping))]
+        keys = [key for mapping in self.asked for key in _keys_of(mapping)]
         points = {key: index for index, key in enumerate(dict.fromkeys(keys))}
         return replace(self, points=points, asked=[])
 
@@ -548,14 +548,11 @@ class ReducedNodes:
         return np.einsum("n,i,nim->m", masses, gravity, self.basis, optimize=True).reshape(-1, 3)
 
 
-def _rows_of(mapping: BarycentricMapping) -> tuple[np.ndarray, np.ndarray]:
-    return mapping.nodes, mapping.barycentric_weights
-
-
-def _key_of(nodes: np.ndarray, weights: np.ndarray) -> tuple[bytes, bytes]:
-    """Nodes and weights of one point, those without weight left out."""
-    used = weights != 0.0
-    return nodes[used].astype(np.int64).tobytes(), weights[used].astype(float).tobytes()
+def _keys_of(mapping: BarycentricMapping) -> Iterator[tuple[bytes, bytes]]:
+    """Nodes and weights of each point, those without weight left out."""
+    for nodes, weights in zip(mapping.nodes, mapping.barycentric_weights, strict=True):
+        used = weights != 0.0
+        yield nodes[used].astype(np.int64).tobytes(), weights[used].astype(float).tobytes()
 
 
 def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:

@@ -261,13 +261,12 @@ def frame_nodes(
         np.concatenate([np.empty((0, 3)), *(part.local for part in moving)]),
     )
     rest = np.vstack([positions, RigidFrames.rest_nodes([(p.origin, p.rotation) for p in parts])])
+    placed = len(positions), free, len(free_nodes)
     if hinges is None:
-        frames = RigidFrames(len(positions), free, len(free_nodes), unknowns, radii[free], attached)
+        frames = RigidFrames(*placed, unknowns, radii[free], attached)
     else:
         unknowns += len(hinges.parents)
-        frames = HingedFrames(
-            len(positions), free, len(free_nodes), unknowns, hinges, radii[free], attached
-        )
+        frames = HingedFrames(*placed, unknowns, hinges, radii[free], attached)
         rest = np.vstack([rest, frames.rest_nodes(frames.rest_poses(rest))])
     free_index[attached.nodes] = frames.attached_index()
     rest.setflags(write=False)

@@ -933,8 +933,11 @@ def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns
 def _known(simulation: Simulation) -> str:
     """The columns of a commands file that a scene accepts, as text."""
     guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+    touches = (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
+               f"{', '.join(simulation.touch_names)})")
     return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
-            f"_qw (guided bodies: {', '.join(guided) or 'none'}){_known_touches(simulation)}")
+            f"_qw (guided bodies: {', '.join(guided) or 'none'})"
+            f"{touches if simulation.touch_names else ''}")
 
 
 def driving_columns(
@@ -966,11 +969,3 @@ def _known_actuators(simulation: Simulation) -> str:
     angles = f", {column('<pulley>', ANGLE)} (pulleys: {', '.join(pulleys.names)})"
     return (f"{', '.join(known) or 'no actuators'}, <motor>_shortening_m (motors: {motors})"
             f"{angles if pulleys.count else ''}")
-
-
-def _known_touches(simulation: Simulation) -> str:
-    """Columns of touches, as text; empty without any."""
-    if not simulation.touch_names:
-        return ""
-    return (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
-            f"{', '.join(simulation.touch_names)})")
