@@ -148,3 +148,29 @@ def test_rows_on_unknowns_alone_are_unchanged(x):
     stack.evaluate(x)
     np.testing.assert_array_equal(stack.node_index, [3, 1])
     np.testing.assert_array_equal(stack.blocks, [[1.0, 0.0, 0.0]] * 2)
+
+
+class Traceable(Points):
+    """The same, where nothing but the positions decides what they are."""
+
+    is_traceable = True
+
+
+def test_rows_of_positions_alone_are_known_where_they_were_evaluated(x):
+    stack = RowStack([Traceable("actuators", [0, 2])])
+    assert stack.may_know and not stack.knows(x)
+    stack.evaluate(x)
+    assert stack.knows(x) and stack.knows(x.copy())
+    moved = x + 1e-15
+    assert not stack.knows(moved)
+    stack.evaluate(moved)
+    assert stack.knows(moved) and not stack.knows(x)
+
+
+def test_rows_that_yield_or_vary_are_never_known(x):
+    yielding = Traceable("actuators", [0, 2])
+    yielding.yields = True
+    for term in (yielding, Traceable("contacts", [1], varies=True), Points("actuators", [0])):
+        stack = RowStack([term])
+        stack.evaluate(x)
+        assert not (stack.may_know or stack.knows(x))
