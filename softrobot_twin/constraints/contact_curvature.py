@@ -268,7 +268,20 @@ def fold_facet(stiffness, points, derivatives, half, offsets, strides, storage):
 def fold_facets(
     nodes, facets, stiffness, first_point, free_index, derivatives, half, offsets, strides, storage
 ):
-    """Add the stiffness of facets of a reduced body; see `add_facets` and `fold_facet`."""
+    """Add the stiffness of facets of a reduced body to the system matrix.
+
+    Args:
+        nodes: Nodes of each contact, see `write_facets`.
+        facets: Contacts of the facets, shape (facet_count,).
+        stiffness: Their stiffness [N/m], shape (facet_count, 9, 9).
+        first_point: Number of unknowns; carried points are numbered from here on.
+        free_index: Unknown or carried point of each node, -1 where none, shape (node_count,).
+        derivatives: This and the next four: see `fold_facet`.
+        half: See there.
+        offsets: See there.
+        strides: See there.
+        storage: See there.
+    """
     points = np.zeros(3, np.int64)
     for f in range(len(facets)):
         for k in range(3):

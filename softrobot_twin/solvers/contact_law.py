@@ -280,7 +280,13 @@ def own_compliance(W, actuators, per_contact):
 
 @njit(**INNER)
 def average_tangents(own, actuators, per_contact):
-    """Give both tangents of each contact the mean of their own compliances."""
+    """Give both tangents of each contact the mean of their own compliances.
+
+    Args:
+        own: Compliance of each row by itself [m/N], shape (row_count,); changed.
+        actuators: Rows of actuators, before those of contacts.
+        per_contact: Rows of a contact, 1 or 3.
+    """
     if per_contact == 3:
         for n in range(actuators, len(own), 3):
             own[n + 1] = own[n + 2] = 0.5 * (own[n + 1] + own[n + 2])

@@ -108,8 +108,8 @@ def test_a_straight_axis_above_a_plane_touches_with_its_nodes():
                      np.stack([tangents, tangents], axis=1), 0.004)  # fmt: skip
     found = found_by(partial(
         pair_axis_with_shape, axis, np.zeros(7, bool), Plane([0, 0, 0], [0, 0, 1]).kind,
-        np.zeros(3), AT_WORLD, np.array([0.003]),
-    ))  # fmt: skip
+        np.zeros(3), AT_WORLD,
+    ), margin=0.003)  # fmt: skip
     np.testing.assert_array_equal(found.keys, [0, 2, 4, 6])
     np.testing.assert_allclose(found.gaps, 0.001)
     np.testing.assert_allclose(found.normals, np.tile([0.0, 0.0, 1.0], (4, 1)))
@@ -123,8 +123,8 @@ def test_an_axis_across_a_wire_touches_between_its_nodes():
     origin, axes = wire.frame()
     found = found_by(partial(
         pair_axis_with_shape, axis, np.zeros(3, bool), wire.kind, np.array(wire.extents()),
-        np.vstack([origin, np.array(axes).T]), np.array([0.003]),
-    ))  # fmt: skip
+        np.vstack([origin, np.array(axes).T]),
+    ), margin=0.003)  # fmt: skip
     np.testing.assert_array_equal(found.keys, [1])
     assert found.first_weights[0, 0] == pytest.approx(0.4, abs=1e-3)
     assert found.gaps[0] == pytest.approx(0.001, abs=1e-9)
@@ -137,8 +137,7 @@ def test_axes_that_cross_are_parted_along_the_direction_across_both():
 
     found = found_by(partial(
         pair_axes, straight([0.1, 0, 0]), straight([0, 0.1, 0]), False, np.zeros((1, 1), bool),
-        np.array([0.003]),
-    ))  # fmt: skip
+    ), margin=0.003)  # fmt: skip
     assert len(found.gaps) == 1
     np.testing.assert_allclose(np.abs(found.normals[0]), [0.0, 0.0, 1.0])
     assert found.gaps[0] == pytest.approx(-0.008)
