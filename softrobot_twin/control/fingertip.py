@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softrobot_twin.control.loop_settings import check_numbers, number
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Simulation, StepResult, Touched
 
@@ -28,15 +29,12 @@ class Presses:
     """
 
     touch: str
-    depth: float
-    period: float
+    depth: float = number("m", above_zero=True)
+    period: float = number("s", above_zero=True)
     direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
     def __post_init__(self) -> None:
-        for name, unit in (("depth", "m"), ("period", "s")):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise ParameterError(f"device_touch_{name}", value, unit, "must be above zero")
+        check_numbers(self, "device_touch_")
         if len(self.direction) != 3 or not np.isfinite(self.direction).all() or not any(self.direction):
             raise ParameterError(
                 "device_touch_direction", self.direction, "", "must be three numbers, not all zero"

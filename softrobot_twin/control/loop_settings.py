@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
 from enum import Enum
 from typing import Any
 
@@ -34,46 +34,33 @@ class WhenLost(Enum):
     """Keep every actuator where it is."""
 
 
-_UNITS = {
-    "rate": "Hz",
-    "deadline": "s",
-    "message_timeout": "s",
-    "future_tolerance": "s",
-    "target_timeout": "s",
-    "velocity_timeout": "s",
-    "speed_limit": "m/s",
-    "approach_speed": "m/s",
-    "correction_gain": "1/s",
-    "correction_limit": "m",
-    "marker_timeout": "s",
-    "device_timeout": "s",
-    "touch_timeout": "s",
-}
-_ABOVE_ZERO = (
-    "rate", "velocity_timeout", "speed_limit", "marker_timeout", "device_timeout", "touch_timeout",
-)  # fmt: skip
-
-
-def check_numbers(
-    settings: object, units: Mapping[str, str], above_zero: Collection[str], prefix: str = ""
-) -> None:
-    """Checks that numbers of settings are finite and not negative, and some of them above zero.
+def number(unit: str, default: Any = MISSING, above_zero: bool = False) -> Any:
+    """A field for `check_numbers`: finite and not negative, or above zero.
 
     Args:
-        settings: What has them as attributes.
-        units: Their units, by name.
-        above_zero: Names of those that must not be zero.
+        unit: Its unit.
+        default: Its default; none by default.
+        above_zero: Whether it must not be zero.
+    """
+    return field(default=default, metadata={"unit": unit, "above_zero": above_zero})
+
+
+def check_numbers(settings: Any, prefix: str = "") -> None:
+    """Checks the fields of settings that `number` made.
+
+    Args:
+        settings: A dataclass.
         prefix: Begin of the names of their parameters.
 
     Raises:
-        ParameterError: One of them is not.
+        ParameterError: One of them is out of its range.
     """
-    for name, unit in units.items():
-        value = getattr(settings, name)
-        if not math.isfinite(value) or value < 0.0:
-            raise ParameterError(prefix + name, value, unit, "must be finite and not negative")
-        if name in above_zero and value == 0.0:
-            raise ParameterError(prefix + name, value, unit, "must be above zero")
+    for one in fields(settings):
+        if one.metadata:
+            value, above_zero = getattr(settings, one.name), one.metadata["above_zero"]
+            if not math.isfinite(value) or value < 0.0 or (above_zero and value == 0.0):
+                reason = f"must be finite and {'above zero' if above_zero else 'not negative'}"
+                raise ParameterError(prefix + one.name, value, one.metadata["unit"], reason)
 
 
 @dataclass(frozen=True)
@@ -110,27 +97,27 @@ class LoopSettings:
             or the workspace is empty.
     """
 
-    rate: float = 1.0 / DEFAULT_TIME_STEP
-    deadline: float = 0.0
-    message_timeout: float = 0.5
-    future_tolerance: float = 0.1
-    target_timeout: float = 0.0
-    velocity_timeout: float = 0.6
-    speed_limit: float = 0.02
-    approach_speed: float = 0.0
+    rate: float = number("Hz", 1.0 / DEFAULT_TIME_STEP, above_zero=True)
+    deadline: float = number("s", 0.0)
+    message_timeout: float = number("s", 0.5)
+    future_tolerance: float = number("s", 0.1)
+    target_timeout: float = number("s", 0.0)
+    velocity_timeout: float = number("s", 0.6, above_zero=True)
+    speed_limit: float = number("m/s", 0.02, above_zero=True)
+    approach_speed: float = number("m/s", 0.0)
     workspace_min: tuple[float, float, float] = (-1.0, -1.0, -1.0)
     workspace_max: tuple[float, float, float] = (1.0, 1.0, 1.0)
     closed_loop: bool = False
-    correction_gain: float = 2.0
-    correction_limit: float = 0.01
-    marker_timeout: float = 0.5
+    correction_gain: float = number("1/s", 2.0)
+    correction_limit: float = number("m", 0.01)
+    marker_timeout: float = number("s", 0.5, above_zero=True)
     on_lost_markers: WhenLost = WhenLost.OPEN_LOOP
-    device_timeout: float = 0.5
+    device_timeout: float = number("s", 0.5, above_zero=True)
     on_lost_device: WhenLost = WhenLost.HOLD
-    touch_timeout: float = 0.2
+    touch_timeout: float = number("s", 0.2, above_zero=True)
 
     def __post_init__(self) -> None:
-        check_numbers(self, _UNITS, _ABOVE_ZERO)
+        check_numbers(self)
         if self.deadline > self.period:
             raise ParameterError(
                 "deadline", self.deadline, "s",

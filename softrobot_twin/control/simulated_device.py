@@ -11,7 +11,7 @@ from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.fingertip import Fingertip, Presses
 from softrobot_twin.control.inputs import Pose, refusal_of_pose
-from softrobot_twin.control.loop_settings import check_numbers
+from softrobot_twin.control.loop_settings import check_numbers, number
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
 from softrobot_twin.simulation.building.limits import efforts_at_scale
 from softrobot_twin.simulation.effects.touches import TouchState
@@ -40,19 +40,17 @@ class DeviceFlaws:
         ParameterError: A value is negative or not finite, or a rate or the flow limit is zero.
     """
 
-    delay: float = 0.0
-    servo_rate: float = 0.1
-    marker_noise: float = 0.0
+    delay: float = number("s", 0.0)
+    servo_rate: float = number("m/s", 0.1, above_zero=True)
+    marker_noise: float = number("m", 0.0)
     seed: int = 0
-    valve_lag: float = 0.0
-    flow_limit: float = 2.0e-4
-    pressure_noise: float = 0.0
-    angle_rate: float = 6.0
+    valve_lag: float = number("s", 0.0)
+    flow_limit: float = number("m³/s", 2.0e-4, above_zero=True)
+    pressure_noise: float = number("Pa", 0.0)
+    angle_rate: float = number("rad/s", 6.0, above_zero=True)
 
     def __post_init__(self) -> None:
-        units = {"delay": "s", "servo_rate": "m/s", "marker_noise": "m", "valve_lag": "s",
-                 "flow_limit": "m³/s", "pressure_noise": "Pa", "angle_rate": "rad/s"}  # fmt: skip
-        check_numbers(self, units, ("servo_rate", "flow_limit", "angle_rate"), "device_")
+        check_numbers(self, "device_")
 
 
 class Valves:

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from softrobot_twin.control.loop_settings import check_numbers, number
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation.runs.input_tables import TableFileError, Waypoints, read_path
 
@@ -39,17 +40,14 @@ class ClosedCurve:
     """
 
     centre: tuple[float, float, float]
-    radius: float
-    period: float
+    radius: float = number("m", above_zero=True)
+    period: float = number("s", above_zero=True)
     plane: str = "xy"
 
     def __post_init__(self) -> None:
         if len(self.centre) != 3 or not all(map(math.isfinite, self.centre)):
             raise ParameterError("target_center", self.centre, "m", "must be three finite numbers")
-        for name, unit in (("radius", "m"), ("period", "s")):
-            value = getattr(self, name)
-            if not math.isfinite(value) or value <= 0.0:
-                raise ParameterError(f"target_{name}", value, unit, "must be finite and above zero")
+        check_numbers(self, "target_")
         if self.plane not in _PLANES:
             raise ParameterError("target_plane", self.plane, "", f"must be one of {list(_PLANES)}")
 
