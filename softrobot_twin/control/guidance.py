@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.control.inputs import Pose, PoseInput
+from softrobot_twin.control.inputs import PoseInput
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.appearance import Pose
 
 # Tolerance of positions relative to the robot's size, and of rotations [rad].
 _NEAR = 1.0e-6
@@ -39,14 +40,8 @@ class Guidance:
         """Present poses of the guided bodies of the model, by name."""
         if not self._names:
             return {}
-        simulation = self._simulation
-        return {
-            name: Pose(position, quaternion)
-            for name, position, quaternion in zip(
-                simulation.rigid_names, *simulation.rigid_poses(), strict=True
-            )
-            if name in self._names
-        }
+        poses = self._simulation.poses()
+        return {name: poses[name] for name in self._names}
 
     def send(self, time_step: float) -> dict[str, Pose]:
         """Poses to publish: those of the model, limited by the greatest speeds.

@@ -21,6 +21,7 @@ from softrobot_twin.control.arrival import (
     refusal_of_vector,
 )
 from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.channels import NOT_UNIT
 
 _SMALLEST_COMPONENT = 1.0e-3
@@ -540,18 +541,6 @@ class SelectedActuatorInput(ActuatorInput):
 
 
 # --- poses of guided bodies ----------------------------------------------------------------------
-
-
-class Pose(NamedTuple):
-    """Position and rotation of a body.
-
-    Attributes:
-        position: Its origin [m], shape (3,).
-        quaternion: Its rotation (x, y, z, w), of any length but zero, shape (4,).
-    """
-
-    position: np.ndarray
-    quaternion: np.ndarray
 
 
 def refusal_of_pose(pose: Pose) -> Refusal | None:

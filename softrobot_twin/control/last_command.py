@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.control.inputs import Pose
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.appearance import Pose
 
 LONGEST_WRITE = 1.0
 """A write that takes longer [s] counts as failed for who reads."""

@@ -10,9 +10,10 @@ import numpy as np
 from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.fingertip import Fingertip, Presses
-from softrobot_twin.control.inputs import Pose, refusal_of_pose
+from softrobot_twin.control.inputs import refusal_of_pose
 from softrobot_twin.control.loop_settings import check_numbers, number
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
+from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.limits import efforts_at_scale
 from softrobot_twin.simulation.effects.touches import TouchState
 

@@ -24,7 +24,6 @@ from softrobot_twin.control.inputs import (
     ActuatorInput,
     MarkerInput,
     Misfit,
-    Pose,
     PoseInput,
     SelectedActuatorInput,
     StiffnessInput,
@@ -60,6 +59,7 @@ from softrobot_twin.simulation import (
     StepResult,
     Touched,
 )
+from softrobot_twin.simulation.appearance import Pose
 
 DEVICE_LOST = "device lost"
 DISPUTED = "the device is measured at two places"

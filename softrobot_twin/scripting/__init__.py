@@ -12,8 +12,9 @@ from softrobot_twin.scripting.named_commands import (
     targets,
 )
 from softrobot_twin.scripting.robot import Robot, SceneWarning, build, load
-from softrobot_twin.scripting.step_outcome import Pose, Result
+from softrobot_twin.scripting.step_outcome import Result
 from softrobot_twin.simulation import Status
+from softrobot_twin.simulation.appearance import Pose
 
 __all__ = [
     "Efforts",

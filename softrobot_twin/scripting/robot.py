@@ -35,7 +35,7 @@ from softrobot_twin.scripting.run_table import (
     common_targets,
     run_table,
 )
-from softrobot_twin.scripting.step_outcome import Names, Pose, Result
+from softrobot_twin.scripting.step_outcome import Names, Result
 from softrobot_twin.simulation import (
     Command,
     CommandEfforts,
@@ -47,6 +47,7 @@ from softrobot_twin.simulation import (
     StepResult,
 )
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
+from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column, position_columns
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.runs.input_tables import (
@@ -281,7 +282,7 @@ class Robot:
     @property
     def poses(self) -> dict[str, Pose]:
         """Pose of each rigid body, by name."""
-        return self._names.poses(self.simulation.rigid_poses())
+        return self.simulation.poses()
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""

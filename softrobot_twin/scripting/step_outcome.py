@@ -10,7 +10,7 @@ import numpy as np
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scripting.named_commands import unknown
 from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
-from softrobot_twin.simulation.appearance import rigid_poses
+from softrobot_twin.simulation.appearance import Pose, named_poses
 from softrobot_twin.simulation.building.table_columns import STEP
 from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS, RunColumns
 
@@ -19,18 +19,6 @@ if TYPE_CHECKING:
 
 # Actuators that a short text names, at most.
 _MOST_SHOWN = 4
-
-
-class Pose(NamedTuple):
-    """Where a rigid body is.
-
-    Attributes:
-        position: Of its origin [m], shape (3,).
-        quaternion: Its rotation (x, y, z, w), shape (4,).
-    """
-
-    position: np.ndarray
-    quaternion: np.ndarray
 
 
 class Names(NamedTuple):
@@ -47,11 +35,6 @@ class Names(NamedTuple):
     efforts: tuple[str, ...]
     rigid_bodies: tuple[str, ...]
     touches: tuple[str, ...]
-
-    def poses(self, places_and_turns: tuple[np.ndarray, np.ndarray]) -> dict[str, Pose]:
-        """Pose of each rigid body, by name; see `rigid_poses`."""
-        poses = map(Pose, *places_and_turns)
-        return dict(zip(self.rigid_bodies, poses, strict=True))
 
 
 class Result:
@@ -95,7 +78,7 @@ class Result:
     @cached_property
     def poses(self) -> dict[str, Pose]:
         """Pose of each rigid body, by name."""
-        return self._names.poses(rigid_poses(self._model, self.outcome.state.positions))
+        return named_poses(self._model, self.outcome.state.positions)
 
     @property
     def status(self) -> Status:

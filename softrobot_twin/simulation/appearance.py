@@ -193,11 +193,27 @@ def rigid_skins(model: Model) -> tuple[SolidSkin, ...]:
     Returns:
         A surface for each.
     """
-    skins = []
-    for part in model.rigid:
-        points, triangles = triangulated(part.shape)
-        skins.append(SolidSkin(part.name, points + part.centre_of_mass, triangles))
-    return tuple(skins)
+    shapes = ((part, *triangulated(part.shape)) for part in model.rigid)
+    return tuple(SolidSkin(part.name, points + part.centre_of_mass, triangles)
+                 for part, points, triangles in shapes)  # fmt: skip
+
+
+class Pose(NamedTuple):
+    """Where a rigid body is.
+
+    Attributes:
+        position: Of its origin [m], shape (3,).
+        quaternion: Its rotation (x, y, z, w), of any length but zero, shape (4,).
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+
+
+def named_poses(model: Model, positions: np.ndarray) -> dict[str, Pose]:
+    """Pose of each rigid body, by name; see `rigid_poses`."""
+    poses = map(Pose, *rigid_poses(model, positions))
+    return dict(zip((part.name for part in model.rigid), poses, strict=True))
 
 
 def rigid_poses(model: Model, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

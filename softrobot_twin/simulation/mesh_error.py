@@ -462,12 +462,9 @@ class ActuatorLoads(NamedTuple):
     @classmethod
     def of(cls, simulation: Simulation, forces_given: bool) -> ActuatorLoads:
         """Those of the current state of a simulation."""
-        state, poses = simulation.state, {}
-        if simulation.rigid_names:
-            places = zip(*simulation.rigid_poses(), strict=True)
-            named = dict(zip(simulation.rigid_names, places, strict=True))
-            guided = (part for part in simulation.model.rigid if not part.is_free)
-            poses = {part.name: named[part.name] for part in guided}
+        state, poses = simulation.state, simulation.poses()
+        guided = (part.name for part in simulation.model.rigid if not part.is_free)
+        poses = {name: poses[name] for name in guided}
         return cls(forces_given, state.efforts if forces_given else state.setpoints, poses)
 
 

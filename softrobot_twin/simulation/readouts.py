@@ -7,8 +7,10 @@ import numpy as np
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
+    Pose,
     SolidSkin,
     beam_skin,
+    named_poses,
     obstacle_skins,
     own_skin,
     rigid_poses,
@@ -224,14 +226,16 @@ class Readouts:
             Positions [m], shape (rigid_body_count, 3), and quaternions (x, y, z, w), shape
             (rigid_body_count, 4).
         """
-        if not self.model.rigid:
-            return np.empty((0, 3)), np.empty((0, 4))
         return rigid_poses(self.model, self.state.positions)
+
+    def poses(self) -> dict[str, Pose]:
+        """Pose of each rigid body, by name."""
+        return named_poses(self.model, self.state.positions)
 
     def rigid_skins(self) -> tuple[SolidSkin, ...]:
         """Surfaces of the rigid bodies, in the coordinates of `rigid_poses`."""
-        return rigid_skins(self.model) if self.model.rigid else ()
+        return rigid_skins(self.model)
 
     def obstacle_skins(self) -> tuple[SolidSkin, ...]:
         """Surfaces of the obstacles, in the world; of a plane, a square near the bodies."""
-        return obstacle_skins(self.model) if self.scene.obstacles else ()
+        return obstacle_skins(self.model)
