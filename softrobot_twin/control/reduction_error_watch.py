@@ -17,8 +17,7 @@ from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Reque
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.effects.reduction_error import BodyError
-    from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState
+    from softrobot_twin.simulation.effects.reduction_error import BodyError, ReductionState
 
 READY = "ready"
 """Kind of the first reply: the models are built."""

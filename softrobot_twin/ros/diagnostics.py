@@ -24,7 +24,7 @@ from softrobot_twin.ros.ticking_node import Clash, publisher_names
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.effects.vertebrae_watch import LARGE_BY_SIZE, LARGE_SHARE
+from softrobot_twin.simulation.effects.reduction_error import LARGE_BY_SIZE, LARGE_SHARE
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:

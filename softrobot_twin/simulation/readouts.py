@@ -18,14 +18,15 @@ from softrobot_twin.simulation.appearance import (
     skins,
 )
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import (
     ReductionErrors,
+    ReductionState,
     has_spare_modes,
     reduced_states,
+    reduction_state,
 )
 from softrobot_twin.simulation.effects.stiffness_targets import stiffness_of_scene
-from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState, reduction_state
+from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import StepPart
 

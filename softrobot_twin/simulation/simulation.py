@@ -30,7 +30,7 @@ from softrobot_twin.simulation.command import (
 from softrobot_twin.simulation.effects.effects import step_parts
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
-from softrobot_twin.simulation.stability_check import stability_notes
+from softrobot_twin.simulation.scene_warnings import stability_notes
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
@@ -41,8 +41,13 @@ from softrobot_twin.simulation.step.inverse_actuation import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with
-from softrobot_twin.simulation.step.step_report import Outcome, StepResults
-from softrobot_twin.simulation.step.step_status import Balance, are_within, balance
+from softrobot_twin.simulation.step.step_report import (
+    Balance,
+    Outcome,
+    StepResults,
+    are_within,
+    balance,
+)
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, Statics

@@ -10,7 +10,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
-from softrobot_twin.simulation.step.step_status import NEAR_BALANCE
+from softrobot_twin.simulation.step.step_report import NEAR_BALANCE
 
 BUDGET = 1.0e-6
 PERIOD = 0.01

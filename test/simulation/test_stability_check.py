@@ -11,7 +11,7 @@ from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
     Simulation,
-    stability_check,
+    scene_warnings,
 )
 from softrobot_twin.simulation.mesh_error import with_element
 from softrobot_twin.simulation.result import UNSTABLE
@@ -29,7 +29,7 @@ def test_elements_that_do_not_lock_tell_that_the_diamond_buckles_and_linear_ones
     monkeypatch,
 ):
     # Quadratic elements have more nodes than a user waits for.
-    monkeypatch.setattr(stability_check, "MOST_FREE_NODES", 10_000)
+    monkeypatch.setattr(scene_warnings, "MOST_FREE_NODES", 10_000)
     scene = load_scene(DIAMOND)
     smoothed, quadratic, linear = (
         told(Simulation(with_element(scene, element)))

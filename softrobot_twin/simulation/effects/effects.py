@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.effects.coordinate_range import sampled_ranges_of
 from softrobot_twin.simulation.effects.exploration import explorer_of
 from softrobot_twin.simulation.effects.fallback import fallback_of
 from softrobot_twin.simulation.effects.guiding import guiding_of
 from softrobot_twin.simulation.effects.stiffness_targets import stiffness_targets_of
-from softrobot_twin.simulation.effects.strain_ranges import strain_ranges_of
 from softrobot_twin.simulation.effects.touches import touches_of
+from softrobot_twin.simulation.effects.trusted_ranges import sampled_ranges_of, strain_ranges_of
 from softrobot_twin.simulation.step.step_part import StepPart, memories_of_terms
 
 EFFECTS: list[Callable[[Model], Iterator[StepPart]]] = [

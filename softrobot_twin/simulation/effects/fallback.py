@@ -23,13 +23,13 @@ from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import with_entries
 from softrobot_twin.simulation.command import Command
-from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import (
     in_other_model,
     largest_on_each_body,
     refined_nodes,
     step_held,
 )
+from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import PartReport, Steppable, StepPart

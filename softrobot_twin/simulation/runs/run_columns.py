@@ -30,7 +30,7 @@ from softrobot_twin.simulation.building.table_columns import (
 )
 from softrobot_twin.simulation.channels import Channel, channels
 from softrobot_twin.simulation.command import Command, FollowTargets
-from softrobot_twin.simulation.effects.coordinate_range import reduced_bodies
+from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import has_spare_modes
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.simulation import Simulation

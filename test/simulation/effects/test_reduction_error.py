@@ -12,7 +12,7 @@ from softrobot_twin.simulation import (
     readouts,
 )
 from softrobot_twin.simulation.building.reduced_body import with_reduced_entries, without_reductions
-from softrobot_twin.simulation.effects.vertebrae_watch import ReductionState
+from softrobot_twin.simulation.effects.reduction_error import ReductionState
 
 ANY_TIME = 1.0e3
 TRAINED = 0.011

@@ -6,7 +6,6 @@ import contact_growth
 import numpy as np
 import pytest
 from contact_growth import rubbing_scene
-
 from specimens import column_mesh
 
 from softrobot_twin.scene import scene_from_mapping

@@ -17,7 +17,7 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.step import inverse_actuation
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
-from softrobot_twin.simulation.step.step_status import ENERGY, NEAR_BALANCE, REACH, Balance, judge
+from softrobot_twin.simulation.step.step_report import ENERGY, NEAR_BALANCE, REACH, Balance, judge
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 
 FAILURES = {Status.REFUSED, Status.UNSOLVED, Status.DIVERGED}

@@ -1,4 +1,4 @@
-"""The range of training in which a reduced body can be believed.
+"""The ranges in which bodies can be believed: those of reductions, and of strains of laws.
 
 Of a body in the coordinates of a basis, each coordinate counts by the largest magnitude that it had
 in the training. The root mean square of these shares is known in every step for next to nothing.
@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.mechanics.strain_watch import StrainOutside
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.result import SAMPLED
+from softrobot_twin.simulation.result import SAMPLED, STRAINED
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
@@ -98,3 +99,35 @@ def _range_of(body: Body) -> CoordinateRange:
     scales = 1.0 / (np.sqrt(count) * np.maximum(ranges, least))
     own = slice(nodes.first_node, nodes.first_node + count // 3)
     return CoordinateRange(body.name, own, scales.reshape(-1, 3))
+
+
+class StrainRanges(StepPart):
+    """Watches the strains where each step ends."""
+
+    name = "strain_ranges"
+
+    def __init__(self, model: Model):
+        """Take the watches.
+
+        Args:
+            model: A scene with materials that have a range of strains.
+        """
+        self._watches = model.strain_watches
+        self._outside: list[StrainOutside] = []
+
+    def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
+        """See `StepPart`."""
+        watched = (watch.outside(positions) for watch in self._watches)
+        self._outside = [outside for outside in watched if outside is not None]
+        return {}
+
+    def report(self, state: State) -> PartReport:
+        """See `StepPart`."""
+        limits = dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in self._outside)
+        return PartReport(tuple(limits), entries={"strains": tuple(self._outside)})
+
+
+def strain_ranges_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene with materials that have a range of strains."""
+    if model.strain_watches:
+        yield StrainRanges(model)
