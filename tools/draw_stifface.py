@@ -163,7 +163,7 @@ def reach_at(x: float, y: float, nominal: np.ndarray) -> tuple[float, float]:
         y: Also.
         nominal: Lengths of the cables at which the pad has the shape that is held [m].
     """
-    simulation = Simulation.from_scene(scene_from_mapping(scene_touched_at(x, y)))
+    simulation = Simulation(scene_from_mapping(scene_touched_at(x, y)))
     compliance = EffectorCompliance(simulation)
     for _ in range(8):
         simulation.step(CommandSetpoints(nominal, 1.0))

@@ -5,6 +5,9 @@ Markers are compared with the model's markers at the time of the measurement.
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections import deque
+from operator import itemgetter
 from statistics import median
 
 import numpy as np
@@ -42,28 +45,23 @@ class MarkerHistory:
     mostly of the robot's motion, and a correction by it would make the loop oscillate.
 
     Args:
-        marker_count: Number of markers of the scene.
         capacity: Number of ticks to keep.
     """
 
-    def __init__(self, marker_count: int, capacity: int = 256):
-        self._times = np.zeros(capacity, dtype=np.int64)
-        self._markers = np.empty((capacity, marker_count, 3))
-        self._count = 0
+    def __init__(self, capacity: int = 256):
+        self._ticks: deque[tuple[int, np.ndarray]] = deque(maxlen=capacity)
 
     def add(self, time: int, markers: np.ndarray) -> None:
         """Adds a tick in place of the oldest.
 
         Args:
             time: Time of the tick [ns]; when the clock was set back, a new history starts.
-            markers: Markers of the model [m], shape (marker_count, 3).
+            markers: Markers of the model [m], shape (marker_count, 3); they must not be changed any
+                more.
         """
-        capacity = len(self._times)
-        if self._count and time < self._times[(self._count - 1) % capacity]:
-            self._count = 0
-        self._times[self._count % capacity] = time
-        self._markers[self._count % capacity] = markers
-        self._count += 1
+        if self._ticks and time < self._ticks[-1][0]:
+            self._ticks.clear()
+        self._ticks.append((time, markers))
 
     def at(self, time: int) -> np.ndarray:
         """Markers of the model at a time [ns], interpolated linearly between two ticks.
@@ -76,25 +74,20 @@ class MarkerHistory:
         Raises:
             LookupError: There is no tick yet.
         """
-        if not self._count:
+        if not self._ticks:
             raise LookupError("there is no tick yet")
-        capacity = len(self._times)
-        newest = (self._count - 1) % capacity
-        if time > self._times[newest]:
-            return self._markers[newest].copy()
-        filled = min(self._count, capacity)
-        order = np.arange(self._count - filled, self._count) % capacity
-        times = self._times[order]
-        after = int(np.searchsorted(times, time))
-        if after == 0:
-            return self._markers[order[0]].copy()
-        left, right = order[after - 1], order[after]
-        share = (time - self._times[left]) / (self._times[right] - self._times[left])
-        return (1.0 - share) * self._markers[left] + share * self._markers[right]
+        if time > self._ticks[-1][0]:
+            return self._ticks[-1][1].copy()
+        after = bisect_left(self._ticks, time, key=itemgetter(0))
+        if not after:
+            return self._ticks[0][1].copy()
+        (left, before), (right, behind) = self._ticks[after - 1], self._ticks[after]
+        share = (time - left) / (right - left)
+        return (1.0 - share) * before + share * behind
 
     def forget(self) -> None:
         """Starts a new history."""
-        self._count = 0
+        self._ticks.clear()
 
 
 class MarkerPlausibility:

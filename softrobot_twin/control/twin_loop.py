@@ -313,7 +313,7 @@ class TwinLoop:
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
         self.correction = TargetCorrection(effector_count)
-        self._history = MarkerHistory(len(simulation.marker_ids))
+        self._history = MarkerHistory()
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
         self._ticked = self._released = -math.inf

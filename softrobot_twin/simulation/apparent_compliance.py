@@ -175,12 +175,12 @@ class EffectorCompliance:
                 np.empty((0, 3, 3)), np.empty((0, 3, actuator_count)), no, no, 0
             )
         holding = self._holding(by_effort)
-        if factorization is None:
-            solve = self._solved_anew
-        else:
-            solve = _Condensed(factorization, model.nodes.free_node_count).solve
+        rows = self._rows(state.positions, holding)
         try:
-            moves = solve(state.positions, self._rows(state.positions, holding), holding)
+            if factorization is None:
+                moves = self._solved_anew(state.positions, rows, holding)
+            else:
+                moves = _condensed(factorization, model.nodes.free_node_count, rows, holding)
         except np.linalg.LinAlgError:  # Only where a stiffness is not finite.
             moves = (np.full((3 * self._count, 3 * self._count), np.nan),
                      np.full((3 * self._count, actuator_count), np.nan))  # fmt: skip
@@ -306,8 +306,7 @@ class EffectorCompliance:
             factorization.storage[:] = self._storage[places]
             with suppress(np.linalg.LinAlgError):
                 if factorization.factor():
-                    condensed = _Condensed(factorization, model.nodes.free_node_count)
-                    return condensed.solve(positions, rows, holding)
+                    return _condensed(factorization, model.nodes.free_node_count, rows, holding)
         if self._lu is None:
             self._lu = laid_out_like(model.factorization, SuperLU)
         lu, places = self._lu
@@ -432,33 +431,26 @@ def _columns_of_actuators(
     return np.concatenate([columns, -by_slide], axis=1)
 
 
-class _Condensed:
-    """Solves by W of a factorization that a step left behind."""
-
-    def __init__(self, factorization: Factorization, node_count: int):
-        self._factorization, self._node_count = factorization, node_count
-
-    def solve(
-        self, positions: np.ndarray, rows: _Rows, holding: _Holding
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Motion of the effectors by forces on them, and by the actuators."""
-        still = np.zeros((self._node_count, 3))
-        W = self._factorization.condense(rows.H, still).W
-        h, count = holding.places, len(holding.held)
-        e, a = slice(count + len(holding.contacts), None), slice(0, count)
-        W[a, a] += holding.own
-        M = W[np.ix_(h, h)]
-        diagonal = M.diagonal().copy()
-        # A row that reaches no unknown holds nothing.
-        M[np.diag_indices_from(M)] += np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
-        by_set = np.linalg.solve(M, W[h]).T if len(h) else np.empty((len(W), 0))
-        W = W - by_set @ W[h]
-        own = W[a, a].diagonal()
-        # What holds does not follow a slide; what is carried by it does.
-        by_slide = rows.G[e] - by_set[e] @ rows.G[h]
-        return W[e, e], _columns_of_actuators(
-            holding, by_set[e, : np.count_nonzero(holding.held)], W[e, a], own, by_slide
-        )
+def _condensed(
+    factorization: Factorization, node_count: int, rows: _Rows, holding: _Holding
+) -> tuple[np.ndarray, np.ndarray]:
+    """Motion of the effectors by forces on them, and by the actuators, by W of a factorization."""
+    W = factorization.condense(rows.H, np.zeros((node_count, 3))).W
+    h, count = holding.places, len(holding.held)
+    e, a = slice(count + len(holding.contacts), None), slice(0, count)
+    W[a, a] += holding.own
+    M = W[np.ix_(h, h)]
+    diagonal = M.diagonal().copy()
+    # A row that reaches no unknown holds nothing.
+    M[np.diag_indices_from(M)] += np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
+    by_set = np.linalg.solve(M, W[h]).T if len(h) else np.empty((len(W), 0))
+    W = W - by_set @ W[h]
+    own = W[a, a].diagonal()
+    # What holds does not follow a slide; what is carried by it does.
+    by_slide = rows.G[e] - by_set[e] @ rows.G[h]
+    return W[e, e], _columns_of_actuators(
+        holding, by_set[e, : np.count_nonzero(holding.held)], W[e, a], own, by_slide
+    )
 
 
 class _Saddle:
@@ -479,39 +471,30 @@ class _Saddle:
         """Motion of the effectors by forces on them, and by the actuators."""
         size, h, count = self._size, holding.places, len(holding.held)
         H, D = self._sparse(rows.H), self._sparse(self._D)
-        E = H[count + len(holding.contacts) :]
-        stiff = sp.csr_array((0, size))
-        stiffness = np.empty(0)
+        E, G = H[count + len(holding.contacts) :], rows.G
+        stiff, stiffness = sp.csr_array((0, size)), np.empty(0)
         if self._dense:
             stiff = sp.vstack([
                 self._sparse(NodeRows(*part[:3], len(part.stiffness))) for part in self._dense
             ]).tocsr()  # fmt: skip
             stiffness = np.concatenate([part.stiffness for part in self._dense])
+        # The told efforts of an actuator change its displacement by C.
+        held_count = np.count_nonzero(holding.held)
+        own = np.zeros((len(h), count))
+        own[:held_count] = holding.own[holding.held]
         # Loads: forces on the effectors, efforts of all actuators, displacements of what is held,
         # moves of the slides.
-        e_count, s_count = E.shape[0], rows.G.shape[1]
-        below = np.zeros((len(h), e_count + count + len(h) + s_count))
-        below[:, e_count + count : e_count + count + len(h)] = np.eye(len(h))
-        below[:, e_count + count + len(h) :] = -rows.G[h]
-        above = np.zeros((size, below.shape[1]))
-        above[:, :e_count] = E.toarray().T
-        above[:, e_count : e_count + count] = H[:count].toarray().T
-        # The told efforts of an actuator change its displacement by C.
-        own = np.zeros((len(h), count))
-        held_count = np.count_nonzero(holding.held)
-        own[:held_count] = holding.own[np.flatnonzero(holding.held)]
-        below[:, e_count : e_count + count] -= own
+        counts = E.shape[0], count, len(h), G.shape[1]
+        above = np.zeros((size, sum(counts)))
+        above[:, : E.shape[0] + count] = sp.vstack([E, H[:count]]).toarray().T
+        below = np.hstack([np.zeros((len(h), E.shape[0])), -own, np.eye(len(h)), -G[h]])
         moves = self._solved(H[h], D[h], stiff, stiffness, holding.own_of_places, above, below)
-        at_effectors, at_actuators = E @ moves, D[:count] @ moves
-        by_effort = at_effectors[:, e_count : e_count + count]
-        own_by_effort = at_actuators[:, e_count : e_count + count].diagonal()
-        own_by_effort = own_by_effort + holding.own.diagonal()
-        first = e_count + count
-        by_set = at_effectors[:, first : first + held_count]
-        by_slide = at_effectors[:, first + len(h) :] + rows.G[count + len(holding.contacts) :]
-        return at_effectors[:, :e_count], _columns_of_actuators(
-            holding, by_set, by_effort, own_by_effort, by_slide
-        )
+        by_force, by_effort, by_set, by_slide = np.split(E @ moves, np.cumsum(counts[:-1]), axis=1)
+        own_by_effort = (D[:count] @ moves)[:, E.shape[0] :].diagonal() + holding.own.diagonal()
+        return by_force, _columns_of_actuators(
+            holding, by_set[:, :held_count], by_effort, own_by_effort,
+            by_slide + G[count + len(holding.contacts) :],
+        )  # fmt: skip
 
     def _solved(self, H, D, stiff, stiffness, own, above, below) -> np.ndarray:
         """dq of every load, shape (3 node_count, load_count); NaN where there is none."""

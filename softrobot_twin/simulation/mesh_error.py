@@ -520,14 +520,14 @@ class MeshErrorEstimator:
         """The error under gravity and under each actuator alone, linearized at rest."""
         own, quadratic, best = self.responses()
         names = self._own.actuator_names
-        better = ElementError(
-            "quadratic", load_errors(quadratic, best, names),
-            step_time(with_element(self._scene, "quadratic"), self._now),
-        )  # fmt: skip
-        if self.element == "quadratic":
-            return MeshError(better, better, self._given)
-        loads = load_errors(own, best, names)
-        coarser = ElementError(self.element, loads, step_time(self._scene, self._now))
+
+        def told(element: str, of: Response, scene: Scene) -> ElementError:
+            loads = load_errors(of, best, names)
+            return ElementError(element, loads, step_time(scene, self._now))
+
+        better = told("quadratic", quadratic, with_element(self._scene, "quadratic"))
+        is_best = self.element == "quadratic"
+        coarser = better if is_best else told(self.element, own, self._scene)
         return MeshError(coarser, better, self._given)
 
     def at(self, asked: ActuatorLoads) -> float:

@@ -190,11 +190,6 @@ class Simulation(Readouts):
         self.may_rest = may_all and not (self.model.is_dynamic or self.model.rows.varies)
 
     @classmethod
-    def from_scene(cls, scene: Scene) -> Simulation:
-        """Build a scene; see the constructor."""
-        return cls(scene)
-
-    @classmethod
     def from_scene_file(cls, path: Path | str) -> Simulation:
         """Read and build a scene file; see `load_scene` and the constructor."""
         return cls(load_scene(path))

@@ -38,7 +38,7 @@ def of_mapping(name):
 
     @pytest.fixture(scope="session")
     def make(request):
-        return warmed_up(Simulation.from_scene(scene_from_mapping(request.getfixturevalue(name))))
+        return warmed_up(Simulation(scene_from_mapping(request.getfixturevalue(name))))
 
     return make
 
@@ -71,7 +71,7 @@ def _built_device(small_scene_mapping):
     mapping["body"]["material"]["young_modulus"] = 0.85 * 180e3
     for cable, offset in zip(mapping["cables"], ([1, 0, 0], [0, 0, 1], [0, 0, -1], [0, -1, 0])):
         cable["points"] = (np.array(cable["points"]) + 1e-3 * np.array([offset])).tolist()
-    return warmed_up(Simulation.from_scene(scene_from_mapping(mapping)))
+    return warmed_up(Simulation(scene_from_mapping(mapping)))
 
 
 device_simulation = at_rest("_built_device")
@@ -192,6 +192,6 @@ def drive_posed(small_scene_mapping):
     }  # fmt: skip
 
     def make(**arguments):
-        return Driver(Simulation.from_scene(scene_from_mapping(mapping)), **arguments)
+        return Driver(Simulation(scene_from_mapping(mapping)), **arguments)
 
     return make

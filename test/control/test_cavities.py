@@ -203,7 +203,7 @@ def test_an_ambient_pressure_that_cannot_be_is_refused(drive_air, ambient):
 def test_a_limit_below_vacuum_is_refused_by_cavity(air_scene):
     scene = {**air_scene, "cavities": [dict(entry) for entry in air_scene["cavities"]]}
     scene["cavities"][1]["pressure"] = [-2e5, 1e4]
-    simulation = Simulation.from_scene(scene_from_mapping(scene))
+    simulation = Simulation(scene_from_mapping(scene))
     with pytest.raises(ParameterError, match="cavity high may be evacuated to -200000 Pa gauge"):
         TwinLoop(simulation, LoopSettings())
 
@@ -220,7 +220,7 @@ def sealed_scene(air_scene):
 
 
 def test_the_pressure_of_sealed_gas_is_absolute_and_its_ambient_pressure_is_compared(sealed_scene):
-    simulation = Simulation.from_scene(scene_from_mapping(sealed_scene))
+    simulation = Simulation(scene_from_mapping(sealed_scene))
     cavities = TwinLoop(simulation, LoopSettings(), Mode.DIRECT, ambient_pressure=9e4).cavities
     assert cavities.sealed(simulation.state.positions) == pytest.approx({"gas": 90500.0})
     assert cavities.names == ("low", "syringe") and cavities.notes == ()
@@ -234,7 +234,7 @@ def test_the_pressure_of_sealed_gas_is_absolute_and_its_ambient_pressure_is_comp
 
 def test_a_sealed_cavity_needs_a_name_of_its_own(sealed_scene):
     sealed_scene["sealed_cavities"][0]["name"] = "low"
-    simulation = Simulation.from_scene(scene_from_mapping(sealed_scene))
+    simulation = Simulation(scene_from_mapping(sealed_scene))
     with pytest.raises(SceneError, match="is a cavity's name too"):
         TwinLoop(simulation, LoopSettings(), Mode.DIRECT)
 
@@ -435,7 +435,7 @@ def test_an_implausible_pressure_is_refused_and_named_in_gauge_pascals(drive_air
 def test_a_pressure_without_limits_may_be_measured_slightly_below_zero(air_scene):
     scene = {**air_scene, "cavities": [dict(entry) for entry in air_scene["cavities"]]}
     del scene["cavities"][0]["pressure"]
-    simulation = Simulation.from_scene(scene_from_mapping(scene))
+    simulation = Simulation(scene_from_mapping(scene))
     loop = TwinLoop(simulation, LoopSettings(), Mode.DIRECT, use_device=True)
     assert loop.device.put(np.array([LOW]), -20.0, 0.0) is None
     assert loop.device.put(np.array([LOW]), -1e5, 0.0) is Refusal.OUT_OF_RANGE
@@ -493,7 +493,7 @@ def follow_through_valves(driver, device, height, seconds):
 def _built_stiffer_air(air_scene):
     scene = {**air_scene, "body": {**air_scene["body"]}}
     scene["body"]["material"] = {**scene["body"]["material"], "young_modulus": 1.2e5}
-    simulation = Simulation.from_scene(scene_from_mapping(scene))
+    simulation = Simulation(scene_from_mapping(scene))
     simulation.warm_up()
     return simulation
 

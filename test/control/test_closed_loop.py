@@ -163,7 +163,7 @@ def test_an_unreachable_target_does_not_increase_the_correction(drive, robot):
 def test_a_scene_that_measures_no_effector_cannot_close_the_loop(drive, small_scene_mapping):
     mapping = {**small_scene_mapping}
     mapping["effectors"] = [{**small_scene_mapping["effectors"][0], "measured_by": []}]
-    simulation = Simulation.from_scene(scene_from_mapping(mapping))
+    simulation = Simulation(scene_from_mapping(mapping))
     with pytest.raises(ParameterError, match="closed_loop"):
         TwinLoop(simulation, LoopSettings(closed_loop=True))
 

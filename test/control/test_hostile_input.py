@@ -46,7 +46,7 @@ def _built_small(tmp_path_factory):
         }  # fmt: skip
 
     foot = {"minimum": [-1.0, -1.0, -1e-6], "maximum": [1.0, 1.0, 1e-6]}
-    simulation = Simulation.from_scene(scene_from_mapping({
+    simulation = Simulation(scene_from_mapping({
         "name": "small",
         "gravity": [0.0, 0.0, -9.81],
         "body": {

@@ -20,14 +20,14 @@ def at(place):
 
 @pytest.mark.parametrize(("time", "place"), [(50, 1), (125, 1.5), (200, 3), (300, 3)])
 def test_between_two_ticks_the_markers_lie_on_a_line_and_outside_the_nearest_one_counts(time, place):
-    history = MarkerHistory(2)
+    history = MarkerHistory()
     history.add(100, at(1))
     history.add(200, at(3))
     assert history.at(time).tolist() == at(place).tolist()
 
 
 def test_only_the_newest_ticks_are_remembered():
-    history = MarkerHistory(2, capacity=4)
+    history = MarkerHistory(capacity=4)
     for tick in range(10):
         history.add(100 * tick, at(tick))
     assert history.at(0).tolist() == at(6).tolist()
@@ -35,7 +35,7 @@ def test_only_the_newest_ticks_are_remembered():
 
 
 def test_a_clock_that_was_set_back_starts_a_new_history():
-    history = MarkerHistory(2)
+    history = MarkerHistory()
     history.add(1000, at(1))
     history.add(100, at(2))
     assert history.at(1000).tolist() == at(2).tolist()
@@ -43,7 +43,7 @@ def test_a_clock_that_was_set_back_starts_a_new_history():
 
 def test_no_markers_are_known_before_the_first_tick():
     with pytest.raises(LookupError):
-        MarkerHistory(2).at(0)
+        MarkerHistory().at(0)
 
 
 PERIOD = 0.02

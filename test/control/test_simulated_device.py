@@ -159,7 +159,7 @@ def quick_air(air_scene):
     scene = {**air_scene, "cavities": [dict(entry) for entry in air_scene["cavities"]]}
     for entry in scene["cavities"]:
         del entry["rate"]
-    simulation = Simulation.from_scene(scene_from_mapping(scene))
+    simulation = Simulation(scene_from_mapping(scene))
     simulation.warm_up()
     return simulation
 

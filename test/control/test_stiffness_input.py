@@ -67,7 +67,7 @@ def test_the_hint_of_a_refusal_names_the_unit():
 def loop(small_scene_mapping):
     mapping = yaml.safe_load(yaml.safe_dump(small_scene_mapping))
     mapping["effectors"][0]["stiffness"] = {"weight": 1.0}
-    return TwinLoop(Simulation.from_scene(scene_from_mapping(mapping)), LoopSettings(), Mode.INVERSE)
+    return TwinLoop(Simulation(scene_from_mapping(mapping)), LoopSettings(), Mode.INVERSE)
 
 
 def ticks(loop, count, first=0):

@@ -89,7 +89,7 @@ def test_an_error_is_measured_where_possible_and_else_predicted(measurement):
 def test_a_direction_that_is_not_controlled_has_no_error(small_scene_mapping):
     mapping = {**small_scene_mapping}
     mapping["effectors"] = [{**small_scene_mapping["effectors"][0], "directions": ["x", "z"]}]
-    measurement = EffectorMeasurement(Simulation.from_scene(scene_from_mapping(mapping)))
+    measurement = EffectorMeasurement(Simulation(scene_from_mapping(mapping)))
     targets = PREDICTED + [[0.003, 0.1, 0.004]]
     assert measurement.differences(targets, PREDICTED) == pytest.approx(
         np.array([[0.003, 0.0, 0.004]])

@@ -30,7 +30,7 @@ def built(column):
     mapping["touches"] = [
         {"name": "finger", "points": [[0.01, 0.01, 0.10]], "directions": ["x", "y"], "force_limit": 2.0}
     ]
-    return Simulation.from_scene(scene_from_mapping(mapping))
+    return Simulation(scene_from_mapping(mapping))
 
 
 @pytest.fixture

@@ -122,7 +122,7 @@ def test_a_reset_clears_commands_beside_targets(settled):
 def test_friction_is_refused_before_the_loop_starts(trunk_mapping):
     mapping = yaml.safe_load(yaml.safe_dump(trunk_mapping))
     mapping["contact"]["friction"] = 0.3
-    rough = Simulation.from_scene(scene_from_mapping(mapping))
+    rough = Simulation(scene_from_mapping(mapping))
     with pytest.raises(ParameterError, match="trunk_cylinders.*friction.*direct"):
         TwinLoop(rough, LoopSettings(), Mode.INVERSE)
 

@@ -217,7 +217,7 @@ def build_mutations(good: dict, path: Path, chance: random.Random, count: int) -
         if turn > 0:
             mutate(mapping, chance)
         try:
-            simulation = Simulation.from_scene(scene_from_mapping(mapping, path))
+            simulation = Simulation(scene_from_mapping(mapping, path))
         except SceneError as error:
             check_refusal(error, path)
         except MeshError as error:

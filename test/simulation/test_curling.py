@@ -43,7 +43,7 @@ def weightless(mesh, young_modulus, poisson_ratio, box, pull_point, points, tip)
         "effectors": [{"name": "tip", "points": [(1e-3 * np.array(tip)).tolist()]}],
         "solver": {"newton_iterations": 20},
     }
-    return Simulation.from_scene(scene_from_mapping(scene))
+    return Simulation(scene_from_mapping(scene))
 
 
 def tips(simulation, shortenings) -> np.ndarray:

@@ -158,7 +158,7 @@ def mapping():
 def test_the_corner_and_the_foot_can_be_touched(mapping):
     touches = [{"name": "corner", "points": [[0.029, 0.029, 0.024]]},
                {"name": "foot", "points": [[0.034, 0.0, 0.0]]}]  # fmt: skip
-    pad = Simulation.from_scene(scene_from_mapping(mapping | {"touches": touches}))
+    pad = Simulation(scene_from_mapping(mapping | {"touches": touches}))
     force = np.array([[0.0, 0.0, -0.05], [5.0, 0.0, -20.0]])
     for _ in range(4):
         result = pad.step(Hold(STEP), None, Touched(force, np.full((2, 3), np.nan)))

@@ -145,7 +145,7 @@ def test_legs_that_are_repeated_about_an_axis_fill_one_row_of_each_kind():
         "points": [[0.1, 0, 0], [0.1, 0, 0.2]], "section": {"circle": {"radius": 0.002}},
         "material": {"young_modulus": 35e6, "poisson_ratio": 0.45, "density": 1220},
     }  # fmt: skip
-    simulation = Simulation.from_scene(scene_from_mapping({"name": "table", "beams": [legs]}))
+    simulation = Simulation(scene_from_mapping({"name": "table", "beams": [legs]}))
     listed = [row.entry for row in grouped(effects(simulation)) if "beams" in row.entry]
     assert listed == ["beams: leg_0 to leg_4 (5)", "beams.material (5)", "beams.fixed (5)"]
     told = dict(sizes(simulation))

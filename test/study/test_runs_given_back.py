@@ -42,7 +42,7 @@ def robot(column):
         {"name": "tip", "motion": "guided", "position": [0.5, 0.0, 0.0],
          "box": {"size": [0.1, 0.1, 0.1]}},
         {"name": "ball", "mass": 0.1, "position": [0.0, 0.5, 0.0], "sphere": {"radius": 0.01}}]
-    return Simulation.from_scene(scene_from_mapping(content))
+    return Simulation(scene_from_mapping(content))
 
 
 def test_a_run_by_targets_is_reproduced_by_its_own_file(tmp_path, column, call):

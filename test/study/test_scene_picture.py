@@ -184,7 +184,7 @@ def test_labels_are_a_step_apart_and_move_as_little_as_possible():
 
 def test_springs_are_drawn_between_their_ends(tmp_path):
     from softrobot_twin.scene import scene_from_mapping
-    simulation = Simulation.from_scene(scene_from_mapping({
+    simulation = Simulation(scene_from_mapping({
         "name": "hung", "integration": "dynamic",
         "mass_springs": [{"name": "ball", "points": [[0.0, 0.0, 0.1]], "masses": [0.1]}],
         "springs": [{"name": "hanger", "stiffness": 100.0, "ends": [

@@ -23,7 +23,7 @@ def built(column):
     mapping["body"]["mesh"]["file"] = str(column.parent / "column.vtk")
     mapping["touches"] = [{"name": "finger", "points": [[0.01, 0.01, 0.10]]}]
     mapping["solver"] = {"newton_iterations": 10, "residual_tolerance": 1e-8}
-    return Simulation.from_scene(scene_from_mapping(mapping))
+    return Simulation(scene_from_mapping(mapping))
 
 
 @pytest.fixture

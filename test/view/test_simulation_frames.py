@@ -139,7 +139,7 @@ def test_orientations_of_effectors_and_targets_are_axes():
         "section": {"circle": {"radius": 0.002}},
         "material": {"young_modulus": 35e6, "poisson_ratio": 0.45, "density": 1220},
     }  # fmt: skip
-    simulation = Simulation.from_scene(scene_from_mapping({
+    simulation = Simulation(scene_from_mapping({
         "name": "rod", "gravity": [0, 0, 0], "beams": [beam], "effectors": [
             {"name": "tip", "body": "rod", "points": [[0, 0, 0.2]], "orientation": {}}]}))  # fmt: skip
     turn = Rotation.from_euler("z", 90.0, degrees=True)

@@ -26,7 +26,7 @@ def mapping_of(column, **changes) -> dict:
 
 @pytest.fixture(scope="module")
 def built(column):
-    return Simulation.from_scene(scene_from_mapping(mapping_of(column)))
+    return Simulation(scene_from_mapping(mapping_of(column)))
 
 
 @pytest.fixture
@@ -125,7 +125,7 @@ def test_while_touched_the_actuators_stay_and_then_targets_are_followed(built):
 
 def test_a_robot_that_follows_targets_counteracts_a_known_force(column):
     touch = {"name": "finger", "points": [TIP], "while_touched": "follow_targets"}
-    simulation = Simulation.from_scene(scene_from_mapping(mapping_of(column, touches=[touch])))
+    simulation = Simulation(scene_from_mapping(mapping_of(column, touches=[touch])))
     target = simulation.effector_positions() + [[0.004, 0.0, 0.0]]
     for force in (0.0, -0.02):
         for _ in range(5):
@@ -139,7 +139,7 @@ def test_in_motion_a_constant_force_ends_at_the_displacement_of_statics(column, 
     at_rest = press(pressed, force).touches.points[0]
     mapping = mapping_of(column, integration="dynamic")
     mapping["body"]["damping"] = {"mass": 20.0}
-    moving = Simulation.from_scene(scene_from_mapping(mapping))
+    moving = Simulation(scene_from_mapping(mapping))
     for _ in range(60):
         result = moving.step(Hold(STEP), None, force)
     assert np.allclose(result.touches.points[0], at_rest, atol=1e-6)
@@ -148,7 +148,7 @@ def test_in_motion_a_constant_force_ends_at_the_displacement_of_statics(column, 
 def test_a_scene_without_touches_has_no_such_term(column):
     mapping = mapping_of(column)
     del mapping["touches"]
-    simulation = Simulation.from_scene(scene_from_mapping(mapping))
+    simulation = Simulation(scene_from_mapping(mapping))
     assert not any(isinstance(term, TouchLoads) for term in simulation.terms)
     assert simulation.touches is None and simulation.touch_names == ()
     with pytest.raises(CommandError, match="nothing in this scene can be touched"):
@@ -182,7 +182,7 @@ def test_a_touch_that_does_not_fit_is_refused_and_nothing_changes(pressed, touch
 def test_an_entry_that_cannot_be_used_is_refused_by_name(column, changes, reason):
     touch = {"name": "finger", "points": [TIP]} | changes
     with pytest.raises(SceneError, match=reason):
-        Simulation.from_scene(scene_from_mapping(mapping_of(column, touches=[touch])))
+        Simulation(scene_from_mapping(mapping_of(column, touches=[touch])))
 
 
 def test_two_touches_of_one_name_are_refused(column):
