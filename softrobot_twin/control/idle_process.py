@@ -33,6 +33,9 @@ _PAUSE = 4.0
 _END_TIMEOUT = 2.0
 LINGER = 10.0
 """A process without a new state to judge gives its memory back after this time [s]: some 270 MB."""
+PROGRAM = ("from softrobot_twin.control.idle_process import run; from {module} import serve; "
+           "run(serve, {yields})")  # fmt: skip
+"""Source of a process that answers by `serve` of the module of a watch."""
 _FIRST = "SOFTROBOT_TWIN_FIRST_MESSAGE"
 """Variable of the environment: file that holds the first message for the program that follows."""
 
@@ -46,14 +49,10 @@ def framed(content: object) -> bytes:
 # --- in the twin ---------------------------------------------------------------------------------
 
 
-def program_of(module: str) -> str:
-    """Source of a process that answers by `serve` of a module; `format` it with `yields` of `run`."""
-    return (f"from softrobot_twin.control.idle_process import run; from {module} import serve; "
-            "run(serve, {})")  # fmt: skip
-
-
 class IdleWatch:
     """Requests answers and takes the newest; a kind of watch says what is asked and answered.
+
+    The process runs `serve` of the module in which the kind of watch is defined.
 
     Attributes:
         answers: Number of answered requests.
@@ -61,17 +60,18 @@ class IdleWatch:
         process: The other process.
     """
 
-    def __init__(self, program: str, first: object):
+    def __init__(self, simulation: Simulation, yields: bool = True):
         """Starts the process.
 
         Args:
-            program: Source of the program, which calls `run`.
-            first: The first message.
+            simulation: The twin's simulation, whose scene is the first message.
+            yields: Whether the process has the lowest priority.
         """
+        program = PROGRAM.format(module=type(self).__module__, yields=yields)
         self.answers = 0
         self.cause = ""
         self._received = b""
-        self._unsent, self._asked = framed(first), b""
+        self._unsent, self._asked = framed(simulation.scene), b""
         self._waiting, self._next = True, 0.0
         paths = os.pathsep.join(path for path in sys.path if path)
         self.process = subprocess.Popen(

@@ -9,14 +9,7 @@ from __future__ import annotations
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from softrobot_twin.control.idle_process import (
-    STATE,
-    UNKNOWN,
-    IdleWatch,
-    Replies,
-    Requests,
-    program_of,
-)
+from softrobot_twin.control.idle_process import STATE, UNKNOWN, IdleWatch, Replies, Requests
 
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
@@ -25,7 +18,6 @@ if TYPE_CHECKING:
 
 REST = "rest"
 """Kind of the first reply: the mesh at rest."""
-PROGRAM = program_of(__name__)
 
 
 class MeshErrorWatch(IdleWatch):
@@ -37,16 +29,8 @@ class MeshErrorWatch(IdleWatch):
             NaN before the first estimate, and when there is none.
     """
 
-    def __init__(self, simulation: Simulation, yields: bool = True):
-        """Starts the process.
-
-        Args:
-            simulation: The twin's simulation, whose scene is examined.
-            yields: Whether the process has the lowest priority.
-        """
-        self.at_rest: MeshError | None = None
-        self.newest = float("nan")
-        super().__init__(PROGRAM.format(yields), simulation.scene)
+    at_rest: MeshError | None = None
+    newest = float("nan")
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
         """What the actuators prescribe; see `IdleWatch`."""

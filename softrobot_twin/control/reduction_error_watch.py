@@ -8,11 +8,13 @@ reduction_error.py`), and by the full model, whose nodes it places by the coordi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from time import perf_counter
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Requests, program_of
+from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Requests
 
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 
 READY = "ready"
 """Kind of the first reply: the models are built."""
-PROGRAM = program_of(__name__)
 
 
 class ReductionErrorWatch(IdleWatch):
@@ -36,18 +37,9 @@ class ReductionErrorWatch(IdleWatch):
         linearizations: Linearizations of the full model that the newest took.
     """
 
-    def __init__(self, simulation: Simulation, yields: bool = True):
-        """Starts the process.
-
-        Args:
-            simulation: The twin's simulation, some of whose bodies are reduced.
-            yields: Whether the process has the lowest priority.
-        """
-        self.is_ready = False
-        self.states: dict[str, ReductionState] = {}
-        self.newest: dict[str, BodyError] = {}
-        self.linearizations = 0
-        super().__init__(PROGRAM.format(yields), simulation.scene)
+    is_ready, linearizations = False, 0
+    states: Mapping[str, ReductionState] = MappingProxyType({})
+    newest: Mapping[str, BodyError] = MappingProxyType({})
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
         """The state itself: coordinates, setpoints and efforts; see `IdleWatch`."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.control import mesh_error_watch
+from softrobot_twin.control import idle_process
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
@@ -133,9 +133,9 @@ def resident(process) -> int:
 def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
     diamond, watch_of, monkeypatch
 ):
-    program = mesh_error_watch.PROGRAM.replace("run(", "idle_process.LINGER = 0.2; run(")
+    program = idle_process.PROGRAM.replace("run(", "idle_process.LINGER = 0.2; run(")
     monkeypatch.setattr(
-        mesh_error_watch, "PROGRAM", "from softrobot_twin.control import idle_process; " + program
+        idle_process, "PROGRAM", "from softrobot_twin.control import idle_process; " + program
     )
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))

@@ -236,11 +236,11 @@ def test_a_parameter_is_described_with_unit_and_range(world, make_twin):
 
 def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
         world, make_twin, diagnostics, monkeypatch):
-    from softrobot_twin.control import mesh_error_watch
+    from softrobot_twin.control import idle_process
 
     # The estimating process has the lowest priority and might never run on a busy machine.
-    program = mesh_error_watch.PROGRAM.format(False)
-    monkeypatch.setattr(mesh_error_watch, "PROGRAM", program)
+    program = idle_process.PROGRAM.replace("{yields}", "False")
+    monkeypatch.setattr(idle_process, "PROGRAM", program)
     make_twin(mesh_error=True)
     world.until(lambda: diagnostics.messages, 30.0)
     solver = diagnostics(
@@ -260,10 +260,10 @@ def test_without_the_estimate_the_status_reports_it(world, make_twin, diagnostic
 
 def test_the_errors_of_a_reduced_body_are_reported(
         world, make_twin, diagnostics, monkeypatch, half_trained):
-    from softrobot_twin.control import reduction_error_watch
+    from softrobot_twin.control import idle_process
 
-    program = reduction_error_watch.PROGRAM.format(False)
-    monkeypatch.setattr(reduction_error_watch, "PROGRAM", program)
+    program = idle_process.PROGRAM.replace("{yields}", "False")
+    monkeypatch.setattr(idle_process, "PROGRAM", program)
     make_twin(scene_file=str(half_trained))
     world.until(lambda: diagnostics.messages, 60.0)
     solver = diagnostics(
