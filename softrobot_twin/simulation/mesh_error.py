@@ -18,7 +18,6 @@ from dataclasses import replace
 from statistics import median
 from time import perf_counter, thread_time
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -573,32 +572,6 @@ class MeshErrorEstimator:
             values = asked.values[: self._actuator_count]
             command = (CommandEfforts if asked.forces_given else CommandSetpoints)(values, LONG)
         return solve_equilibrium(simulation, command, asked.poses)
-
-
-_ESTIMATORS: WeakKeyDictionary[Simulation, MeshErrorEstimator] = WeakKeyDictionary()
-"""The estimators of simulations whose error has been estimated."""
-
-
-def discretization_error(simulation: Simulation, forces_given: bool = False) -> float:
-    """Estimate the error of the effectors by the mesh, at the current state [m].
-
-    The same state is solved with elements of higher order. This takes as long as several steps of
-    quadratic elements, and at the first call these elements are built: not for real time.
-
-    Args:
-        simulation: The simulation, which is not changed.
-        forces_given: Whether its actuators keep their efforts, or their setpoints.
-
-    Returns:
-        The largest distance of an effector; NaN where there is no estimate.
-    """
-    try:
-        check_judges_states(simulation.scene)
-        if simulation not in _ESTIMATORS:
-            _ESTIMATORS[simulation] = MeshErrorEstimator(simulation.scene)
-        return _ESTIMATORS[simulation].at(ActuatorLoads.of(simulation, forces_given))
-    except MeshErrorUnknown:
-        return _NO_NUMBER
 
 
 def check_judges_states(scene: Scene) -> None:

@@ -15,10 +15,15 @@ from softrobot_twin.control import idle_process
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.mesh_error import discretization_error
+from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 120.0
+
+
+def discretization_error(simulation, forces_given=False):
+    """Error of the effectors by the mesh at the state of a simulation [m]."""
+    return MeshErrorEstimator(simulation.scene).at(ActuatorLoads.of(simulation, forces_given))
 
 
 @pytest.fixture
