@@ -11,9 +11,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from softrobot_twin.control.actuator_names import ActuatorNames, NameOrder
 from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.control.inputs import ActuatorInput, replaced
+from softrobot_twin.control.inputs import ActuatorInput, ActuatorNames, NameOrder, replaced
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.voices import LAG_RATE, LAG_SHARE, LAG_TIME, PlaceWatch
 from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys

@@ -7,12 +7,12 @@ kept message.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.control.actuator_names import ActuatorNames, NameOrder
 from softrobot_twin.control.arrival import (
     Arrival,
     Input,
@@ -21,12 +21,21 @@ from softrobot_twin.control.arrival import (
     refusal_of_vector,
 )
 from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.appearance import Pose
+from softrobot_twin.simulation.building.limits import Pulleys
 from softrobot_twin.simulation.channels import NOT_UNIT
 
 _SMALLEST_COMPONENT = 1.0e-3
 """A quaternion whose components are all smaller than this is not a rotation. A pose message has
 zeros when its sender did not set the rotation."""
+
+
+UNNAMED = -1
+"""Index of an actuator that a message does not name."""
+_SENDERS = _FORCE, _PLACE = "force", "place"
+FARTHEST = 1.0 / 3.0
+"""A touched point may be measured this far from where it is at rest, as a share of the robot's size."""
 
 
 # --- targets -------------------------------------------------------------------------------------
@@ -355,6 +364,97 @@ class MarkerInput(Input):
 # --- actuators -----------------------------------------------------------------------------------
 
 
+class NameOrder(NamedTuple):
+    """How the values of a message become the values of actuators.
+
+    Attributes:
+        places: Index in the message of the value for each actuator, shape (actuator_count,); -1
+            where the message has none.
+        offsets: What to add to the message's setpoint, in the unit of each actuator's kind, shape
+            (actuator_count,): for cables of a motor, the rest length minus that of its first cable.
+    """
+
+    places: np.ndarray
+    offsets: np.ndarray
+
+    @property
+    def named(self) -> np.ndarray:
+        """True for actuators that the message names, shape (actuator_count,)."""
+        return self.places != UNNAMED
+
+    def values(self, message: np.ndarray) -> np.ndarray:
+        """Values of the actuators, NaN for those without a name, shape (actuator_count,).
+
+        Args:
+            message: A value for each name of the message.
+        """
+        if not len(message):
+            return np.full(len(self.places), np.nan)
+        return np.where(self.named, message[self.places], np.nan)
+
+
+class ActuatorNames:
+    """Maps the names in a message to actuators, and to motors that drive several cables.
+
+    All cables of a motor have the same displacement against rest. A motor's position in a message is
+    the length of its first cable; its effort is the effort of each of its cables.
+
+    Args:
+        actuator_names: Names of the actuators, in the order of the simulation.
+        motors: Names of the cables of each motor, by the motor's name.
+        rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, shape
+            (actuator_count,); needed with motors.
+        by_position: Names of the actuators that take no efforts, such as slides.
+        by_pressure: Names of the cavities whose pressure is commanded.
+        by_angle: Names of the cables that pulleys wind.
+
+    Attributes:
+        by_position: True for actuators that take no efforts, shape (actuator_count,).
+        by_pressure: True for cavities whose pressure is commanded, same shape. They have messages
+            of their own, so that a message to all actuators may omit them.
+        by_angle: True for cables that pulleys wind, same shape. Angles have messages of their own,
+            so that a message of setpoints may omit them.
+    """
+
+    def __init__(
+        self,
+        actuator_names: Sequence[str],
+        motors: Mapping[str, Sequence[str]] | None = None,
+        rest_setpoints: np.ndarray | None = None,
+        by_position: Sequence[str] = (),
+        by_pressure: Sequence[str] = (),
+        by_angle: Sequence[str] = (),
+    ):
+        names = tuple(actuator_names)
+        self._count = len(names)
+        self._indices = {name: [index] for index, name in enumerate(names)}
+        for motor, cables in (motors or {}).items():
+            self._indices[motor] = [names.index(cable) for cable in cables]
+        self._rest = np.zeros(self._count) if rest_setpoints is None else np.array(rest_setpoints)
+        self.by_position = np.array([name in by_position for name in names], dtype=bool)
+        self.by_pressure = np.array([name in by_pressure for name in names], dtype=bool)
+        self.by_angle = np.array([name in by_angle for name in names], dtype=bool)
+
+    def order_of(self, names: Sequence[str]) -> NameOrder | None:
+        """Reads the names of a message.
+
+        Args:
+            names: Names of actuators and motors.
+
+        Returns:
+            The order, or None when a name is unknown or an actuator is named twice.
+        """
+        places = np.full(self._count, UNNAMED)
+        offsets = np.zeros(self._count)
+        for place, name in enumerate(names):
+            indices = self._indices.get(name)
+            if indices is None or (places[indices] != UNNAMED).any():
+                return None
+            places[indices] = place
+            offsets[indices] = self._rest[indices] - self._rest[indices[0]]
+        return NameOrder(places, offsets)
+
+
 class ActuatorInput(Input):
     """The newest setpoint or effort of every actuator; a message must name each of them once.
 
@@ -595,3 +695,168 @@ class PoseInput(Input):
         self.clamped += bool((inside != pose.position).any())
         self.newest[name] = pose._replace(position=inside)
         return None
+
+
+# --- angles of pulleys ---------------------------------------------------------------------------
+
+
+class AngleInput(Input):
+    """Angles of any pulleys, as commands or as measurements; elsewhere cables have lengths.
+
+    A message concerns the pulleys that it names; everything else stays as it is.
+
+    Args:
+        pulleys: The pulleys.
+        keeper: Keeps the lengths of their cables beside the setpoints of the other actuators, and
+            counts the refusals.
+        settings: Timeouts.
+        takes_torques: Whether torques beside the angles are kept, as of measurements; a command by
+            torques is refused.
+    """
+
+    def __init__(
+        self, pulleys: Pulleys, keeper: ActuatorInput, settings: LoopSettings, takes_torques: bool
+    ):
+        self._pulleys, self._keeper = pulleys, keeper
+        self._takes_torques = takes_torques
+        super().__init__(settings, None, refusals=keeper.refusals)
+
+    def accept(
+        self, names: Sequence[str], angles, torques, arrival: Arrival
+    ) -> Refusal | None:
+        """Checks one message and keeps its angles; all of them, or none.
+
+        Args:
+            names: Names of pulleys, each at most once.
+            angles: Angle of each [rad].
+            torques: Torque of each about its axis [N m], or empty.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        angles, torques = np.asarray(angles, dtype=float), np.asarray(torques, dtype=float)
+        return self._refused(arrival, None, self._put, names, angles, torques, arrival.time)
+
+    def _put(
+        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray, time: float
+    ) -> Refusal | None:
+        """Passes values on to the keeper; the reason to refuse them, or None."""
+        if refusal := self._fault_of(names, angles, torques):
+            return refusal
+        pulleys = self._pulleys
+        places = [pulleys.names.index(name) for name in names]
+        driven = np.concatenate([pulleys.driven[place] for place in places])
+        lengths = np.concatenate(list(map(pulleys.lengths, places, angles)))
+        refusal = self._keeper.put(driven, lengths, time)
+        if refusal is None and len(torques):
+            tensions = np.concatenate(list(map(pulleys.tensions, places, torques)))
+            self._keeper.put_efforts(driven, tensions)
+        return refusal
+
+    def _fault_of(
+        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray
+    ) -> Refusal | None:
+        unknown = any(name not in self._pulleys.names for name in names)
+        if not len(names) or unknown or len(set(names)) != len(names):
+            return Refusal.WRONG_NAMES
+        if len(torques) and (not self._takes_torques or not len(angles)):
+            return Refusal.WRONG_FIELDS
+        if len(angles) != len(names) or len(torques) not in (0, len(names)):
+            return Refusal.WRONG_SIZE
+        if not (np.isfinite(angles).all() and np.isfinite(torques).all()):
+            return Refusal.NOT_FINITE
+        return None
+
+
+# --- touches -------------------------------------------------------------------------------------
+
+
+class TouchInput(Input):
+    """The newest measured force or place of each touch; whichever came last counts.
+
+    A touch ends by a force of zero, by a NaN in either message, or without a message for
+    `touch_timeout`.
+
+    Args:
+        simulation: The model, at rest.
+        frame_id: The only frame in which touches are accepted.
+        settings: Timeouts.
+
+    Attributes:
+        timed_out: How many touches ended because no message came.
+    """
+
+    def __init__(self, simulation: Simulation, frame_id: str, settings: LoopSettings):
+        self.timed_out = 0
+        self.names = simulation.touch_names
+        self._limits = np.array([touch.force_limit for touch in simulation.scene.touches])
+        touches = simulation.touches
+        self._rest = np.empty((0, 3)) if touches is None else np.array(touches.points)
+        self._farthest = FARTHEST * simulation.model.nodes.size
+        # A touch has two senders with clocks of their own.
+        super().__init__(settings, frame_id, product(range(len(self.names)), _SENDERS))
+
+    def reset(self) -> None:
+        """Ends all touches; the counts stay."""
+        super().reset()
+        self._forces, self._places = Touched.none(len(self.names))
+        self._heard = np.full(len(self.names), -math.inf)
+
+    def accept_force(self, touch: int, force, arrival: Arrival) -> Refusal | None:
+        """Checks a measured force and keeps it.
+
+        Args:
+            touch: Index of the touch.
+            force: Force on the robot [N], shape (3,); zero or NaN without a touch.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None. A refused force leaves the touch as it was.
+        """
+        force, most = np.asarray(force, dtype=float), self._limits[touch]
+        refusal = self._refused(arrival, (touch, _FORCE), _fault_of_touch, force, 0.0, most)
+        if refusal is None:
+            self._keep(touch, force if np.linalg.norm(force) > 0.0 else np.nan, np.nan, arrival.time)
+        return refusal
+
+    def accept_place(self, touch: int, place, arrival: Arrival) -> Refusal | None:
+        """Checks a measured place of a touched point and keeps it.
+
+        Args:
+            touch: Index of the touch.
+            place: Place of the point [m], shape (3,); NaN without a touch.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None. A refused place leaves the touch as it was.
+        """
+        place, rest = np.asarray(place, dtype=float), self._rest[touch]
+        refusal = self._refused(arrival, (touch, _PLACE), _fault_of_touch, place, rest, self._farthest)
+        if refusal is None:
+            self._keep(touch, np.nan, np.nan if np.isnan(place).any() else place, arrival.time)
+        return refusal
+
+    def _keep(self, touch: int, force, place, time: float) -> None:
+        self._forces[touch], self._places[touch] = force, place
+        self._heard[touch] = time
+
+    def read(self, now: float) -> Touched | None:
+        """The touches at a time on the clock of `Arrival.time` [s]; None where nothing touches."""
+        if not self.names:
+            return None
+        touching = ~np.isnan(self._forces).all(axis=1) | ~np.isnan(self._places).all(axis=1)
+        late = touching & (now - self._heard > self.settings.touch_timeout)
+        if late.any():
+            self.timed_out += int(late.sum())
+            self._forces[late], self._places[late] = np.nan, np.nan
+        if not (touching & ~late).any():
+            return None
+        return Touched(self._forces.copy(), self._places.copy())
+
+
+def _fault_of_touch(vector: np.ndarray, start, most: float) -> Refusal | None:
+    """The reason to refuse a vector, or None: it may be NaN, and ends so far from a start at most."""
+    if refusal := refusal_of_vector(vector, may_be_nan=True):
+        return refusal
+    return Refusal.OUT_OF_RANGE if np.linalg.norm(vector - start) > most else None

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Input
 from softrobot_twin.control.cavity_pressures import (
     STANDARD_ATMOSPHERE,
@@ -22,6 +21,8 @@ from softrobot_twin.control.engagement import Activity, Engagement
 from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.control.inputs import (
     ActuatorInput,
+    ActuatorNames,
+    AngleInput,
     MarkerInput,
     Misfit,
     PoseInput,
@@ -29,6 +30,7 @@ from softrobot_twin.control.inputs import (
     StiffnessInput,
     TargetInput,
     TargetReading,
+    TouchInput,
 )
 from softrobot_twin.control.loop_settings import (
     LoopSettings,
@@ -38,14 +40,12 @@ from softrobot_twin.control.loop_settings import (
     check_settings,
 )
 from softrobot_twin.control.marker_checks import MarkerHistory, MarkerPlausibility
-from softrobot_twin.control.pulley_angles import AngleInput
 from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
     TargetCorrection,
     approach,
     approach_poses,
 )
-from softrobot_twin.control.touch_input import TouchInput
 from softrobot_twin.control.voices import CONTESTED_TIME
 from softrobot_twin.simulation import (
     Command,

@@ -11,7 +11,6 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.device import (
     CarriedDevice,
@@ -20,10 +19,9 @@ from softrobot_twin.control.device import (
     TouchedDevice,
     WoundDevice,
 )
-from softrobot_twin.control.fingertip import Presses
-from softrobot_twin.control.inputs import ActuatorInput, PoseInput
+from softrobot_twin.control.inputs import ActuatorInput, ActuatorNames, PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
+from softrobot_twin.control.simulated_device import DeviceFlaws, Presses, SimulatedDevice
 from softrobot_twin.ros.messages import (
     cables_message,
     markers_message,

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Arrival, Refusal
-from softrobot_twin.control.inputs import ActuatorInput, SelectedActuatorInput
+from softrobot_twin.control.inputs import ActuatorInput, ActuatorNames, SelectedActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 

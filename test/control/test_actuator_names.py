@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.actuator_names import ActuatorNames
+from softrobot_twin.control.inputs import ActuatorNames
 
 CABLES = ("a", "b", "c")
 REST = np.array([0.10, 0.12, 0.20])

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.device import MeasuredSetpoints
-from softrobot_twin.control.inputs import ActuatorInput, SelectedActuatorInput
+from softrobot_twin.control.inputs import (
+    ActuatorInput,
+    ActuatorNames,
+    AngleInput,
+    SelectedActuatorInput,
+)
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.pulley_angles import AngleInput
 from softrobot_twin.scene.actuator_entries import Pulley
 from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 

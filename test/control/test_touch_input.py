@@ -7,11 +7,10 @@ import pytest
 import yaml
 
 from softrobot_twin.control.arrival import Arrival, Refusal
-from softrobot_twin.control.fingertip import Fingertip, Presses
+from softrobot_twin.control.inputs import TouchInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
-from softrobot_twin.control.touch_input import TouchInput
+from softrobot_twin.control.simulated_device import DeviceFlaws, Fingertip, Presses, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
