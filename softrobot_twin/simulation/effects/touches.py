@@ -21,6 +21,7 @@ from softrobot_twin.mechanics.touch_loads import TouchLoads, TouchState
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command, CommandSetpoints, FollowTargets
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.interpretation import fitting
 from softrobot_twin.simulation.step.step_part import StepPart
 
 
@@ -126,15 +127,9 @@ class Touches(StepPart):
 
     def _checked(self, touched: Touched) -> tuple[np.ndarray, np.ndarray]:
         """Forces [N] and places [m], of the scene's shape and not infinite."""
-        shape, checked = (len(self._names), 3), []
-        for name, array in zip(("touch forces", "touch places"), touched, strict=True):
-            array = np.array(array, dtype=float)
-            if array.shape != shape:
-                raise CommandError(name, f"must have shape {shape}, not {array.shape}")
-            if np.isinf(array).any():
-                raise CommandError(name, f"holds {array[np.isinf(array)][0]}")
-            checked.append(array)
-        forces, places = checked
+        shape = len(self._names), 3
+        forces = fitting("touch forces", touched.forces, shape, nan_allowed=True)
+        places = fitting("touch places", np.array(touched.places), shape, nan_allowed=True)
         both = np.isfinite(forces).all(axis=1) & np.isfinite(places).all(axis=1)
         if both.any():
             name = self._names[int(np.argmax(both))]

@@ -92,14 +92,14 @@ class Interpretation:
                 self._check_stiffness(command.stiffness)
             if command.commanded is None:
                 return Asked(rows, bounds, bounds, drives)
-            setpoints = _fitting("commanded", command.commanded, (count,), True)
+            setpoints = fitting("commanded", command.commanded, (count,), True)
             commanded = actuators.drives(setpoints)
             within = _with_commanded(commanded, bounds, limits)
             return Asked(rows, within, bounds, drives, commanded)
         if isinstance(command, CommandSetpoints):
-            setpoints = _fitting("setpoints", command.setpoints, (count,), False)
+            setpoints = fitting("setpoints", command.setpoints, (count,), False)
             return Asked(actuators.drives(setpoints), bounds, bounds, drives)
-        efforts = _fitting("efforts", command.efforts, (count,), True)
+        efforts = fitting("efforts", command.efforts, (count,), True)
         if np.isnan(efforts[actuators.takes_efforts]).any():
             raise CommandError("efforts", f"holds {np.nan}")
         return Asked(efforts, bounds, bounds, drives)
@@ -107,7 +107,7 @@ class Interpretation:
     def _check_stiffness(self, stiffness: np.ndarray) -> None:
         """Refuse wanted stiffnesses [N/m] that are none, or of effectors that ask for none."""
         shape = (len(self._model.effectors.effectors), 3)
-        wanted = _fitting("stiffness", stiffness, shape, True)
+        wanted = fitting("stiffness", stiffness, shape, True)
         if not (np.isnan(wanted) | (wanted > 0.0)).all():
             worst = np.nanmin(wanted)
             raise CommandError("stiffness", f"{worst} N/m is not a positive stiffness")
@@ -121,12 +121,12 @@ class Interpretation:
             raise CommandError("targets", self._why_not_followed)
         term = self._model.effectors
         count = len(term.effectors)
-        wanted = term.rows_of(_fitting("targets", command.targets, (count, 3), True))
+        wanted = term.rows_of(fitting("targets", command.targets, (count, 3), True))
         if command.orientations is None and not term.orientations:
             return wanted
         quaternions = np.full((count, 4), np.nan)
         if command.orientations is not None:
-            quaternions = _fitting("orientations", command.orientations, (count, 4), True)
+            quaternions = fitting("orientations", command.orientations, (count, 4), True)
         if not term.orientations:
             raise CommandError("orientations", "no effector of this scene asks for an orientation")
         return np.concatenate([wanted, term.aim(quaternions, state.positions)])
@@ -158,8 +158,18 @@ def why_not_followed(model: Model) -> str:
     return ""
 
 
-def _fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:
-    """An array of a command, checked."""
+def fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:
+    """An array of a command, checked.
+
+    Args:
+        name: Its name, for errors.
+        array: Its values.
+        shape: The shape that it must have.
+        nan_allowed: Whether it may hold NaN; it must not hold infinite values in any case.
+
+    Raises:
+        CommandError: It does not fit.
+    """
     array = np.asarray(array, dtype=float)
     if array.shape != shape:
         raise CommandError(name, f"must have shape {shape}, not {array.shape}")
