@@ -35,7 +35,6 @@ from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
-from softrobot_twin.simulation.step.generalized_alpha import GeneralizedAlpha
 from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.step.inverse_actuation import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
@@ -50,7 +49,7 @@ from softrobot_twin.simulation.step.step_report import (
 )
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
-from softrobot_twin.simulation.step.time_integration import Dynamics, Statics
+from softrobot_twin.simulation.step.time_integration import Dynamics, GeneralizedAlpha, Statics
 from softrobot_twin.simulation.warm_up import run_every_path, tell_of_compilation
 from softrobot_twin.solvers.factorization import Factorization
 

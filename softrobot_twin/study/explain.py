@@ -29,7 +29,7 @@ from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.scene_warnings import expected_sag
-from softrobot_twin.simulation.step.generalized_alpha import DEFAULT_RADIUS
+from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
