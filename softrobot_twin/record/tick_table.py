@@ -50,14 +50,8 @@ class TickTable:
         """
         result, command = outcome.result, None
         if self._follows:
-            reading, count = outcome.reading, len(outcome.reading.targets)
-            turns, angles = reading.orientations, outcome.orientation_errors
-            command = FollowTargets(
-                reading.targets, self._loop.settings.period, None,
-                np.full((count, 4), np.nan) if turns is None else turns,
-            )  # fmt: skip
-            result = replace(
-                result, effector_errors=outcome.tracking_errors,
-                orientation_errors=np.full(count, np.nan) if angles is None else angles,
-            )  # fmt: skip
+            reading, period = outcome.reading, self._loop.settings.period
+            command = FollowTargets(reading.targets, period, None, reading.orientations)
+            result = replace(result, effector_errors=outcome.tracking_errors,
+                             orientation_errors=outcome.orientation_errors)  # fmt: skip
         return self._columns.texts(self._columns.row(step, seconds, result, command))

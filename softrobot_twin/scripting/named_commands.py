@@ -286,7 +286,7 @@ class CommandReader:
             return CommandEfforts(self._efforts(command.values), time_step)
         if isinstance(command, HoldAll):
             return Hold(time_step)
-        if isinstance(command, FollowTargets | CommandSetpoints | CommandEfforts | Hold):
+        if isinstance(command, Command):
             return command
         raise CommandError(_kind(command), "is no command: use targets(...), setpoints(...), "
                            "efforts(...) or hold()")

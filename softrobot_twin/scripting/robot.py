@@ -39,7 +39,6 @@ from softrobot_twin.scripting.step_outcome import Names, Result
 from softrobot_twin.simulation import (
     Command,
     CommandEfforts,
-    CommandSetpoints,
     FollowTargets,
     Hold,
     Simulation,
@@ -686,8 +685,7 @@ def _refuse(what: str, **given: Any) -> None:
 
 
 def _is_command(command: Any) -> bool:
-    kinds = NamedCommand | FollowTargets | CommandSetpoints | CommandEfforts | Hold
-    return isinstance(command, kinds)
+    return isinstance(command, NamedCommand | Command)
 
 
 def _is_table(command: Any) -> bool:

@@ -86,8 +86,7 @@ class RobotView(AbstractContextManager):
         shown = _standing(simulation) if result is None else result
         count = len(simulation.effector_names)
         targets = getattr(command, "targets", np.full((count, 3), np.nan))
-        turns = getattr(command, "orientations", None)
-        markers = simulation.marker_positions() if len(simulation.marker_ids) else np.empty((0, 3))
+        turns, markers = getattr(command, "orientations", None), simulation.marker_positions()
         self._count += 1
         self._mirror.offer(self._frames.frame(
             self._count, round(1.0e9 * shown.state.time), shown,

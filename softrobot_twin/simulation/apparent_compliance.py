@@ -278,17 +278,15 @@ class EffectorCompliance:
             by_force: Motion by forces on the effectors, shape (3 effector_count, same).
             by_actuator: Motion by the actuators, shape (3 effector_count, actuator_count).
         """
-        n = self._count
-        own = np.arange(n)
+        n, own = self._count, np.arange(self._count)
         compliance = by_force.reshape(n, 3, n, 3)[own, :, own, :]
-        actuators = self._model.actuators
-        is_held = np.ones(actuators.count, bool)
-        is_held[: len(holding.held)] = holding.held
-        is_by_effort = np.zeros(actuators.count, bool)
-        is_by_effort[: len(holding.held)] = holding.is_by_effort
+        # Slides, which have no rows, hold their displacements.
+        count = self._model.actuators.count
+        slides = count - len(holding.held)
         return ApparentCompliance(
-            compliance, by_actuator.reshape(n, 3, actuators.count), is_held, is_by_effort,
-            holding.contact_count,
+            compliance, by_actuator.reshape(n, 3, count),
+            np.append(holding.held, np.ones(slides, bool)),
+            np.append(holding.is_by_effort, np.zeros(slides, bool)), holding.contact_count,
         )  # fmt: skip
 
     def _solved_anew(

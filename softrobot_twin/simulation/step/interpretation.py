@@ -12,15 +12,12 @@ from softrobot_twin.simulation.building.limits import ActuatorLimits
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import (
     Command,
-    CommandEfforts,
     CommandSetpoints,
     FollowTargets,
     Hold,
 )
 from softrobot_twin.simulation.state import State
 from softrobot_twin.solvers.inverse_problem import Bounds
-
-COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)
 
 
 class Asked(NamedTuple):
@@ -70,7 +67,7 @@ class Interpretation:
         actuators = self._actuators
         limits, count = actuators.limits, actuators.count
         drives = actuators.drives(state.setpoints)
-        if not isinstance(command, COMMANDS):
+        if not isinstance(command, Command):
             raise CommandError(type(command).__name__, "is not a command")
         if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
             raise CommandError("time_step", f"{command.time_step} s is not a duration")
