@@ -35,7 +35,7 @@ from softrobot_twin.scripting.run_table import (
     common_targets,
     run_table,
 )
-from softrobot_twin.scripting.step_outcome import Names, Result
+from softrobot_twin.scripting.step_outcome import Result
 from softrobot_twin.simulation import (
     Command,
     CommandEfforts,
@@ -150,12 +150,6 @@ class Robot:
         self.simulation.warm_up()
         self._reader = CommandReader(self.simulation)
         self._columns = ColumnsOfSteps(self.simulation)
-        self._names = Names(
-            self.simulation.effector_names,
-            tuple(column(name, kind.effort)
-                  for name, kind in self.simulation.actuators.kind_of.items()),
-            self.simulation.rigid_names, self.simulation.touch_names,
-        )  # fmt: skip
         self._compliance: EffectorCompliance | None = None
         self._view: RobotView | None = None
         self._has_warned = False
@@ -234,11 +228,11 @@ class Robot:
         bodies += [beam.name for beam in simulation.model.beams]
         parts += [_listed("mass-spring bodies", [entry.name for entry in scene.mass_springs])]
         parts = [_listed("bodies", bodies), *parts]
-        parts.append(_listed("rigid bodies", self._names.rigid_bodies))
+        parts.append(_listed("rigid bodies", simulation.rigid_names))
         parts += [_listed(section.replace("_", " "), [entry.name for entry in entries])
                   for section, entries in scene.actuator_entries.items()]
-        parts.append(_listed("effectors", self._names.effectors))
-        parts.append(_listed("touches", self._names.touches))
+        parts.append(_listed("effectors", self.effector_names))
+        parts.append(_listed("touches", simulation.touch_names))
         parts.append(f"{simulation.dof_count} unknowns")
         if simulation.state.step_count:
             parts.append(f"after {simulation.state.time:.6g} s")
@@ -276,7 +270,7 @@ class Robot:
     def effectors(self) -> dict[str, np.ndarray]:
         """Position of each effector [m], by name, each of shape (3,)."""
         positions = self.simulation.effector_positions()
-        return dict(zip(self._names.effectors, positions, strict=True))
+        return dict(zip(self.effector_names, positions, strict=True))
 
     @property
     def poses(self) -> dict[str, Pose]:
@@ -324,7 +318,7 @@ class Robot:
         outcome = self.simulation.step(asked, None, touched)
         self._remember(outcome, asked)
         return Result(
-            outcome, self._names, self.simulation, self._columns.of(asked), asked,
+            outcome, self.simulation, self._columns.of(asked), asked,
             is_at_rest(self.simulation, outcome, before),
         )  # fmt: skip
 
@@ -477,7 +471,7 @@ class Robot:
     def _is_by_rows(self, source: Any) -> bool:
         """Whether each row of a table is a step: it has targets, or a run wrote it."""
         columns = open_columns(source, TARGETS_EXAMPLE)
-        names = [name for effector in self._names.effectors
+        names = [name for effector in self.effector_names
                  for name in (*position_columns(effector), f"{effector}.x")]
         return columns.is_output or "t" in columns or any(name in columns for name in names)
 
@@ -554,9 +548,9 @@ class Robot:
         return self._yielding().principal_stiffness(self._place(effector))
 
     def _place(self, effector: str) -> int:
-        if effector not in self._names.effectors:
-            raise unknown(effector, "effectors:", self._names.effectors)
-        return self._names.effectors.index(effector)
+        if effector not in self.effector_names:
+            raise unknown(effector, "effectors:", self.effector_names)
+        return self.effector_names.index(effector)
 
     def _yielding(self) -> ApparentCompliance:
         if self._compliance is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.scripting.named_commands import unknown
 from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
 from softrobot_twin.simulation.appearance import Pose, named_poses
-from softrobot_twin.simulation.building.table_columns import STEP
+from softrobot_twin.simulation.building.table_columns import STEP, column
 from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS, RunColumns
 
 if TYPE_CHECKING:
@@ -19,22 +19,6 @@ if TYPE_CHECKING:
 
 # Actuators that a short text names, at most.
 _MOST_SHOWN = 4
-
-
-class Names(NamedTuple):
-    """Names of a scene that results are read by.
-
-    Attributes:
-        effectors: Of the effectors, in the order of their arrays.
-        efforts: Columns of the efforts of the actuators, such as ``north_tension_N``.
-        rigid_bodies: Of the rigid bodies.
-        touches: Of the touches.
-    """
-
-    effectors: tuple[str, ...]
-    efforts: tuple[str, ...]
-    rigid_bodies: tuple[str, ...]
-    touches: tuple[str, ...]
 
 
 class Result:
@@ -52,22 +36,23 @@ class Result:
     is_at_rest: bool
 
     def __init__(
-        self, outcome: StepResult, names: Names, simulation: Simulation, columns: RunColumns,
+        self, outcome: StepResult, simulation: Simulation, columns: RunColumns,
         command: Command, is_at_rest: bool,
     ):  # fmt: skip
         """Take a step's outcome; what it is asked for later follows from it.
 
         Args:
             outcome: The outcome in arrays.
-            names: Names of its arrays.
             simulation: What stepped.
             columns: Columns of a run of this step.
             command: What was asked.
             is_at_rest: See the attribute.
         """
         self.outcome, self.is_at_rest = outcome, is_at_rest
-        self._names, self._columns, self._command = names, columns, command
-        self._model = simulation.model
+        self._columns, self._command, self._model = columns, command, simulation.model
+        self._effectors, self._touches = simulation.effector_names, simulation.touch_names
+        self._efforts = tuple(column(name, kind.effort)
+                              for name, kind in simulation.actuators.kind_of.items())
 
     def __getstate__(self) -> dict[str, Any]:
         """All numbers, without the simulation that they come from."""
@@ -118,13 +103,13 @@ class Result:
     @cached_property
     def effectors(self) -> dict[str, np.ndarray]:
         """Position of each effector [m], by name, each of shape (3,)."""
-        return dict(zip(self._names.effectors, self.outcome.effector_positions, strict=True))
+        return dict(zip(self._effectors, self.outcome.effector_positions, strict=True))
 
     @cached_property
     def errors(self) -> dict[str, float]:
         """Distance of each effector from its target [m], by name; NaN without a target."""
         errors = map(float, self.outcome.effector_errors)
-        return dict(zip(self._names.effectors, errors, strict=True))
+        return dict(zip(self._effectors, errors, strict=True))
 
     @cached_property
     def orientations(self) -> dict[str, np.ndarray]:
@@ -132,7 +117,7 @@ class Result:
         turns = self.outcome.effector_orientations
         if turns is None:
             return {}
-        named = zip(self._names.effectors, turns, strict=True)
+        named = zip(self._effectors, turns, strict=True)
         return {name: turn for name, turn in named if np.isfinite(turn).all()}
 
     @cached_property
@@ -142,7 +127,7 @@ class Result:
         if touched is None:
             return {}
         return {name: (touched.forces[index], touched.displacements[index])
-                for index, name in enumerate(self._names.touches)}
+                for index, name in enumerate(self._touches)}
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -158,16 +143,16 @@ class Result:
 
     def __getattr__(self, name: str) -> np.ndarray:
         # Only names that are no attributes arrive here. Copying asks an object without any.
-        if name.startswith("_") or "_names" not in self.__dict__:
+        if name.startswith("_") or "_effectors" not in self.__dict__:
             raise AttributeError(name)
-        if name in self._names.effectors:
+        if name in self._effectors:
             return self.effectors[name]
-        known = ", ".join(self._names.effectors) or "none"
+        known = ", ".join(self._effectors) or "none"
         raise AttributeError(f"a result has no {name!r}; effectors: {known}; other quantities by "
                              "name, such as result['time_s']")
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *self._names.effectors})
+        return sorted({*super().__dir__(), *self._effectors})
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self.values)
@@ -179,7 +164,7 @@ class Result:
             error = self.errors[name]
             missed = f" ({1e3 * error:.2g} mm from its target)" if np.isfinite(error) else ""
             parts.append(f"{name} at [{place}] mm{missed}")
-        efforts = zip(self._names.efforts, self.outcome.efforts, strict=True)
+        efforts = zip(self._efforts, self.outcome.efforts, strict=True)
         shown = [f"{name} {effort:.4g}" for name, effort in efforts]
         if len(shown) > _MOST_SHOWN:
             shown = [*shown[:_MOST_SHOWN], f"and {len(shown) - _MOST_SHOWN} more"]
