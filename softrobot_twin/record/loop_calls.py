@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.control.arrival import Arrival, Refusal
-from softrobot_twin.control.loop_settings import LoopSettings, settings_of
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.loop_settings import settings_of
 from softrobot_twin.control.twin_loop import CALLS, TwinLoop, owner_of
 from softrobot_twin.record.run_values import number, numbers, plain
-
-
-def settings_to_json(settings: LoopSettings) -> dict[str, object]:
-    """Settings as JSON."""
-    return {field.name: plain(getattr(settings, field.name)) for field in fields(settings)}
 
 
 def _arrival(value: list) -> Arrival:
@@ -48,16 +42,7 @@ class Call(NamedTuple):
 
     def to_json(self) -> dict[str, object]:
         """The call as JSON."""
-        arguments = [
-            settings_to_json(one) if isinstance(one, LoopSettings) else plain(one)
-            for one in self.arguments
-        ]
-        return {"to": self.name, "arguments": arguments, "answer": answer_to_json(self.answer)}
-
-
-def answer_to_json(answer: object) -> object:
-    """What a call returned, as JSON."""
-    return answer.value if isinstance(answer, Refusal) else plain(answer)
+        return {"to": self.name, "arguments": plain(self.arguments), "answer": plain(self.answer)}
 
 
 def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
@@ -78,4 +63,4 @@ def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
     owner, method = owner_of(loop, name)
     kinds = CALLS[name].split()
     read = [READERS[kind](one) for kind, one in zip(kinds, arguments, strict=True)]
-    return answer_to_json(getattr(owner, method)(*read))
+    return plain(getattr(owner, method)(*read))

@@ -7,7 +7,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from llvmlite import binding
 from pydantic import BaseModel
 
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.record.loop_calls import settings_to_json
 from softrobot_twin.record.run_values import ACTUATORS, EFFECTORS, MARKERS, TOUCHES, plain
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.loading import read_yaml, written_out
@@ -73,13 +72,9 @@ class RunDescription:
     units: dict[str, list[str]]
     machine: dict[str, str]
 
-    def to_json(self) -> dict[str, Any]:
-        """The description as JSON."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> RunDescription:
-        """The description of `to_json`.
+        """The description from its JSON.
 
         Raises:
             TypeError: An entry is missing or unknown.
@@ -104,7 +99,7 @@ def describe(
     mapping = written_out(read_yaml(path.read_text(encoding="utf-8-sig")), path)
     return RunDescription(
         node, began, scene.name, str(path), scene_text(mapping), tuple(recorded_files(scene)),
-        plain(parameters), settings_to_json(loop.settings), names_of(loop.simulation),
+        plain(parameters), plain(loop.settings), names_of(loop.simulation),
         units_of(loop.simulation), machine(),
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -136,7 +137,7 @@ class RunWriter:
         parameters = {name: json.dumps(value) for name, value in description.parameters.items()}
         self._writer.add_metadata("parameters", parameters)
         self._writer.add_metadata("machine", description.machine)
-        self.add_entry(0, began, {"kind": RUN, "format": FORMAT, **description.to_json()})
+        self.add_entry(0, began, {"kind": RUN, "format": FORMAT, **asdict(description)})
         self.flush()
 
     def add_entry(self, sequence: int, time: int, content: dict[str, Any]) -> None:

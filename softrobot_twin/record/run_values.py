@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import NamedTuple
 
@@ -127,6 +128,8 @@ def plain(value: object) -> object:
         return listed if is_finite else plain(listed)
     if isinstance(value, Enum):
         return value.value
+    if is_dataclass(value):
+        return {one.name: plain(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, dict):
         return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, np.generic):

@@ -12,7 +12,7 @@ import pytest
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost, settings_of
 from softrobot_twin.control.twin_loop import CALLS, owner_of
-from softrobot_twin.record.loop_calls import READERS, Call, settings_to_json
+from softrobot_twin.record.loop_calls import READERS, Call
 from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.run_values import numbers, plain, state_digest
@@ -46,7 +46,7 @@ def test_changed_settings_come_back_as_they_were():
         rate=33.3, workspace_min=(-0.1, -0.2, 0.0), on_lost_device=WhenLost.OPEN_LOOP,
         closed_loop=True,
     )  # fmt: skip
-    assert settings_of(json.loads(json.dumps(settings_to_json(settings)))) == settings
+    assert settings_of(json.loads(json.dumps(plain(settings)))) == settings
 
 
 def test_every_input_and_service_of_a_loop_is_recorded(recorded):
