@@ -557,7 +557,7 @@ class TwinLoop:
         outcome = TickOutcome(
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
             measured, misfit, effectors, errors, poses, self._plausibility.left_out,
-            aims.is_approaching, self._orientation_errors(aims.reading),
+            aims.is_approaching, self.simulation.orientation_angles(aims.reading.orientations),
         )  # fmt: skip
         is_resting = result.report.is_resting and activity in _MAY_REPEAT and not violated
         if is_resting and not self._waits(now):
@@ -617,12 +617,6 @@ class TwinLoop:
         step = period if passed > _SHORT_TICK * period else max(passed, _SHORTEST_STEP)
         reach = max(0.0, now - self._released)
         return TickTime(step, reach if reach < (1.0 - _SAME_TIME) * period else period)
-
-    def _orientation_errors(self, reading: TargetReading) -> np.ndarray | None:
-        """Angles from the orientations that were given [rad]; None where none is asked for."""
-        if reading.orientations is None:
-            return None
-        return self.simulation.orientation_angles(reading.orientations)
 
     def _watch_device(self, now: float) -> None:
         """Resynchronises with a device that is not where it was sent."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,22 +26,15 @@ READERS: dict[str, Callable] = {
 """How each kind of argument of a call is read from JSON."""
 
 
-class Call(NamedTuple):
-    """One call.
+def call_to_json(name: str, arguments: tuple, answer: object) -> dict[str, object]:
+    """A call as JSON.
 
-    Attributes:
+    Args:
         name: One of `CALLS`.
         arguments: What was given.
         answer: What the loop returned: the reason of a refusal, or what a service answers.
     """
-
-    name: str
-    arguments: tuple
-    answer: object
-
-    def to_json(self) -> dict[str, object]:
-        """The call as JSON."""
-        return {"to": self.name, "arguments": plain(self.arguments), "answer": plain(self.answer)}
+    return {"to": name, "arguments": plain(arguments), "answer": plain(answer)}
 
 
 def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:

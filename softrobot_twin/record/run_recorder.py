@@ -16,7 +16,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
-from softrobot_twin.record.loop_calls import Call
+from softrobot_twin.record.loop_calls import call_to_json
 from softrobot_twin.record.run_clock import RecordedClock
 from softrobot_twin.record.run_description import RunDescription
 from softrobot_twin.record.run_file import CALL, END, TICK, RunWriter, Topic
@@ -121,7 +121,7 @@ class RunRecorder:
             self._fail(f"{self.path}: not finished in {timeout:g} s; its end is missing")
 
     def _note_call(self, *call: Any) -> None:
-        self._note_entry(self._ros_time(), lambda: {"kind": CALL, **Call(*call).to_json()})
+        self._note_entry(self._ros_time(), lambda: {"kind": CALL, **call_to_json(*call)})
 
     def _tick(self, now: float, ros_time: int) -> TickOutcome:
         self._clock.take()  # What the clock was read for beside steps.

@@ -184,15 +184,18 @@ class Readouts:
             return None
         return self.model.effectors.quaternions(self.state.positions)
 
-    def orientation_angles(self, targets: np.ndarray) -> np.ndarray:
+    def orientation_angles(self, targets: np.ndarray | None) -> np.ndarray | None:
         """Angle of each effector from a wanted turn, over what its orientation asks for.
 
         Args:
-            targets: Wanted turns from rest (x, y, z, w), NaN where free, shape (effector_count, 4).
+            targets: Wanted turns from rest (x, y, z, w), NaN where free, shape (effector_count, 4);
+                None where no effector asks for an orientation.
 
         Returns:
-            Angles [rad], NaN without a target, shape (effector_count,).
+            Angles [rad], NaN without a target, shape (effector_count,); None without targets.
         """
+        if targets is None:
+            return None
         term = self.model.effectors
         return term.angles_to(targets, term.rotations(self.state.positions))
 

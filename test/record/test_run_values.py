@@ -12,7 +12,7 @@ import pytest
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost, settings_of
 from softrobot_twin.control.twin_loop import CALLS, owner_of
-from softrobot_twin.record.loop_calls import READERS, Call
+from softrobot_twin.record.loop_calls import READERS, call_to_json
 from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.run_values import numbers, plain, state_digest
@@ -65,8 +65,8 @@ def test_every_input_and_service_of_a_loop_is_recorded(recorded):
 @pytest.mark.parametrize("position", [(0.1, math.nan, -0.0), (math.inf,)])
 def test_the_arguments_of_a_call_come_back_with_their_types(position):
     arrival = Arrival("base\0\udce9", 2**63, -(2**63), -0.0)
-    call = Call("targets.accept_point", (1, position, arrival), None)
-    made = json.loads(json.dumps(call.to_json(), allow_nan=False))
+    call = call_to_json("targets.accept_point", (1, position, arrival), None)
+    made = json.loads(json.dumps(call, allow_nan=False))
     effector, point, header = (
         READERS[kind](one)
         for kind, one in zip(CALLS[made["to"]].split(), made["arguments"], strict=True)
