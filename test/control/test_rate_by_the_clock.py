@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.loop_settings import LoopSettings, Mode, WhenLost
+from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
 from softrobot_twin.errors import ParameterError
 
 ROUNDING = 1.0e-9

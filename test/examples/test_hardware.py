@@ -29,7 +29,6 @@ from servos import (  # noqa: E402
     HARDWARE_ERROR,
     OPERATING_MODE,
     TICKS_PER_TURN,
-    TORQUE_ENABLE,
     WATCHDOG,
     Servo,
     ServoDevice,

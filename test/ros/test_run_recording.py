@@ -33,7 +33,6 @@ from softrobot_twin.ros.message_definitions import definition, type_name
 from softrobot_twin.ros.run_recording import to_bytes
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.topics import NODES
-from softrobot_twin.ros.twin_node import TwinNode
 
 from .test_hostile_messages import begin, draw_seed, hostile_to, inputs, parameters  # noqa: F401
 

@@ -1,6 +1,5 @@
 """Facts of the quadratic program with complementarity, solved by single pivoting."""
 
-import itertools
 
 import numpy as np
 import pytest
