@@ -74,10 +74,9 @@ def linearized(simulation, lengths=None):
     """The state; where lengths are given, its tangent may be augmented by the rows of the cables."""
     newton, state, held = simulation.newton, simulation.state, None
     if lengths is not None:
-        limits = simulation.limits
-        held = HeldActuators(
-            simulation.actuators.drives(lengths), limits.effort_min, limits.effort_max
-        )
+        drives = simulation.actuators.drives(lengths)
+        reach = simulation.limits.bounds(drives, 0.0)
+        held = HeldActuators(drives, reach, reach, True)
     newton.linearize(state.positions, state.efforts, StageClock(time.perf_counter), held=held)
     return newton.linearized_state(state.positions, state.efforts)
 
