@@ -384,7 +384,6 @@ class Contacts(VaryingTerm):
         nodes: Nodes that carry both points of each, -1 where none, shape (capacity, width).
         coefficients: Their coefficients c, same shape.
         directions: Normal and two tangents of each, shape (capacity, 3, 3).
-        margin: Things nearer than this are contacts [m].
         memory: Forces of the last solution.
         curvature: Stiffness by the curvature of round shapes that facets press on, or None.
     """
@@ -416,7 +415,7 @@ class Contacts(VaryingTerm):
         self._most_rows = int(self.rows_of_pair.max(initial=1))
         self.rubs = self._most_rows > 1
         self.conserves = not self.rubs
-        self.count, self.margin = 0, alarm_distance
+        self.count = 0
         self._reach, self._start = np.array([alarm_distance]), np.empty((0, 3))
         is_traceable = all(pair.is_traceable for pair in pairs)
         self._stages = TracedStages(is_traceable, self._detect)
@@ -492,6 +491,11 @@ class Contacts(VaryingTerm):
         return np.full(self.row_count, self._alarm)
 
     @property
+    def margin(self) -> float:
+        """Things nearer than this are contacts [m]."""
+        return float(self._reach[0])
+
+    @property
     def friction(self) -> np.ndarray:
         """Coefficient µ of each contact, shape (count,)."""
         return self.friction_of_pair[self.pair[: self.count]]
@@ -512,8 +516,7 @@ class Contacts(VaryingTerm):
         self._largest[0] = 0.0
         if len(velocities):
             self._write_largest(writable(velocities), False, self._largest)
-        self.margin = self._alarm + LOOK_AHEAD * float(self._largest[0]) * time_step
-        self._reach[0] = self.margin
+        self._reach[0] = self._alarm + LOOK_AHEAD * float(self._largest[0]) * time_step
 
     def detect(self, positions: np.ndarray) -> None:
         """Find what is near at a state.

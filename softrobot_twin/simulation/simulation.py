@@ -328,15 +328,15 @@ class Simulation(Readouts):
             for part in self._parts_with["lead"]
         )
         hurry = pressed and newton.may_keep_factor
-        begin, iterations, enough = None, 0, False
+        first, iterations, enough = None, 0, False
         inverted = newton.inverted_count
         while not enough:
-            iterations, elapsed = iterations + 1, clock.total
+            iterations, begin = iterations + 1, clock.total
             before = positions.copy() if hurry else positions
             done = self._iterate(positions, efforts, command, asked, clock, hurry)
             if done is None:
                 return self._failed(command, clock, iterations)
-            begin = begin or (done.linear, done.still)
+            first = first or (done.linear, done.still)
             if hurry and not self._stale_factor_serves(done, inverted):
                 positions[:], hurry = before, False
                 continue
@@ -344,14 +344,14 @@ class Simulation(Readouts):
                 return self._failed(command, clock, iterations, *_why_kept(done.actuation))
             efforts = done.actuation.efforts
             if not hurry:
-                time_budget.learn(clock.total - elapsed)
+                time_budget.learn(clock.total - begin)
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
         reached = self._balance(done, budget) if led else Balance.MISSED
         self.is_balanced = reached is not Balance.MISSED
         self._goes_on = not (self.is_balanced or self.model.is_dynamic)
         outcome = Outcome(
             positions.copy(), done.actuation, done.held, done.linear, reached,
-            done.residual, iterations, begin, pressed,
+            done.residual, iterations, first, pressed,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
 

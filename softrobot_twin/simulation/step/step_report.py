@@ -245,7 +245,7 @@ class Outcome(NamedTuple):
         balance: Residual forces of the state.
         residual: Largest residual force on a node [N].
         iterations: Linearizations done.
-        begin: The first linearization, and the actuation there with all actuators held, or None.
+        first: The first linearization, and the actuation there with all actuators held, or None.
         pressed: Whether the budget left no time for a linearization.
     """
 
@@ -256,7 +256,7 @@ class Outcome(NamedTuple):
     balance: Balance
     residual: float
     iterations: int
-    begin: tuple[Linearized, Actuation | None]
+    first: tuple[Linearized, Actuation | None]
     pressed: bool
 
 
@@ -336,7 +336,7 @@ class StepResults:
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
-            linearization_error=imbalance(model.effectors, *outcome.begin),
+            linearization_error=imbalance(model.effectors, *outcome.first),
             factor_age=newton.factor_age,
             is_late=outcome.pressed and newton.factor_age == 0,
             qp_solver=actuation.qp_solver,

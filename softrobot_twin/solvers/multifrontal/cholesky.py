@@ -148,7 +148,8 @@ class Multifrontal:
     ) -> None:
         """Write W and the free violation of rows."""
         H, columns, layout = NodeRows(row_index, node_index, blocks, self._row_count), self._columns, self.layout
-        self._place(H)
+        if not self._is_placed(row_index, node_index):
+            self._assign_columns(H)
         self._solve_forward(H, b)
         condensation.gram(
             layout.fronts, columns.places, columns.trees, columns.strips, columns.rows,
@@ -160,7 +161,7 @@ class Multifrontal:
         columns, k = self._columns, H.row_count
         self._row_count = k
         if not self.stages.run(1, H.row_index, H.node_index):
-            self._place(H)
+            self._assign_columns(H)
             # A trace of `condense` has the sizes of the columns before.
             self.stages.forget()
         rank = columns.rank
@@ -180,17 +181,15 @@ class Multifrontal:
         )
         return self._columns.are_placed(np.ascontiguousarray(row_index, dtype=np.int64), self._ranks)
 
-    def _place(self, H: NodeRows) -> None:
-        """Assign the rows their columns in Y, and reserve its memory."""
+    def _assign_columns(self, H: NodeRows) -> None:
+        """Assign rows, whose ranks are known, their columns in Y, and reserve its memory."""
         columns = self._columns
         before = columns.column
-        if not self._is_placed(H.row_index, H.node_index):
-            rows = np.ascontiguousarray(H.row_index, dtype=np.int64)
-            columns.place(rows, self._ranks, H.row_count)
+        rows = np.ascontiguousarray(H.row_index, dtype=np.int64)
+        columns.place(rows, self._ranks, H.row_count)
         if columns.column is not before:
             self._forget()
         self._reserve(columns.size, columns.work_size, columns.gram_size)
-        self._row_count = H.row_count
 
     def _solve_forward(self, H: NodeRows, b: np.ndarray) -> None:
         """Y ← L⁻¹ Hᵀ and y ← L⁻¹ b, for rows that have been placed."""
