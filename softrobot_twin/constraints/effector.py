@@ -156,7 +156,6 @@ class Effectors(ConstraintTerm):
         )  # fmt: skip
 
 
-
 def along_all_axes(effectors: Effectors, free_index: np.ndarray, size: float) -> Effectors:
     """The same points with rows along x, y and z, whatever directions a scene controls.
 

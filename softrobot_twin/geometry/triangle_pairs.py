@@ -126,6 +126,7 @@ def is_excluded(stamps, surface, v, kind, feature):
         every = every and code > 0
     return every
 
+
 # Sine by which a direction may lie outside a normal cone: bodies rotate by about this angle in one
 # step, and additional pairs do no harm while the bodies are apart.
 CONE_TOLERANCE = 0.2

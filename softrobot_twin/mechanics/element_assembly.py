@@ -666,5 +666,6 @@ def _assembly(options: dict) -> Assembly:
     loops = (add_energies, add_forces, add_stiffness, add_force_curvature)
     return Assembly(*(njit(**options)(loop) for loop in loops))
 
+
 _PACKAGE = __name__.split(".")[0] + "."
 _KEPT = _assembly(KERNEL)

@@ -611,6 +611,7 @@ def add_unused(offsets, strides, is_ball, stiffness, share, storage):
             added = share * stiffness[k] if is_used else stiffness[k]
             storage[offsets[k] + i * (strides[k] + 1)] += added
 
+
 # Share of a typical stiffness that joints have in the matrix: far above round-off, and small enough
 # that Newton's method does not notice; and that of a projected stiffness.
 LEAST_STIFFNESS, PROJECTED_STIFFNESS = 1.0e-5, 1.0e-2

@@ -581,6 +581,7 @@ class CarriedRows:
         )  # fmt: skip
         return self.count
 
+
 # Forms in which a folded block D_pjᵀ K D_qk is added to the lower triangle of A.
 AS_IS, TRANSPOSED, BOTH = 0, 1, 2
 

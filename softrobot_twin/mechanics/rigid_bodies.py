@@ -212,6 +212,7 @@ class AttachedNodes(NamedTuple):
     bodies: np.ndarray
     local: np.ndarray
 
+
 NOTHING_ATTACHED = AttachedNodes(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)))
 
 

@@ -53,6 +53,7 @@ def segment_vector(x, nodes, coefficients, constant):
             r = add_scaled(r, row(x, nodes[a]), coefficients[a])
     return r
 
+
 # A slack spring has no stiffness across, and a slack net or chain has none at all. The projected
 # stiffness takes this share of the stiffness along, so that Newton's method reaches a taut state.
 LEAST_ACROSS = 1.0e-3

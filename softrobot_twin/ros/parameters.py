@@ -141,7 +141,6 @@ def similar(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-
 def _setting(name: str, *given: Any) -> Entry:
     """A setting of the loop, with its default; it can be set while the node runs."""
     default = getattr(LoopSettings(), name)

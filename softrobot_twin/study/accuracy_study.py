@@ -700,6 +700,7 @@ def _given(scene: Scene, case: str, loads: Loads) -> tuple[Scene, bool, np.ndarr
         scene = scene.changed(gravity=(0.0, 0.0, 0.0))
     return scene, forces_given, loads.pressed if forces_given else loads.moved
 
+
 # Speed of a cable without a rate limit [m/s]; otherwise half of its limit.
 _SPEED_SHARE, _SPEED = 0.5, 0.02
 # Angular frequency of the path of a scene without cables [rad/s].

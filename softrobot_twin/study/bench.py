@@ -40,6 +40,7 @@ from softrobot_twin.study.terminal import (
     table,
 )
 
+
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
     """Writes all sizes as CSV; unknown values are left empty.
 

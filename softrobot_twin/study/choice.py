@@ -154,8 +154,6 @@ CAUTION = 0.2
 _ALIKE = 0.01
 
 
-
-
 class Measured(NamedTuple):
     """Measurement of a setting on this machine, along a path at the requested rate.
 

@@ -292,7 +292,6 @@ class Hostile:
                 self.lose_or_bring_back()
             self.tick()
 
-
     def answers_again(self, seconds):
         """True if it sends a command soon after a reset at rest, to an operator who insists."""
         loop, names = self.loop, self.simulation.actuator_names

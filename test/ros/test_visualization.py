@@ -136,8 +136,6 @@ def test_a_rate_of_zero_publishes_none(world, make_twin, made):
     assert not made
 
 
-
-
 def test_obstacles_rigid_bodies_and_targets_are_shown(world):
     twin = world.add(TwinNode, scene_file="scenes/trunk_cylinders.yaml", rate=5.0)
     twin.stop()

@@ -146,8 +146,6 @@ def marker_mapping(layout: Layout, notes: list[str]):
     return markers, np.array(ids, np.uint32), moving_with
 
 
-
-
 class Side:
     """A side of contact pairs.
 

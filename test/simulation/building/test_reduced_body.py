@@ -251,7 +251,6 @@ def test_a_file_that_is_no_reduction_is_refused(small, tmp_path):
             Simulation(scene_from_mapping(mapping, SCENE_FILE), with_warnings=False)
 
 
-
 def test_the_compliance_and_its_derivative_are_those_of_the_full_model(pair):
     """The derivative by the actuation goes through the coordinates, and is the same."""
     found = []
