@@ -121,8 +121,8 @@ LIBRARIES = {
         "workspace::test_the_picture_has_its_size",
     ),
     "view": (
-        "blueprint", "cavities", "mirror", "picture", "recent_path", "surface_normals",
-        "surroundings", "tension_colours", "viewer",
+        "blueprint", "frame", "mirror", "picture", "recent_path", "simulation_frames",
+        "surface_normals", "tension_colours", "viewer",
     ),
 }  # fmt: skip
 
@@ -351,7 +351,7 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Marks the tests of the tables; one of `LIBRARIES` that is nowhere is an error."""
+    """Marks the tests of the tables; a file or test of `LIBRARIES` that is nowhere is an error."""
     wanted = tests_of("LIBRARIES")
     missing = {(path, "") for path in wanted if not path.is_file()}
     missing |= {(path, name) for path in {item.path for item in items}
@@ -367,7 +367,9 @@ def pytest_collection_modifyitems(config, items):
         if own & names if names else item.get_closest_marker("slow") is None:
             item.add_marker(pytest.mark.libraries)
             missing -= {(item.path, name) for name in own}
-    if only_libraries(config) and missing:
+    if not only_libraries(config):
+        missing = {(path, name) for path, name in missing if not path.is_file()}
+    if missing:
         raise pytest.UsageError(f"conftest.LIBRARIES names what is not there: {sorted(missing)}")
 
 
