@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from enum import Enum
+from functools import wraps
 from typing import NamedTuple
 
 import numpy as np
@@ -173,24 +174,30 @@ def refusal_of_vector(vector: np.ndarray, may_be_nan: bool = False) -> Refusal |
 
 
 class Input:
-    """What inputs have in common: headers are checked, and refused messages are counted.
+    """Keeps the newest valid message about each object; each kind of message is a `latched` method.
 
     Args:
         settings: Limits and timeouts.
         frame_id: The only accepted frame, or None where it is not checked.
-        keys: What tells apart the senders, whose stamps are in order each for itself.
+        keys: What messages may be about: the stamps of each are in order for themselves. None where
+            each message is about all.
         refusals: Counts refused messages; None for counts of its own.
 
     Attributes:
         refusals: Refused messages, by reason.
         settings: Limits and timeouts.
+        clamped: How often a place was limited to the workspace.
     """
 
+    clamped = 0
+
     def __init__(
-        self, settings: LoopSettings, frame_id: str | None, keys: Iterable = (None,),
+        self, settings: LoopSettings, frame_id: str | None, keys: Iterable | None = None,
         refusals: RefusalCounts | None = None,
     ):  # fmt: skip
         self.refusals = RefusalCounts() if refusals is None else refusals
+        self._is_of_all = keys is None
+        keys = (None,) if keys is None else keys
         self._headers = {key: HeaderCheck(frame_id, settings) for key in keys}
         self.apply(settings)
         self.reset()
@@ -211,27 +218,42 @@ class Input:
         """Time since the last accepted message [s]; infinite before the first."""
         return now - self._newest
 
-    def _refused(
-        self, arrival: Arrival, key: object, find_fault: Callable[..., Refusal | None], *values
-    ) -> Refusal | None:  # fmt: skip
-        """Checks a message and counts it where it is refused; else its stamp is the newest.
+    def _inside(self, position: np.ndarray) -> np.ndarray:
+        """A position [m], shape (3,), limited to the workspace."""
+        inside = self.settings.in_workspace(position)
+        self.clamped += bool((inside != position).any())
+        return inside
 
-        Args:
-            arrival: Its header and time of arrival.
-            key: Its sender, one of the keys.
-            find_fault: Gives the reason to refuse the values, or None; called where the header is
-                accepted.
-            *values: What it takes.
+    def _header_of(self, key: object, method: str) -> HeaderCheck | None:
+        """Checks headers of messages about an object; None where there is no such object."""
+        return self._headers[None] if self._is_of_all else self._headers.get(key)
 
-        Returns:
-            The reason to refuse it, or None.
-        """
-        header = self._headers.get(key)
+
+def latched(take: Callable[..., Refusal | None]) -> Callable[..., Refusal | None]:
+    """Makes an input of messages from a method that checks and keeps the values of one.
+
+    The header is checked first: its frame, its age, and its order among those of the same sender.
+    Values reach the method as arrays of its own. A message that it refuses is counted, and so is one
+    about an object that the input does not have; another one is the newest of its sender.
+
+    Args:
+        take: Method of an `Input`. Its arguments are what the message is about, values, and the
+            `Arrival`. It returns the reason to refuse the values, and then keeps none of them; or
+            None.
+    """
+
+    @wraps(take)
+    def accept(self: Input, key: object, *values: object) -> Refusal | None:
+        *values, arrival = values
+        header = self._header_of(key, take.__name__)
         if header is None:
             return self.refusals.add(Refusal.WRONG_NAMES)
-        refusal = header.refusal(arrival) or find_fault(*values)
+        arrays = (np.array(one, dtype=float) for one in values)
+        refusal = header.refusal(arrival) or take(self, key, *arrays, arrival)
         if refusal is not None:
             return self.refusals.add(refusal)
         header.remember(arrival)
         self._newest = arrival.time
         return None
+
+    return accept

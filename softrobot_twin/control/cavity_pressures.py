@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from softrobot_twin.control.arrival import Arrival, Input, Refusal
+from softrobot_twin.control.arrival import Arrival, Input, Refusal, latched
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.errors import ParameterError, SceneError
@@ -144,9 +144,10 @@ class PressureInput(Input):
         """
         if self._frame_id is not None and not arrival.frame_id:
             arrival = arrival._replace(frame_id=self._frame_id)
-        return self._refused(arrival, name, self._put, name, pressure, arrival.time)
+        return self._put(name, pressure, arrival)
 
-    def _put(self, name: str, pressure: float, time: float) -> Refusal | None:
+    @latched
+    def _put(self, name: str, pressure: float, arrival: Arrival) -> Refusal | None:
         """Passes a pressure on to the keeper; the reason to refuse it, or None."""
         is_effort = name in self._cavities.by_volume
         if is_effort and not self._are_measured:
@@ -157,7 +158,7 @@ class PressureInput(Input):
             return Refusal.BELOW_VACUUM
         place = np.array([self._cavities.places[name]])
         gauge = pressure - self._cavities.ambient_pressure
-        refusal = None if is_effort else self._keeper.put(place, gauge, time)
+        refusal = None if is_effort else self._keeper.put(place, gauge, arrival.time)
         if refusal is None and self._are_measured:
             self._keeper.put_efforts(place, gauge)
         return refusal

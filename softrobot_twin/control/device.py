@@ -251,9 +251,11 @@ class MeasuredSetpoints(ActuatorInput):
             if now - arrived > timeout
         )  # fmt: skip
 
-    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
+    def _keep(
+        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
+    ) -> None:
         self.efforts = order.values(efforts) if len(efforts) else None
-        self._take(order.named, order.values(setpoints) + order.offsets, self._newest)
+        self._take(order.named, order.values(setpoints) + order.offsets, time)
 
     def _take(self, named: np.ndarray, measured: np.ndarray, time: float) -> None:
         """Keeps the setpoints of some actuators that arrived at a time [s]."""

@@ -20,13 +20,13 @@ class Guidance:
 
     Args:
         simulation: The model, at rest.
-        poses: Their commanded poses.
+        poses: Their commanded poses; None in a scene without guided bodies.
 
     Attributes:
         sent: Poses sent last, by name; at first the poses at rest.
     """
 
-    def __init__(self, simulation: Simulation, poses: PoseInput):
+    def __init__(self, simulation: Simulation, poses: PoseInput | None):
         self._simulation, self._poses = simulation, poses
         self._names = simulation.guided_names
         size = simulation.model.nodes.size

@@ -15,9 +15,11 @@ import numpy as np
 
 from softrobot_twin.control.arrival import (
     Arrival,
+    HeaderCheck,
     Input,
     Refusal,
     RefusalCounts,
+    latched,
     refusal_of_vector,
 )
 from softrobot_twin.control.loop_settings import LoopSettings
@@ -33,7 +35,6 @@ zeros when its sender did not set the rotation."""
 
 UNNAMED = -1
 """Index of an actuator that a message does not name."""
-_SENDERS = _FORCE, _PLACE = "force", "place"
 FARTHEST = 1.0 / 3.0
 """A touched point may be measured this far from where it is at rest, as a share of the robot's size."""
 
@@ -60,6 +61,17 @@ class TargetReading(NamedTuple):
     timed_out: bool
     orientations: np.ndarray | None = None
 
+    @classmethod
+    def none(cls, oriented: Sequence[bool]) -> TargetReading:
+        """No targets.
+
+        Args:
+            oriented: Whether each effector asks for an orientation.
+        """
+        count = len(oriented)
+        turns = np.full((count, 4), np.nan) if any(oriented) else None
+        return cls(np.full((count, 3), np.nan), "none", math.inf, False, turns)
+
 
 class TargetInput(Input):
     """Target points, poses and velocities of the effectors.
@@ -75,7 +87,6 @@ class TargetInput(Input):
 
     Attributes:
         velocity_refusals: Refused velocities, by reason.
-        clamped: How often a point or a velocity was limited to the workspace.
         slowed: How often a velocity was limited to `speed_limit`.
     """
 
@@ -88,7 +99,7 @@ class TargetInput(Input):
         if any(self._oriented):
             self._orientations = np.full((effector_count, 4), np.nan)
         self.velocity_refusals = RefusalCounts()
-        self.clamped = self.slowed = 0
+        self.slowed = 0
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)
         super().__init__(settings, frame_id, range(effector_count))
@@ -103,6 +114,7 @@ class TargetInput(Input):
         self._velocity_time = -math.inf
         self._source = "none"
 
+    @latched
     def accept_point(self, effector: int, position, arrival: Arrival) -> Refusal | None:
         """Checks a target and keeps it.
 
@@ -114,12 +126,12 @@ class TargetInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        position = np.asarray(position, dtype=float)
-        refusal = self._refused(arrival, effector, refusal_of_vector, position)
-        if refusal is None:
-            self._keep_position(effector, position, "point")
-        return refusal
+        if refusal := refusal_of_vector(position):
+            return refusal
+        self._keep_position(effector, position, "point")
+        return None
 
+    @latched
     def accept_pose(
         self, effector: int, position, quaternion, arrival: Arrival
     ) -> Refusal | None:
@@ -134,23 +146,19 @@ class TargetInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
-        refusal = self._refused(arrival, effector, self._fault_of_pose, effector, pose)
-        if refusal is None:
-            self._keep_position(effector, pose.position, "pose")
-            self._orientations[effector] = pose.quaternion / math.hypot(*pose.quaternion)
-        return refusal
-
-    def _fault_of_pose(self, effector: int, pose: Pose) -> Refusal | None:
         if not self._oriented[effector]:
             return Refusal.WRONG_NAMES
-        is_off = abs(math.hypot(*pose.quaternion.ravel()) - 1.0) > NOT_UNIT
-        return refusal_of_pose(pose) or (Refusal.NO_ROTATION if is_off else None)
+        if refusal := refusal_of_pose(Pose(position, quaternion)):
+            return refusal
+        if abs(math.hypot(*quaternion) - 1.0) > NOT_UNIT:
+            return Refusal.NO_ROTATION
+        self._keep_position(effector, position, "pose")
+        self._orientations[effector] = quaternion / math.hypot(*quaternion)
+        return None
 
     def _keep_position(self, effector: int, position: np.ndarray, source: str) -> None:
         """Keeps a valid position [m], shape (3,); it replaces a velocity."""
-        self._targets[effector] = self.settings.in_workspace(position)
-        self.clamped += bool((self._targets[effector] != position).any())
+        self._targets[effector] = self._inside(position)
         self._source = source
         if effector == self._velocity_effector:
             self._velocity_time = -math.inf
@@ -243,6 +251,7 @@ class StiffnessInput(Input):
         self.wanted = self._scene_stiffness.copy() if any(self._are_asked) else None
         self.is_given = False
 
+    @latched
     def accept(self, effector: int, stiffness, arrival: Arrival) -> Refusal | None:
         """Checks a wanted stiffness and keeps it.
 
@@ -254,19 +263,15 @@ class StiffnessInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        stiffness = np.array(stiffness, dtype=float)
-        refusal = self._refused(arrival, effector, self._fault_of, effector, stiffness)
-        if refusal is None:
-            self.wanted[effector] = stiffness
-            self.is_given = bool(np.isfinite(self.wanted).any())
-        return refusal
-
-    def _fault_of(self, effector: int, stiffness: np.ndarray) -> Refusal | None:
         if not self._are_asked[effector]:
             return Refusal.WRONG_NAMES
-        is_positive = not (stiffness <= 0.0).any()
-        return refusal_of_vector(stiffness, may_be_nan=True) or (
-            None if is_positive else Refusal.NOT_POSITIVE)
+        if refusal := refusal_of_vector(stiffness, may_be_nan=True):
+            return refusal
+        if (stiffness <= 0.0).any():
+            return Refusal.NOT_POSITIVE
+        self.wanted[effector] = stiffness
+        self.is_given = bool(np.isfinite(self.wanted).any())
+        return None
 
 
 # --- markers -------------------------------------------------------------------------------------
@@ -314,6 +319,7 @@ class MarkerInput(Input):
         super().reset()
         self.positions, self.stamp = self.hidden, 0
 
+    @latched
     def accept(self, ids: np.ndarray, positions: np.ndarray, arrival: Arrival) -> Refusal | None:
         """Checks the markers of one message and keeps them.
 
@@ -325,9 +331,12 @@ class MarkerInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        refusal = self._refused(arrival, None, self._fault_of, ids, positions)
-        if refusal is not None:
-            return refusal
+        if positions.shape != (len(ids), 3):
+            return Refusal.WRONG_SIZE
+        if np.isinf(positions).any():
+            return Refusal.NOT_FINITE
+        if len(np.unique(ids)) != len(ids):
+            return Refusal.DUPLICATE_ID
         self.stamp = arrival.stamp or arrival.ros_time
         measured = np.full_like(self.positions, np.nan)
         known = np.isin(ids, self._sorted_ids)
@@ -336,14 +345,6 @@ class MarkerInput(Input):
         measured[np.isnan(measured).any(axis=1)] = np.nan
         self.positions = measured
         return None
-
-    @staticmethod
-    def _fault_of(ids: np.ndarray, positions: np.ndarray) -> Refusal | None:
-        if positions.shape != (len(ids), 3):
-            return Refusal.WRONG_SIZE
-        if np.isinf(positions).any():
-            return Refusal.NOT_FINITE
-        return Refusal.DUPLICATE_ID if len(np.unique(ids)) != len(ids) else None
 
     def measured(self, now: float) -> np.ndarray:
         """Valid positions [m], shape (marker_count, 3): all NaN when they are too old."""
@@ -490,6 +491,7 @@ class ActuatorInput(Input):
         # without one.
         self._pressures = np.full(len(self._names.by_pressure), np.nan)
 
+    @latched
     def accept(
         self, names: Sequence[str], setpoints, efforts, arrival: Arrival
     ) -> Refusal | None:
@@ -505,21 +507,13 @@ class ActuatorInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        setpoints = np.asarray(setpoints, dtype=float)
-        efforts = np.asarray(efforts, dtype=float)
         order = self._order_of(tuple(names))
-        refusal = self._refused(arrival, None, self._fault_of, order, len(names), setpoints, efforts)
-        if refusal is None:
-            self._keep(order, setpoints, efforts)
-        return refusal
-
-    def _fault_of(
-        self, order: NameOrder | None, count: int, setpoints: np.ndarray, efforts: np.ndarray
-    ) -> Refusal | None:
-        """The reason to refuse a message of so many names, or None."""
         if order is None or not self._names_fit(order, setpoints, efforts):
             return Refusal.WRONG_NAMES
-        return self._refusal_of_values(order, count, setpoints, efforts)
+        if refusal := self._refusal_of_values(order, len(names), setpoints, efforts):
+            return refusal
+        self._keep(order, setpoints, efforts, arrival.time)
+        return None
 
     def put(self, places: np.ndarray, setpoints: np.ndarray, time: float) -> Refusal | None:
         """Keeps setpoints of some actuators; the others keep what they were given.
@@ -547,8 +541,10 @@ class ActuatorInput(Input):
         self._newest = time
         return None
 
-    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
-        """Keeps the values of a valid message."""
+    def _keep(
+        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
+    ) -> None:
+        """Keeps the values of a valid message that arrived at a time [s]."""
         apart = self._names.by_pressure | self._names.by_angle
         omitted = apart & ~order.named
         values = order.values(setpoints) + order.offsets
@@ -614,7 +610,9 @@ class SelectedActuatorInput(ActuatorInput):
             NaN where not selected; None when no actuator is selected.
     """
 
-    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
+    def _keep(
+        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
+    ) -> None:
         if not len(setpoints):
             self.setpoints, self._pressures[:] = None, np.nan
             return
@@ -662,12 +660,10 @@ class PoseInput(Input):
         settings: Timeouts and workspace.
 
     Attributes:
-        clamped: How often a pose was limited to the workspace.
         newest: The newest pose of each body that received one since the last reset, by name.
     """
 
     def __init__(self, names: Sequence[str], frame_id: str, settings: LoopSettings):
-        self.clamped = 0
         super().__init__(settings, frame_id, names)
 
     def reset(self) -> None:
@@ -675,6 +671,7 @@ class PoseInput(Input):
         super().reset()
         self.newest: dict[str, Pose] = {}
 
+    @latched
     def accept(self, name: str, position, quaternion, arrival: Arrival) -> Refusal | None:
         """Checks one message and keeps it.
 
@@ -687,13 +684,9 @@ class PoseInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
-        refusal = self._refused(arrival, name, refusal_of_pose, pose)
-        if refusal is not None:
+        if refusal := refusal_of_pose(Pose(position, quaternion)):
             return refusal
-        inside = self.settings.in_workspace(pose.position)
-        self.clamped += bool((inside != pose.position).any())
-        self.newest[name] = pose._replace(position=inside)
+        self.newest[name] = Pose(self._inside(position), quaternion)
         return None
 
 
@@ -721,6 +714,7 @@ class AngleInput(Input):
         self._takes_torques = takes_torques
         super().__init__(settings, None, refusals=keeper.refusals)
 
+    @latched
     def accept(
         self, names: Sequence[str], angles, torques, arrival: Arrival
     ) -> Refusal | None:
@@ -735,20 +729,13 @@ class AngleInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        angles, torques = np.asarray(angles, dtype=float), np.asarray(torques, dtype=float)
-        return self._refused(arrival, None, self._put, names, angles, torques, arrival.time)
-
-    def _put(
-        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray, time: float
-    ) -> Refusal | None:
-        """Passes values on to the keeper; the reason to refuse them, or None."""
         if refusal := self._fault_of(names, angles, torques):
             return refusal
         pulleys = self._pulleys
         places = [pulleys.names.index(name) for name in names]
         driven = np.concatenate([pulleys.driven[place] for place in places])
         lengths = np.concatenate(list(map(pulleys.lengths, places, angles)))
-        refusal = self._keeper.put(driven, lengths, time)
+        refusal = self._keeper.put(driven, lengths, arrival.time)
         if refusal is None and len(torques):
             tensions = np.concatenate(list(map(pulleys.tensions, places, torques)))
             self._keeper.put_efforts(driven, tensions)
@@ -795,7 +782,11 @@ class TouchInput(Input):
         self._rest = np.empty((0, 3)) if touches is None else np.array(touches.points)
         self._farthest = FARTHEST * simulation.model.nodes.size
         # A touch has two senders with clocks of their own.
-        super().__init__(settings, frame_id, product(range(len(self.names)), _SENDERS))
+        methods = "accept_force", "accept_place"
+        super().__init__(settings, frame_id, product(range(len(self.names)), methods))
+
+    def _header_of(self, key: object, method: str) -> HeaderCheck | None:
+        return super()._header_of((key, method), method)
 
     def reset(self) -> None:
         """Ends all touches; the counts stay."""
@@ -803,6 +794,7 @@ class TouchInput(Input):
         self._forces, self._places = Touched.none(len(self.names))
         self._heard = np.full(len(self.names), -math.inf)
 
+    @latched
     def accept_force(self, touch: int, force, arrival: Arrival) -> Refusal | None:
         """Checks a measured force and keeps it.
 
@@ -814,12 +806,12 @@ class TouchInput(Input):
         Returns:
             The reason to refuse it, or None. A refused force leaves the touch as it was.
         """
-        force, most = np.asarray(force, dtype=float), self._limits[touch]
-        refusal = self._refused(arrival, (touch, _FORCE), _fault_of_touch, force, 0.0, most)
-        if refusal is None:
-            self._keep(touch, force if np.linalg.norm(force) > 0.0 else np.nan, np.nan, arrival.time)
-        return refusal
+        if refusal := _fault_of_touch(force, 0.0, self._limits[touch]):
+            return refusal
+        self._keep(touch, force if np.linalg.norm(force) > 0.0 else np.nan, np.nan, arrival.time)
+        return None
 
+    @latched
     def accept_place(self, touch: int, place, arrival: Arrival) -> Refusal | None:
         """Checks a measured place of a touched point and keeps it.
 
@@ -831,11 +823,10 @@ class TouchInput(Input):
         Returns:
             The reason to refuse it, or None. A refused place leaves the touch as it was.
         """
-        place, rest = np.asarray(place, dtype=float), self._rest[touch]
-        refusal = self._refused(arrival, (touch, _PLACE), _fault_of_touch, place, rest, self._farthest)
-        if refusal is None:
-            self._keep(touch, np.nan, np.nan if np.isnan(place).any() else place, arrival.time)
-        return refusal
+        if refusal := _fault_of_touch(place, self._rest[touch], self._farthest):
+            return refusal
+        self._keep(touch, np.nan, np.nan if np.isnan(place).any() else place, arrival.time)
+        return None
 
     def _keep(self, touch: int, force, place, time: float) -> None:
         self._forces[touch], self._places[touch] = force, place

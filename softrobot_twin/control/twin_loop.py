@@ -94,8 +94,11 @@ MOST_REPEATS = 99
 _MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED, Activity.FOLLOWING)
 
 
-def owner_of(loop: TwinLoop, name: str) -> tuple[object, str]:
-    """The part of a loop that takes a call of `CALLS`, and the name of its method."""
+def owner_of(loop: TwinLoop, name: str) -> tuple[object | None, str]:
+    """The part of a loop that takes a call of `CALLS`, and the name of its method.
+
+    The part is None where the loop's scene or mode does not call for that input.
+    """
     part, _, method = name.rpartition(".")
     return (getattr(loop, part) if part else loop), method
 
@@ -103,8 +106,7 @@ def owner_of(loop: TwinLoop, name: str) -> tuple[object, str]:
 class _Entrance:
     """A call of `CALLS`, which ends the rest of the loop and is told to its listeners."""
 
-    def __init__(self, loop: TwinLoop, name: str):
-        owner, method = owner_of(loop, name)
+    def __init__(self, loop: TwinLoop, name: str, owner: object, method: str):
         self._loop, self._name, self._method = loop, name, getattr(owner, method)
         self.__wrapped__ = self._method  # For its signature.
         setattr(owner, method, self)
@@ -239,6 +241,60 @@ class TickOutcome(NamedTuple):
         }
 
 
+MEASUREMENTS = ("markers", "device", "measured_angles", "measured_pressures", "touches")
+"""Inputs of what is measured; the others take wishes."""
+
+
+def inputs_of(
+    simulation: Simulation, mode: Mode, settings: LoopSettings, frame_id: str,
+    cavities: CavityPressures, velocity_effector: int,
+) -> dict[str, Input]:  # fmt: skip
+    """The inputs that a scene and a mode call for, by their names in `CALLS`.
+
+    Commands of actuators, their measured setpoints and markers are taken in all of them: who sends
+    what the scene does not have is told so.
+
+    Args:
+        simulation: The model, at rest.
+        mode: What drives the loop.
+        settings: Limits and timeouts.
+        frame_id: The frame of all positions.
+        cavities: The cavities of the scene.
+        velocity_effector: Index of the effector that velocities apply to.
+    """
+    names, kinds = simulation.actuator_names, simulation.actuators.kinds
+    pulleys, rest = simulation.pulleys, simulation.rest_setpoints
+    by_position = [name for name, kind in zip(names, kinds) if not kind.takes_efforts]
+    by_pressure = [name for name, kind in zip(names, kinds) if kind.is_effort_driven]
+    by_angle = [names[index] for index in np.flatnonzero(pulleys.is_wound)]
+    units = [_SHOWN_UNITS.get(kind.setpoint.unit, kind.setpoint.unit) for kind in kinds]
+    known = ActuatorNames(names, simulation.motors, rest, by_position, by_pressure, by_angle)
+    device = MeasuredSetpoints(names, rest, simulation.limits, by_position, settings, units,
+                               -cavities.ambient_pressure, by_angle)  # fmt: skip
+    made: dict[str, Input] = {
+        "markers": MarkerInput(simulation.marker_ids, frame_id, settings), "device": device}
+    if mode is Mode.DIRECT:
+        commands = made["direct"] = ActuatorInput(known, settings)
+    else:
+        commands = made["selected"] = SelectedActuatorInput(known, settings)
+        made["targets"] = TargetInput(len(simulation.effector_names), velocity_effector, frame_id,
+                                      settings, simulation.oriented_effectors)  # fmt: skip
+    if simulation.guided_names:
+        made["poses"] = PoseInput(simulation.guided_names, frame_id, settings)
+    if mode is Mode.INVERSE and any(simulation.stiff_effectors):
+        made["stiffness"] = StiffnessInput(
+            simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings)
+    if pulleys.count:
+        made["angles"] = AngleInput(pulleys, commands, settings, False)
+        made["measured_angles"] = AngleInput(pulleys, device, settings, True)
+    if cavities.names:
+        made["pressures"] = PressureInput(cavities, commands, frame_id, settings, False)
+        made["measured_pressures"] = PressureInput(cavities, device, None, settings, True)
+    if simulation.touch_names:
+        made["touches"] = TouchInput(simulation, frame_id, settings)
+    return made
+
+
 class TwinLoop:
     """Connects inputs, simulation, correction and gate. Independent of ROS and of any clock.
 
@@ -256,6 +312,8 @@ class TwinLoop:
     Attributes:
         cavities: The cavities, and their absolute pressures.
         pulleys: The pulleys that wind cables, and their angles.
+        inputs: The inputs that its scene and mode call for, by name; each is an attribute of its
+            name too, and the others are None.
         is_repeating: True when the last tick repeated the outcome of the one before.
         listeners: Take the name, the arguments and the answer of each call of `CALLS`, after it was
             made.
@@ -263,6 +321,19 @@ class TwinLoop:
     Raises:
         ParameterError: The scene does not allow the mode or the settings.
     """
+
+    markers: MarkerInput
+    device: MeasuredSetpoints
+    direct: ActuatorInput | None = None
+    selected: SelectedActuatorInput | None = None
+    targets: TargetInput | None = None
+    poses: PoseInput | None = None
+    stiffness: StiffnessInput | None = None
+    angles: AngleInput | None = None
+    measured_angles: AngleInput | None = None
+    pressures: PressureInput | None = None
+    measured_pressures: PressureInput | None = None
+    touches: TouchInput | None = None
 
     def __init__(
         self,
@@ -276,43 +347,18 @@ class TwinLoop:
     ):
         check_mode(mode, simulation)
         self.simulation, self.mode, self.use_device = simulation, mode, use_device
-        effector_count = len(simulation.effector_names)
         self.check(settings)
         self.settings = settings
         self.cavities = CavityPressures(simulation, ambient_pressure)
-        self.targets = TargetInput(
-            effector_count, velocity_effector, frame_id, settings, simulation.oriented_effectors
-        )
-        self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
-        names, kind_of = simulation.actuator_names, simulation.actuators.kind_of
-        by_position = [name for name in names if not kind_of[name].takes_efforts]
-        by_pressure = [name for name in names if kind_of[name].is_effort_driven]
-        units = [_SHOWN_UNITS.get(kind.setpoint.unit, kind.setpoint.unit)
-                 for kind in kind_of.values()]  # fmt: skip
         self.pulleys = simulation.pulleys
-        by_angle = [names[index] for index in np.flatnonzero(self.pulleys.is_wound)]
-        self.device = MeasuredSetpoints(
-            names, simulation.rest_setpoints, simulation.limits, by_position, settings, units,
-            -ambient_pressure, by_angle,
-        )  # fmt: skip
-        self.measured_angles = AngleInput(self.pulleys, self.device, settings, True)
-        self.measured_pressures = PressureInput(self.cavities, self.device, None, settings, True)
-        known = ActuatorNames(
-            names, simulation.motors, simulation.rest_setpoints, by_position, by_pressure,
-            by_angle,
+        self.inputs = inputs_of(
+            simulation, mode, settings, frame_id, self.cavities, velocity_effector
         )
-        self.direct = ActuatorInput(known, settings)
-        self.selected = SelectedActuatorInput(known, settings)
-        self.pressures = PressureInput(self.cavities, self.commands, frame_id, settings, False)
-        self.angles = AngleInput(self.pulleys, self.commands, settings, False)
-        self.stiffness = StiffnessInput(
-            simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings
-        )
-        self.poses = PoseInput(simulation.guided_names, frame_id, settings)
-        self.touches = TouchInput(simulation, frame_id, settings)
+        vars(self).update(self.inputs)
+        self._no_targets = TargetReading.none(simulation.oriented_effectors)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
-        self.correction = TargetCorrection(effector_count)
+        self.correction = TargetCorrection(len(simulation.effector_names))
         self._history = MarkerHistory()
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
@@ -326,12 +372,19 @@ class TwinLoop:
         self.is_repeating = False
         self.listeners: list[Callable[[str, tuple, object], None]] = []
         for name in CALLS:
-            _Entrance(self, name)
+            owner, method = owner_of(self, name)
+            if owner is not None:
+                _Entrance(self, name, owner, method)
 
     @property
     def commands(self) -> ActuatorInput:
         """Commands of actuators; in inverse mode they exclude these from the optimisation."""
-        return self.direct if self.mode is Mode.DIRECT else self.selected
+        return self.direct or self.selected
+
+    @property
+    def wishes(self) -> list[Input]:
+        """The inputs of targets and commands."""
+        return [one for name, one in self.inputs.items() if name not in MEASUREMENTS]
 
     def wake(self) -> None:
         """Lets the next tick do all of its work."""
@@ -345,9 +398,8 @@ class TwinLoop:
         """Uses changed settings from the next tick on."""
         self.check(settings)
         self.settings = settings
-        for part in vars(self).values():
-            if isinstance(part, Input):
-                part.apply(settings)
+        for one in self.inputs.values():
+            one.apply(settings)
 
     @property
     def is_enabled(self) -> bool:
@@ -399,7 +451,8 @@ class TwinLoop:
             now: Time on the clock of `Arrival.time` [s].
         """
         self._contested[topic] = (reason, now + CONTESTED_TIME)
-        self.targets.stop()
+        if self.targets is not None:
+            self.targets.stop()
         if is_severe and (self.is_enabled or self.why_given_up == CONTESTED):
             self._engagement.give_up(reason)
 
@@ -463,9 +516,8 @@ class TwinLoop:
         self._plausibility.forget()
 
     def _forget_commands(self) -> None:
-        for commands in (self.targets, self.direct, self.selected, self.poses, self.pressures,
-                         self.angles, self.stiffness):  # fmt: skip
-            commands.reset()
+        for one in self.wishes:
+            one.reset()
 
     def driven_by_efforts(self, outcome: TickOutcome) -> np.ndarray | None:
         """Actuators that a tick drove by commanded efforts, and that so hold no displacement.
@@ -476,11 +528,11 @@ class TwinLoop:
         Returns:
             Shape (actuator_count,); None where no efforts were commanded.
         """
-        direct = self.direct
-        is_commanded = outcome.activity is Activity.COMMANDED and direct.setpoints is None
-        if not is_commanded or direct.efforts is None:
+        commands = self.commands
+        is_commanded = outcome.activity is Activity.COMMANDED and commands.setpoints is None
+        if not is_commanded or commands.efforts is None:
             return None
-        return np.isfinite(direct.efforts)
+        return np.isfinite(commands.efforts)
 
     def _why_contested(self, now: float) -> str:
         """Which input two publishers send on; empty where none."""
@@ -537,9 +589,8 @@ class TwinLoop:
         activity, cause = self._decide(now, aims.reading, accepted)
         self._guide(activity, now, time.reach)
         command = self._command(activity, cause, aims, time)
-        result, released, violated = self._step(
-            command, self.touches.read(now), time.reach, cause
-        )
+        touched = None if self.touches is None else self.touches.read(now)
+        result, released, violated = self._step(command, touched, time.reach, cause)
         predicted = self.simulation.marker_positions()
         self._history.add(ros_time, predicted)
         measured, misfit = self._compare(seen, activity)
@@ -593,19 +644,20 @@ class TwinLoop:
             self._history.add(ros_time, before.predicted_markers)
         if before.command is not None:
             self._released = now
-        reading = before.reading._replace(age=self.targets.age(now))
-        return before._replace(result=result, reading=reading)
+        if self.targets is not None:
+            before = before._replace(reading=before.reading._replace(age=self.targets.age(now)))
+        return before._replace(result=result)
 
     def _waits(self, now: float) -> bool:
         """Whether ticks change by time alone: something fades, or may time out."""
-        settings = self.settings
-        commands = (self.targets, self.direct, self.selected)
+        settings, targets = self.settings, self.targets
         return (
-            self.targets.is_moving(now)
+            (targets is not None and targets.is_moving(now))
             or self.markers.age(now) <= settings.marker_timeout
             or (self.use_device and not self.device_is_lost(now))
             or self._is_disputed(now)
-            or any(part.age(now) <= settings.target_timeout for part in commands)
+            or self.commands.age(now) <= settings.target_timeout
+            or (targets is not None and targets.age(now) <= settings.target_timeout)
             or bool(self.correction.offsets.any())
             or bool(self._contested)
         )
@@ -637,7 +689,9 @@ class TwinLoop:
     def _aims(self, now: float, time_step: float) -> Aims:
         """The targets of this tick and the aims that follow from them."""
         positions = self.simulation.effector_positions()
-        reading = self.targets.read(now, time_step, positions)
+        reading = self._no_targets
+        if self.targets is not None:
+            reading = self.targets.read(now, time_step, positions)
         corrected = reading.targets + self.correction.offsets
         wanted = self.measurement.controlled(corrected, positions)
         reach = self.settings.reach
@@ -685,7 +739,8 @@ class TwinLoop:
     def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
         """Why there is nothing to follow; empty when there is."""
         if self.mode is Mode.INVERSE:
-            if not (np.isfinite(reading.targets).any() or self.stiffness.is_given):
+            has_stiffness = self.stiffness is not None and self.stiffness.is_given
+            if not (np.isfinite(reading.targets).any() or has_stiffness):
                 return "no target yet"
             if self.selected.is_too_old(now, self.settings.target_timeout):
                 return "no command for target_timeout"
@@ -697,6 +752,8 @@ class TwinLoop:
 
     def _guide(self, activity: Activity, now: float, reach_time: float) -> None:
         """Moves the guided bodies in this tick, also without a command of the actuators."""
+        if self.poses is None:
+            return
         if reach_time == 0.0:
             self._guidance.stay()
         elif activity is Activity.RETURNING:
@@ -713,8 +770,9 @@ class TwinLoop:
         if time.reach == 0.0 or cause in _PAUSES:
             return Hold(time.step)
         if activity is Activity.FOLLOWING:
+            stiffness = None if self.stiffness is None else self.stiffness.wanted
             return FollowTargets(
-                aims.aims, time.step, self.selected.setpoints, aims.turns, self.stiffness.wanted,
+                aims.aims, time.step, self.selected.setpoints, aims.turns, stiffness,
                 time.reach, aims.is_approaching,
             )
         if activity is Activity.COMMANDED:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_settings import settings_of
 from softrobot_twin.control.twin_loop import CALLS, TwinLoop, owner_of
 from softrobot_twin.record.run_values import number, numbers, plain
@@ -53,6 +53,8 @@ def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
         ValueError: The arguments do not fit.
     """
     owner, method = owner_of(loop, name)
+    if owner is None:  # The scene is another one, which does not have what the call is about.
+        return plain(Refusal.WRONG_NAMES)
     kinds = CALLS[name].split()
     read = [READERS[kind](one) for kind, one in zip(kinds, arguments, strict=True)]
     return plain(getattr(owner, method)(*read))

@@ -191,7 +191,7 @@ class TwinDiagnostics:
         if contact is not None:
             follows = loop.mode is Mode.INVERSE
             parts["contact"] = contact_status(contact, window, follows) if has_ticked else waits
-        if loop.touches.names:
+        if loop.touches is not None:
             parts["touch"] = self._of_touches() if has_ticked else waits
         name = self._loop.simulation.scene.name
         return [status_message(f"{self._name}: {key}", name, part) for key, part in parts.items()]
@@ -428,22 +428,23 @@ class TwinDiagnostics:
 
     def _of_target(self, now: float) -> Part:
         loop, window, newest = self._loop, self._window, self._window.newest
-        inputs = (loop.targets.refusals, loop.targets.velocity_refusals,
-                  loop.direct.refusals, loop.selected.refusals, loop.poses.refusals,
-                  loop.stiffness.refusals)
+        targets, selected = loop.targets, loop.selected
+        # Inputs of single actuators count with those that keep their values.
+        inputs = list(dict.fromkeys(one.refusals for one in loop.wishes))
+        inputs += [] if targets is None else [targets.velocity_refusals]
         refused = self._refused("target", sum(counts.total for counts in inputs))
-        clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
-        values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped,
-                                     "slowed": self._new("slowed", loop.targets.slowed)}
+        clamped = self._new("clamped", sum(one.clamped for one in loop.wishes))
+        slowed = 0 if targets is None else self._new("slowed", targets.slowed)
+        values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped, "slowed": slowed}
         for key, count in chain.from_iterable(_refusals(counts).items() for counts in inputs):
             values[key] = values.get(key, 0) + count
         values |= {f"ticks: {cause}": ticks for cause, ticks in window.causes.items()}
         if newest is None:
             return OK, "no tick yet", values
-        direct, errors = loop.mode is Mode.DIRECT, newest.tracking_errors
+        errors = newest.tracking_errors
         values |= {
-            "source": "command" if direct else newest.reading.source,
-            "age_s": (loop.direct if direct else loop.targets).age(now),
+            "source": newest.reading.source if loop.direct is None else "command",
+            "age_s": (loop.direct or loop.targets).age(now),
             "error_mm": _greatest(errors[np.isfinite(errors)]) * _MILLI,
             "error_max_mm": window.tracking_error_max * _MILLI,
         }
@@ -453,10 +454,10 @@ class TwinDiagnostics:
             values["stiffness_error_percent"] = 100.0 * _greatest(newest.result.stiffness_errors)
         cause = tracking_cause(tracking_signs(loop, window, self._late))
         values["error_cause"] = cause
-        if loop.selected.setpoints is not None:
-            names = zip(loop.simulation.actuator_names, loop.selected.setpoints, strict=True)
+        if selected is not None and selected.setpoints is not None:
+            names = zip(loop.simulation.actuator_names, selected.setpoints, strict=True)
             values["commanded"] = " ".join(name for name, length in names if length == length)
-            values["commanded_age_s"] = loop.selected.age(now)
+            values["commanded_age_s"] = selected.age(now)
         by_turns = ""
         if window.source_changes >= _BY_TURNS:
             kinds = " and ".join(sorted(window.sources))

@@ -362,24 +362,21 @@ class TwinNode(TickingNode):
 
     def _open_inputs(self) -> None:
         loop, simulation = self.loop, self.loop.simulation
-        effectors = simulation.effector_names if loop.mode is Mode.INVERSE else ()
         # What the loop calls each object of a kind, and its name.
         objects = {
-            "<effector>": [((index,), name) for index, name in enumerate(effectors)],
+            "<effector>": [((index,), name) for index, name in enumerate(simulation.effector_names)],
             "<touch>": [((index,), name) for index, name in enumerate(simulation.touch_names)],
             "<cavity>": [((name,), name) for name in loop.cavities.names],
             "<guided body>": [((name,), name) for name in simulation.guided_names],
         }
-        has_pulleys = [bool(loop.pulleys.count)]
         has_it = {
             "~/target_pose/<effector>": simulation.oriented_effectors,
             "~/target_stiffness/<effector>": simulation.stiff_effectors,
-            "~/target_velocity": [bool(effectors)],
-            "~/command/angles": has_pulleys, "~/measured_angles": has_pulleys,
+            "~/target_velocity": [bool(simulation.effector_names)],
         }  # fmt: skip
         self._commands, self._measurements = [], []
         for name, topic in TOPICS.items():
-            if topic.direction is Direction.IN:
+            if topic.direction is Direction.IN and owner_of(loop, topic.call)[0] is not None:
                 kept = self._commands if name.startswith(_OF_USERS) else self._measurements
                 kind = name.rpartition("/")[2]
                 kept += [self._listen(topic, *one) for one in compress(
@@ -562,7 +559,7 @@ class TwinNode(TickingNode):
         watch, loop = self._mesh_error, self.loop
         if watch is None:
             return
-        forces_given = loop.mode is Mode.DIRECT and loop.direct.efforts is not None
+        forces_given = loop.direct is not None and loop.direct.efforts is not None
         watch.offer(loop.simulation, forces_given, now)
         if self._mesh_error_reported or not (watch.at_rest or watch.cause):
             return

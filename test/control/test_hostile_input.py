@@ -127,15 +127,15 @@ class Hostile:
         return self.rest + share * (end - self.rest)
 
     def send_target(self):
-        effectors = len(self.simulation.effector_names)
-        if not effectors:
+        if self.loop.targets is None or not self.simulation.effector_names:
             return
         place = self.simulation.effector_positions()[0]
         scale = self.random.choice([0.005, 0.03, 1.0, 1e9])
         self.loop.targets.accept_point(0, self.numbers(3, scale, place), self.arrival())
 
     def send_velocity(self):
-        self.loop.targets.accept_velocity(self.numbers(3, 0.05), self.time)
+        if self.loop.targets is not None:
+            self.loop.targets.accept_velocity(self.numbers(3, 0.05), self.time)
 
     def send_command(self):
         names = self.simulation.actuator_names

@@ -5,14 +5,15 @@ import json
 import math
 import random
 import struct
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost, settings_of
-from softrobot_twin.control.twin_loop import CALLS, owner_of
-from softrobot_twin.record.loop_calls import READERS, call_to_json
+from softrobot_twin.control.twin_loop import CALLS, TwinLoop
+from softrobot_twin.record.loop_calls import READERS, call_to_json, repeat
 from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.run_values import numbers, plain, state_digest
@@ -49,17 +50,25 @@ def test_changed_settings_come_back_as_they_were():
     assert settings_of(json.loads(json.dumps(plain(settings)))) == settings
 
 
-def test_every_input_and_service_of_a_loop_is_recorded(recorded):
-    loop = Replay(RunFile(recorded.path)).loop
-    parts = {name: part for name, part in vars(loop).items() if not name.startswith("_")}
+def test_every_input_and_service_of_a_loop_is_recorded():
+    """Each attribute of a loop that is an input is declared, with its class or None."""
+    kinds = {name: (get_args(kind) or (kind,))[0] for name, kind in get_type_hints(TwinLoop).items()}
     accepting = {
-        f"{name}.{method}" for name, part in parts.items() for method in dir(part)
-        if method.startswith("accept")
+        f"{name}.{method}": getattr(kind, method) for name, kind in kinds.items()
+        for method in dir(kind) if method.startswith("accept")
     }  # fmt: skip
-    assert accepting == {name for name in CALLS if "accept" in name}
-    for name in CALLS:
-        owner, method = owner_of(loop, name)
-        assert len(inspect.signature(getattr(owner, method)).parameters) == len(CALLS[name].split())
+    services = {name: getattr(TwinLoop, name) for name in CALLS if "." not in name}
+    assert accepting.keys() | services.keys() == CALLS.keys()
+    for name, method in (accepting | services).items():
+        own, *given = inspect.signature(method).parameters
+        assert own == "self" and len(given) == len(CALLS[name].split())
+
+
+def test_a_recorded_call_of_what_a_loop_does_not_have_is_answered_by_a_refusal(recorded):
+    loop = Replay(RunFile(recorded.path)).loop
+    arrival = ["base_link", 0, 0, 0.0]
+    answer = repeat(loop, "touches.accept_force", [0, [0.0, 0.0, -1.0], arrival])
+    assert answer == Refusal.WRONG_NAMES.value
 
 
 @pytest.mark.parametrize("position", [(0.1, math.nan, -0.0), (math.inf,)])
