@@ -26,7 +26,7 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.limits import Pulleys
-from softrobot_twin.simulation.channels import NOT_UNIT
+from softrobot_twin.simulation.channels import NOT_UNIT, Channel
 
 _SMALLEST_COMPONENT = 1.0e-3
 """A quaternion whose components are all smaller than this is not a rotation. A pose message has
@@ -844,6 +844,74 @@ class TouchInput(Input):
         if not (touching & ~late).any():
             return None
         return Touched(self._forces.copy(), self._places.copy())
+
+
+# --- channels from outside -----------------------------------------------------------------------
+
+
+class ChannelInput(Input):
+    """The newest measured numbers of each object of a channel that was added from outside.
+
+    Args:
+        channel: The channel.
+        count: Number of its objects.
+        frame_id: The only accepted frame.
+        settings: Timeouts.
+        refusals: Counts refused messages.
+    """
+
+    def __init__(
+        self, channel: Channel, count: int, frame_id: str, settings: LoopSettings,
+        refusals: RefusalCounts,
+    ):  # fmt: skip
+        self._channel, self._shape = channel, (count, channel.width)
+        super().__init__(settings, frame_id, range(count), refusals)
+
+    def reset(self) -> None:
+        """Forgets the measurements; the counts stay."""
+        super().reset()
+        self._values, self._heard = np.full(self._shape, np.nan), np.full(self._shape[0], -math.inf)
+
+    def accept(
+        self, index: int, names: Sequence[str], values, others, arrival: Arrival
+    ) -> Refusal | None:
+        """Checks the measured numbers of an object and keeps them.
+
+        Args:
+            index: The object.
+            names: Names of the numbers, those of the channel in any order.
+            values: The number of each, finite.
+            others: Numbers of another meaning, of which there must be none.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        parts = self._channel.parts
+        if len(others) or sorted(names) != sorted(parts):
+            return self.refusals.add(Refusal.WRONG_FIELDS if len(others) else Refusal.WRONG_NAMES)
+        if len(values) != len(names):
+            return self.refusals.add(Refusal.WRONG_SIZE)
+        return self._take(index, [values[list(names).index(part)] for part in parts], arrival)
+
+    @latched
+    def _take(self, index: int, values: np.ndarray, arrival: Arrival) -> Refusal | None:
+        """Keeps numbers in the order of the channel; the reason to refuse them, or None."""
+        if not np.isfinite(values).all():
+            return Refusal.NOT_FINITE
+        if np.abs(values).max() > self._channel.most:
+            return Refusal.OUT_OF_RANGE
+        self._values[index], self._heard[index] = values, arrival.time
+        return None
+
+    def read(self, now: float) -> np.ndarray:
+        """The newest numbers, shape (object_count, width): NaN where older than `device_timeout`.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
+        is_late = now - self._heard > self.settings.device_timeout
+        return np.where(is_late[:, None], np.nan, self._values)
 
 
 def _fault_of_touch(vector: np.ndarray, start, most: float) -> Refusal | None:

@@ -23,6 +23,7 @@ from softrobot_twin.control.inputs import (
     ActuatorInput,
     ActuatorNames,
     AngleInput,
+    ChannelInput,
     MarkerInput,
     Misfit,
     PoseInput,
@@ -60,6 +61,7 @@ from softrobot_twin.simulation import (
     Touched,
 )
 from softrobot_twin.simulation.appearance import Pose
+from softrobot_twin.simulation.channels import measured
 
 DEVICE_LOST = "device lost"
 DISPUTED = "the device is measured at two places"
@@ -89,6 +91,14 @@ CALLS: dict[str, str] = {
 }  # fmt: skip
 """All calls by which anything reaches a loop from outside, but `tick`: part of the loop and method,
 and what each argument is; a ``key`` is a name, an index or a word."""
+
+
+def all_calls() -> dict[str, str]:
+    """The same with calls of inputs of channels that were added from outside."""
+    return CALLS | {f"{one.measured_name}.accept": "key key numbers numbers arrival"
+                    for one in measured()}  # fmt: skip
+
+
 MOST_REPEATS = 99
 """Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
 _MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED, Activity.FOLLOWING)
@@ -210,6 +220,8 @@ class TickOutcome(NamedTuple):
         is_approaching: An effector was sent to a point on the line to its far target.
         orientation_errors: Angle of each effector of the model from its wanted orientation [rad],
             shape (effector_count,), NaN without a target; None where no effector asks for one.
+        measured: Newest measured numbers of channels that were added from outside, by the channel's
+            name, each of shape (object_count, width); NaN where they are too old.
     """
 
     activity: Activity
@@ -228,6 +240,7 @@ class TickOutcome(NamedTuple):
     left_out: tuple[int, ...] = ()
     is_approaching: bool = False
     orientation_errors: np.ndarray | None = None
+    measured: Mapping[str, np.ndarray] = {}
 
     def shown(self) -> dict[str, Any]:
         """What a viewer shows of it beside its result, by the arguments of `SimulationFrames`."""
@@ -241,8 +254,8 @@ class TickOutcome(NamedTuple):
         }
 
 
-MEASUREMENTS = ("markers", "device", "measured_angles", "measured_pressures", "touches")
-"""Inputs of what is measured; the others take wishes."""
+_MEASUREMENTS = ("markers", "device", "touches", "measured_")
+"""Beginnings of the names of inputs of what is measured; the others take wishes."""
 
 
 def inputs_of(
@@ -292,6 +305,9 @@ def inputs_of(
         made["measured_pressures"] = PressureInput(cavities, device, None, settings, True)
     if simulation.touch_names:
         made["touches"] = TouchInput(simulation, frame_id, settings)
+    for one in measured():
+        made[one.measured_name] = ChannelInput(
+            one, len(one.names(simulation)), frame_id, settings, device.refusals)
     return made
 
 
@@ -355,6 +371,7 @@ class TwinLoop:
             simulation, mode, settings, frame_id, self.cavities, velocity_effector
         )
         vars(self).update(self.inputs)
+        self._channels = {one.name: self.inputs[one.measured_name] for one in measured()}
         self._no_targets = TargetReading.none(simulation.oriented_effectors)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
@@ -371,7 +388,7 @@ class TwinLoop:
         self._rest: _Rest | None = None
         self.is_repeating = False
         self.listeners: list[Callable[[str, tuple, object], None]] = []
-        for name in CALLS:
+        for name in all_calls():
             owner, method = owner_of(self, name)
             if owner is not None:
                 _Entrance(self, name, owner, method)
@@ -384,7 +401,7 @@ class TwinLoop:
     @property
     def wishes(self) -> list[Input]:
         """The inputs of targets and commands."""
-        return [one for name, one in self.inputs.items() if name not in MEASUREMENTS]
+        return [one for name, one in self.inputs.items() if not name.startswith(_MEASUREMENTS)]
 
     def wake(self) -> None:
         """Lets the next tick do all of its work."""
@@ -609,6 +626,7 @@ class TwinLoop:
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
             measured, misfit, effectors, errors, poses, self._plausibility.left_out,
             aims.is_approaching, self.simulation.orientation_angles(aims.reading.orientations),
+            {name: one.read(now) for name, one in self._channels.items()},
         )  # fmt: skip
         is_resting = result.report.is_resting and activity in _MAY_REPEAT and not violated
         if is_resting and not self._waits(now):
@@ -656,6 +674,7 @@ class TwinLoop:
             or self.markers.age(now) <= settings.marker_timeout
             or (self.use_device and not self.device_is_lost(now))
             or self._is_disputed(now)
+            or any(one.age(now) <= settings.device_timeout for one in self._channels.values())
             or self.commands.age(now) <= settings.target_timeout
             or (targets is not None and targets.age(now) <= settings.target_timeout)
             or bool(self.correction.offsets.any())

@@ -8,7 +8,7 @@ import numpy as np
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_settings import settings_of
-from softrobot_twin.control.twin_loop import CALLS, TwinLoop, owner_of
+from softrobot_twin.control.twin_loop import TwinLoop, all_calls, owner_of
 from softrobot_twin.record.run_values import number, numbers, plain
 
 
@@ -30,7 +30,7 @@ def call_to_json(name: str, arguments: tuple, answer: object) -> dict[str, objec
     """A call as JSON.
 
     Args:
-        name: One of `CALLS`.
+        name: One of `all_calls`.
         arguments: What was given.
         answer: What the loop returned: the reason of a refusal, or what a service answers.
     """
@@ -42,7 +42,7 @@ def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
 
     Args:
         loop: The loop.
-        name: One of `CALLS`.
+        name: One of `all_calls`.
         arguments: Its arguments as JSON.
 
     Returns:
@@ -55,6 +55,6 @@ def repeat(loop: TwinLoop, name: str, arguments: Iterable) -> object:
     owner, method = owner_of(loop, name)
     if owner is None:  # The scene is another one, which does not have what the call is about.
         return plain(Refusal.WRONG_NAMES)
-    kinds = CALLS[name].split()
+    kinds = all_calls()[name].split()
     read = [READERS[kind](one) for kind, one in zip(kinds, arguments, strict=True)]
     return plain(getattr(owner, method)(*read))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.control.loop_settings import Mode, settings_of
-from softrobot_twin.control.twin_loop import CALLS, TickOutcome, TwinLoop
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop, all_calls
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.record.loop_calls import repeat
 from softrobot_twin.record.run_clock import PlayedClock
@@ -412,7 +412,7 @@ class Replay:
         """Repeats a call and compares its answer."""
         found, name = self.comparison, content["to"]
         found.calls += 1
-        if name not in CALLS:
+        if name not in all_calls():
             raise RunFileError(self.run.path, f"holds the call {name}, which is unknown")
         try:
             answer = repeat(self.loop, name, content["arguments"])

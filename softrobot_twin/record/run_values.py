@@ -50,13 +50,16 @@ def _guided_poses(tick: TickOutcome) -> dict[str, list[np.ndarray]]:
 
 
 def of_channels(given: Iterable[Channel]) -> dict[str, Quantity]:
-    """Channels as quantities of ticks."""
-    rows = {"effector_names": EFFECTORS, "touch_names": TOUCHES}
-    return {
-        one.name: Quantity(one.unit, rows.get(one.objects, one.objects), one.parts,
-                           lambda tick, one=one: one.read(tick.result))
-        for one in given
-    }  # fmt: skip
+    """Channels as quantities of ticks: what the model tells and, with most, what is measured."""
+    found, rows = {}, {"effector_names": EFFECTORS, "touch_names": TOUCHES}
+    for one in given:
+        told = Quantity(one.unit, rows.get(one.objects, one.objects), one.parts,
+                        lambda tick, one=one: one.read(tick.result))  # fmt: skip
+        found[one.name] = told
+        if one.most:
+            found[one.measured_name] = told._replace(
+                path=lambda tick, one=one: tick.measured[one.name])
+    return found
 
 
 QUANTITIES: dict[str, Quantity] = {

@@ -9,6 +9,7 @@ import numpy as np
 from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.simulation import FollowTargets
+from softrobot_twin.simulation.channels import measured
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 
 
@@ -37,7 +38,11 @@ class TickTable:
             places = np.zeros((len(simulation.effector_names), 3))
             turns = np.where(np.array(simulation.oriented_effectors)[:, None], np.zeros(4), np.nan)
             followed = FollowTargets(places, loop.settings.period, None, turns)
-        self._columns = RunColumns(simulation, followed, with_reduction_errors=False)
+        columns_of_measured = [
+            own for one in measured() for name in one.names(simulation)
+            for own in one.columns(f"{name}_measured")
+        ]  # fmt: skip
+        self._columns = RunColumns(simulation, followed, columns_of_measured, False)
         self.header = self._columns.names
 
     def texts(self, outcome: TickOutcome, step: int, seconds: float) -> list[str]:
@@ -54,4 +59,5 @@ class TickTable:
             command = FollowTargets(reading.targets, period, None, reading.orientations)
             result = replace(result, effector_errors=outcome.tracking_errors,
                              orientation_errors=outcome.orientation_errors)  # fmt: skip
-        return self._columns.texts(self._columns.row(step, seconds, result, command))
+        numbers = tuple(number for values in outcome.measured.values() for number in values.flat)
+        return self._columns.texts(self._columns.row(step, seconds, result, command, numbers))

@@ -317,6 +317,14 @@ def channel_topic(channel: Channel) -> Topic:
                  f"names {', '.join(channel.parts)}, `position` = their values")
 
 
+def measured_topic(channel: Channel) -> Topic:
+    """The topic by which the twin takes measured numbers of such a channel."""
+    name = channel.measured_name
+    return Topic(f"~/{name}/<{channel.name}>", IN, JointState, STREAM, channel.unit,
+                 f"as `~/{channel.name}/<object>`; larger than {channel.most:g} is refused",
+                 f"{name}.accept")  # fmt: skip
+
+
 TWIN_SERVICES = (
     Service("~/enable", SetBool,
             "starts disabled with `use_device`; starts from the measured setpoints, or answers why "

@@ -53,7 +53,13 @@ from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode, publishing_nodes
 from softrobot_twin.ros.topics import TWIN_TOPICS as TOPICS
-from softrobot_twin.ros.topics import Direction, Topic, channel_topic, open_publisher
+from softrobot_twin.ros.topics import (
+    Direction,
+    Topic,
+    channel_topic,
+    measured_topic,
+    open_publisher,
+)
 from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
@@ -61,7 +67,7 @@ from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.channels import from_outside
+from softrobot_twin.simulation.channels import from_outside, measured
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording
@@ -374,8 +380,12 @@ class TwinNode(TickingNode):
             "~/target_stiffness/<effector>": simulation.stiff_effectors,
             "~/target_velocity": [bool(simulation.effector_names)],
         }  # fmt: skip
+        for channel in measured():
+            names = channel.names(simulation)
+            objects[f"<{channel.name}>"] = [((index,), name) for index, name in enumerate(names)]
         self._commands, self._measurements = [], []
-        for name, topic in TOPICS.items():
+        for topic in (*TOPICS.values(), *map(measured_topic, measured())):
+            name = topic.name
             if topic.direction is Direction.IN and owner_of(loop, topic.call)[0] is not None:
                 kept = self._commands if name.startswith(_OF_USERS) else self._measurements
                 kind = name.rpartition("/")[2]
@@ -411,7 +421,7 @@ class TwinNode(TickingNode):
         """Takes notice that two publishers send; what the loop does not use stops nothing."""
         super().contest(topic, name, sentence)
         loop, is_of_device = self.loop, topic.name.startswith("~/measured_")
-        if is_of_device and not loop.use_device:
+        if (is_of_device and not loop.use_device) or topic.name not in TOPICS:
             return
         if topic.name == "~/markers" and not loop.settings.closed_loop:
             return

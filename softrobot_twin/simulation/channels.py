@@ -3,7 +3,8 @@
 A channel is a quantity of all objects of a kind, such as the forces of touches. Tables of runs, results
 in Python, records and topics are loops over channels. One that `register_channel` adds from outside is
 a column of every run and a value of every result, a topic ``~/<name>/<object>`` of the twin, and a
-quantity of records, which replays compare.
+quantity of records, which replays compare. Where it is measured too, the twin takes messages of it on
+``~/measured_<name>/<object>``, and tells the newest measured numbers in records and their tables.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ class Channel(NamedTuple):
         target: Field of `FollowTargets` with what is wanted.
         python_name: End of the name of all numbers at once in Python.
         error: Field of a result with the errors, and the end of their column; empty without one.
+        most: Greatest size of a measured number, in its unit; 0 where nothing is measured.
     """
 
     name: str
@@ -61,11 +63,17 @@ class Channel(NamedTuple):
     target: str = ""
     python_name: str = ""
     error: tuple[str, str] = ("", "")
+    most: float = 0.0
 
     @property
     def width(self) -> int:
         """How many numbers it has of an object."""
         return len(self.parts)
+
+    @property
+    def measured_name(self) -> str:
+        """Name of its measured numbers in records and among topics."""
+        return f"measured_{self.name}"
 
     def names(self, simulation: Simulation) -> Sequence[str]:
         """Names of the objects of its kind."""
@@ -129,6 +137,11 @@ def channels() -> tuple[Channel, ...]:
 def from_outside() -> tuple[Channel, ...]:
     """Those that `register_channel` added."""
     return tuple(_REGISTERED)
+
+
+def measured() -> tuple[Channel, ...]:
+    """Those of them that are measured."""
+    return tuple(one for one in _REGISTERED if one.most)
 
 
 def register_channel(channel: Channel) -> None:

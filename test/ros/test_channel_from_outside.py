@@ -1,82 +1,153 @@
-"""A channel from outside of the package is one entry: tables, Python, topics, records and replays show it."""
+"""A channel from outside of the package is one entry, in `test/force_channel.py`.
+
+Tables, Python, topics, records and replays show it, and the twin takes what is measured of it.
+"""
 
 import csv
 
 import numpy as np
 import pytest
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
 import softrobot_twin as st
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.record.replay import Replay
-from softrobot_twin.record.run_file import TICK, RunFile
+from softrobot_twin.record.run_file import CALL, TICK, RunFile
 from softrobot_twin.record.tick_table import TickTable
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.channels import Channel, register_channel, withdraw_channel
+from softrobot_twin.simulation.channels import register_channel, withdraw_channel
 from softrobot_twin.simulation.runs.run_columns import RunColumns
+from test.force_channel import FORCE, LEVER
 
-LEVER = 0.25
-"""A load cell at the pulley of each cable measures this share of the tension, along two axes."""
-SHIFT = [0.0]
-"""What it shows without a force [N]."""
+MEASURED = {"along": 1.5, "across": -0.25}
 
 
 @pytest.fixture
-def cells():
-    channel = Channel(
-        "cell_forces", "N", "actuator_names", ("along", "across"),
-        lambda name: (f"{name}_cell_along_N", f"{name}_cell_across_N"),
-        lambda result: np.outer(result.efforts, [LEVER, -LEVER]) + SHIFT[0],
-    )  # fmt: skip
-    register_channel(channel)
-    SHIFT[0] = 0.0
-    yield channel
-    withdraw_channel(channel)
+def force():
+    register_channel(FORCE)
+    yield FORCE
+    withdraw_channel(FORCE)
 
 
-def test_a_name_is_given_once(cells):
-    with pytest.raises(ValueError, match="a channel cell_forces already"):
-        register_channel(cells)
+def test_a_name_is_given_once(force):
+    with pytest.raises(ValueError, match="a channel force already"):
+        register_channel(force)
 
 
-def test_tables_and_results_have_its_columns(cells, small_scene_file):
+def test_tables_and_results_have_its_columns(force, small_scene_file):
     robot = st.load(small_scene_file)
     result = robot.step(st.setpoints(north_shortening_m=0.002))
     tension = result["north_tension_N"]
-    assert tension > 0.0 and result["north_cell_along_N"] == LEVER * tension
-    assert result["north_cell_across_N"] == -LEVER * tension
+    assert tension > 0.0 and result["north_force_along_N"] == LEVER * tension
+    assert result["north_force_across_N"] == -LEVER * tension
     simulation = Simulation(load_scene(small_scene_file))
     made = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.002, 0.02))
     columns = RunColumns(simulation)
     row = dict(zip(columns.names, columns.texts(columns.row(0, 0.02, made)), strict=True))
     for name in simulation.actuator_names:
-        assert float(row[f"{name}_cell_along_N"]) == LEVER * float(row[f"{name}_tension_N"])
+        assert float(row[f"{name}_force_along_N"]) == LEVER * float(row[f"{name}_tension_N"])
 
 
-def test_a_twin_publishes_and_records_it_and_a_replay_compares_it(
-    cells, world, make_twin, tmp_path
-):
+def message(twin, values=MEASURED, frame="base_link", age=0, **fields):
+    """What a cell says; the order of its numbers is free."""
+    stamp = Time(nanoseconds=twin.ros_time() - age).to_msg()
+    names = sorted(values)
+    return JointState(
+        header=Header(frame_id=frame, stamp=stamp), name=names,
+        position=[values[name] for name in names], **fields,
+    )  # fmt: skip
+
+
+def measured_by(twin):
+    """Whether the newest tick has measured forces; False where there is none yet."""
+    newest = twin.window.newest
+    return newest is not None and np.isfinite(newest.measured["force"]).any()
+
+
+@pytest.fixture
+def recorded(force, world, make_twin, tmp_path):
+    """A recorded run, in which the cell of one cable measured, and what its topic told."""
     twin = make_twin(record=str(tmp_path / "run.mcap"))
-    heard = world.hear(JointState, "/twin/cell_forces/north", 10)
+    heard = world.hear(JointState, "/twin/force/north", 10)
+    cell = world.speaker(JointState, "/twin/measured_force/north")
     world.until(lambda: len(heard) > 3)
-    assert list(heard[-1].name) == ["along", "across"]
-    north = twin.loop.simulation.actuator_names.index("north")
+    cell.publish(message(twin))
+    world.until(lambda: measured_by(twin))
     efforts = twin.window.newest.result.efforts
-    assert heard[-1].position[0] == pytest.approx(LEVER * efforts[north], abs=1e-6)
+    names = twin.loop.simulation.actuator_names
     world.close()
-    run = RunFile(tmp_path / "run.mcap")
-    ticks = [entry.content["values"] for entry in run.entries() if entry.kind == TICK]
-    assert ticks and np.array(ticks[-1]["cell_forces"]).shape == (len(efforts), 2)
+    return RunFile(tmp_path / "run.mcap"), heard[-1], efforts, names
+
+
+def test_a_twin_publishes_what_the_model_tells(recorded):
+    _, heard, efforts, names = recorded
+    assert list(heard.name) == ["along", "across"]
+    assert heard.position[0] == pytest.approx(LEVER * efforts[names.index("north")], abs=1e-6)
+
+
+def test_a_record_and_its_table_hold_what_is_told_and_what_is_measured(recorded, tmp_path):
+    run, _, efforts, names = recorded
+    north = names.index("north")
+    entries = list(run.entries())
+    (call,) = (one.content for one in entries if one.kind == CALL)
+    assert call["to"] == "measured_force.accept" and call["answer"] is None
+    ticks = [one.content["values"] for one in entries if one.kind == TICK]
+    assert np.array(ticks[-1]["force"]).shape == (len(efforts), 2)
+    assert ticks[-1]["measured_force"][north] == [*MEASURED.values()]
+    assert ticks[0]["measured_force"] == [[None, None]] * len(efforts)
     replay, rows = Replay(run), []
     table = TickTable(replay.loop)
     found = replay.all_ticks(lambda tick, _, time: rows.append(table.texts(tick, len(rows), time)))
-    assert found.is_equal and found.ticks == len(ticks)
+    assert found.is_equal and found.ticks == len(ticks) and found.calls == 1
     with (tmp_path / "run.csv").open("w", newline="") as file:
         csv.writer(file).writerows([table.header, *rows])
-    cells_told = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, encoding="utf-8")
-    recorded = [tick["cell_forces"][north][0] for tick in ticks]
-    assert cells_told["north_cell_along_N"].tolist() == recorded
-    SHIFT[0] = 1.0
+    told = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, encoding="utf-8")
+    assert told["north_force_along_N"].tolist() == [one["force"][north][0] for one in ticks]
+    assert told["north_measured_force_along_N"][-1] == MEASURED["along"]
+    assert told["north_measured_force_across_N"][-1] == MEASURED["across"]
+
+
+def test_a_replay_compares_it(recorded):
+    run = recorded[0]
+    withdraw_channel(FORCE)
+    shifted = FORCE._replace(read=lambda result: FORCE.read(result) + 1.0)
+    register_channel(shifted)
     found = Replay(run).all_ticks()
-    assert list(found.by_quantity) == ["cell_forces"] and found.first.size == 1.0
+    withdraw_channel(shifted)
+    register_channel(FORCE)
+    assert list(found.by_quantity) == ["force"] and found.first.size == 1.0
     assert found.first.place.endswith("along [N]")
+
+
+@pytest.mark.parametrize(
+    ("changes", "refusal"),
+    [
+        ({"values": {"along": 1.0}}, Refusal.WRONG_NAMES),
+        ({"values": {"along": 1.0, "up": 2.0}}, Refusal.WRONG_NAMES),
+        ({"values": {"along": 51.0, "across": 0.0}}, Refusal.OUT_OF_RANGE),
+        ({"values": {"along": np.nan, "across": 0.0}}, Refusal.NOT_FINITE),
+        ({"effort": [1.0, 1.0]}, Refusal.WRONG_FIELDS),
+        ({"frame": "elsewhere"}, Refusal.WRONG_FRAME),
+        ({"age": 10**10}, Refusal.STALE),
+        ({"age": -(10**10)}, Refusal.FROM_THE_FUTURE),
+    ],
+)
+def test_a_measured_number_that_cannot_be_used_is_refused(
+    force, world, make_twin, changes, refusal
+):
+    twin = make_twin()
+    cell = world.speaker(JointState, "/twin/measured_force/north")
+    cell.publish(message(twin, **changes))
+    world.until(lambda: twin.loop.device.refusals.of(refusal) == 1)
+    assert np.isnan(twin.loop.measured_force.read(twin.monotonic())).all()
+
+
+def test_what_was_measured_ends_after_the_timeout_of_the_device(force, world, make_twin):
+    twin = make_twin()
+    cell = world.speaker(JointState, "/twin/measured_force/north")
+    cell.publish(message(twin))
+    world.until(lambda: measured_by(twin))
+    world.until(lambda: twin.window.newest is not None and not measured_by(twin))
