@@ -90,12 +90,14 @@ class CompilationProgress(events.Listener):
 
     Attributes:
         known: Kernels of the imported modules: no more can be needed, and a scene needs fewer.
-        compiled: Kernels that this process has compiled; those kept on disk are not among them.
+        compiled: Those of them that this process has compiled; those kept on disk are not among
+            them. One that is compiled for several types of arguments counts once.
         seconds: Time that this took [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self.known = self.compiled = 0
+        self.known = 0
+        self.compiled: set[CPUDispatcher] = set()
         self.seconds = self._told_at = 0.0
         self._clock, self._began = clock, 0.0
         self._depth = 0
@@ -114,13 +116,15 @@ class CompilationProgress(events.Listener):
         module = function.__module__.removeprefix(_PACKAGE)
         _log.warning(
             "softrobot_twin: compiled %d of at most %d kernels in %.0f s, now %s.%s",
-            self.compiled, self.known, seconds, module, function.__name__,
+            len(self.compiled), self.known, seconds, module, function.__name__,
         )  # fmt: skip
 
     def on_end(self, event: events.Event) -> None:
         """After it, or after it failed."""
         self._depth -= 1
-        self.compiled += 1
+        # numba compiles functions of its own, too.
+        if isinstance(event.data["dispatcher"], (Kernel, InnerKernel)):
+            self.compiled.add(event.data["dispatcher"])
         if self._depth == 0:
             self.seconds += self._clock() - self._began
 
