@@ -31,7 +31,7 @@ SHARED := -p xdist -n 2 --dist worksteal $(addprefix --ignore ,$(AGAINST_THE_CLO
 .DEFAULT_GOAL := help
 # Also with make -j: both test runs start ROS nodes and use all cores.
 .NOTPARALLEL:
-.PHONY: help setup setup-oldest setup-both demo bench pictures docs types kernels test test-all test-rest test-oldest build clean
+.PHONY: help setup setup-oldest setup-both demo bench pictures docs types kernels test test-all test-rest test-oldest build dist clean
 
 help: ## list the targets
 	@echo 'make [ROBOT=$(ROBOT)] TARGET'
@@ -85,6 +85,10 @@ test-oldest: setup-oldest ## run the tests of what libraries do on the oldest ve
 build: setup ## build the ROS 2 package into install/ with colcon
 	$(VENV)/bin/python -m colcon build
 
+# The wheel is made from the source archive: what the archive lacks, the wheel cannot have.
+dist: setup ## build the archives of a release into dist/: sources, and a wheel
+	$(VENV)/bin/python -m build --no-isolation --outdir dist
+
 clean: ## remove environments and build results; out/ stays
-	rm -rf .venv .venv-* build install log *.egg-info .pytest_cache
+	rm -rf .venv .venv-* build dist install log *.egg-info .pytest_cache
 	find softrobot_twin test -name __pycache__ -prune -exec rm -rf {} +

@@ -23,6 +23,8 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     description="Digital twin and controller of soft robots for ROS 2",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
     maintainer="softrobot_twin maintainers",
     maintainer_email="maintainers@softrobot-twin.example",
@@ -67,6 +69,8 @@ setup(
         "record": ["mcap>=1.5"],
         # colcon uses commands that setuptools 80 removed.
         "test": [
+            # The archives of a release: make dist.
+            "build>=1.2",
             "colcon-common-extensions",
             "ipykernel>=6",
             "mypy>=1.11",

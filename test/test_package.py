@@ -65,12 +65,16 @@ def test_the_installation_of_the_readme_has_what_its_example_needs(metadata):
     assert "pip install '.[study]'" in (ROOT / "README.md").read_text()
 
 
-def test_citation_manifest_and_changelog_name_the_same_version(manifest):
+def test_citation_manifest_setup_and_changelog_name_the_same_version(metadata, manifest):
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     version = manifest.findtext("version")
     assert citation["version"] == version and citation["license"] == "Apache-2.0"
     assert citation["references"][0]["doi"] == "10.1080/01691864.2017.1395362"
-    assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"\nVersion: {version}\n" in (metadata / "PKG-INFO").read_text()
+    newest = re.search(r"^## (\S+), (\S+)$", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert newest[1] == version
+    # A release has a date, and then the citation has the same one.
+    assert str(citation.get("date-released", "unreleased")) == newest[2]
 
 
 def test_colcon_takes_the_manifest_without_a_warning():

@@ -20,6 +20,7 @@ import shtab
 
 from softrobot_twin.command_line.arguments import TEXT_WIDTH, Read, add_command
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
+from softrobot_twin.shared_files import given_file
 from softrobot_twin.study import training_options
 from softrobot_twin.study.length_units import UNITS
 from softrobot_twin.study.training_options import (
@@ -148,6 +149,7 @@ def _accepted(value, is_good: bool, reason: str):
 
 
 Count: TypeAlias = Annotated[int, Read(count)]
+GivenFile: TypeAlias = Annotated[Path, Read(given_file)]
 PositiveCount: TypeAlias = Annotated[int, Read(positive_count)]
 Rate: TypeAlias = Annotated[float, Read(rate)]
 Length: TypeAlias = Annotated[float, Read(length)]
@@ -227,7 +229,7 @@ def init(
 
 
 def simulate(
-    scene: Path, *, targets: Path | None = None, commands: Path | None = None,
+    scene: GivenFile, *, targets: GivenFile | None = None, commands: GivenFile | None = None,
     seconds: Annotated[float, Read(duration)] | None = None, steps: PositiveCount | None = None,
     output: Path, settle: Count | None = None, rate: Rate | None = None,
     picture: Path | None = None, picture_at: Sequence[float] | None = None,
@@ -329,7 +331,7 @@ def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None)
 
 
 def explain(
-    scene: Path, *, mesh_error: bool = True, picture: Path | None = None,
+    scene: GivenFile, *, mesh_error: bool = True, picture: Path | None = None,
     picture_view: View | None = None, stiffness: bool = False, effects: bool = False,
     at: Sequence[str] | None = None,
 ) -> int:  # fmt: skip
@@ -377,7 +379,7 @@ def explain(
 
 
 def workspace(
-    scene: Path, *, output: Path, picture: Path | None = None, samples: PositiveCount = 200,
+    scene: GivenFile, *, output: Path, picture: Path | None = None, samples: PositiveCount = 200,
     seed: Count = 0, range_: Sequence[str] = (), workers: PositiveCount | None = None,
     scheduler: str | None = None,
 ) -> int:  # fmt: skip
@@ -417,8 +419,8 @@ def workspace(
 
 
 def bench(
-    scenes: Sequence[Path] = (), *, output: Path | None = None, steps: PositiveCount = 1000,
-    commands: Path | None = None, compare: Path | None = None,
+    scenes: Sequence[GivenFile] = (), *, output: Path | None = None, steps: PositiveCount = 1000,
+    commands: GivenFile | None = None, compare: Path | None = None,
 ) -> int:  # fmt: skip
     """Time a step, stage by stage, over sizes.
 
@@ -448,7 +450,7 @@ def bench(
 
 
 def accuracy(
-    scene: Path, *, output: Path = Path("out/accuracy"), timed_dof: PositiveCount = 60_000,
+    scene: GivenFile, *, output: Path = Path("out/accuracy"), timed_dof: PositiveCount = 60_000,
     reference_dof: PositiveCount = 200_000, reduced: Sequence[Path] = (),
     train: Annotated[Sequence[str], Read(nargs="*")] | None = None,
 ) -> int:  # fmt: skip
@@ -484,7 +486,7 @@ def accuracy(
 
 
 def choose(
-    scene: Path, *, rate: Rate, accuracy: Path | None = None, write: Path | None = None,
+    scene: GivenFile, *, rate: Rate, accuracy: Path | None = None, write: Path | None = None,
     reduced: Sequence[Path] = (),
     given: Annotated[str, Read(choices=("lengths", "forces"))] = "lengths", train: bool = False,
     range_: Sequence[str] = (), targets: TargetBoxes = (), loads: Positive = 0.0, tilts: Tilt = 0.0,
@@ -537,9 +539,9 @@ def choose(
 
 
 def reduce(
-    scene: Path, *, body: str | None = None, output: Path | None = None, export: Path | None = None,
+    scene: GivenFile, *, body: str | None = None, output: Path | None = None, export: Path | None = None,
     snapshots: PositiveCount | None = None, range_: Sequence[str] = (), targets: TargetBoxes = (),
-    along: Path | None = None, around: Positive | None = None, loads: Positive = 0.0,
+    along: GivenFile | None = None, around: Positive | None = None, loads: Positive = 0.0,
     load_points: Annotated[
         Sequence[tuple[float, float, float]], Read(point, nargs="+", action="extend")
     ] | None = None,
@@ -634,7 +636,7 @@ def reduce(
 
 
 def reduce_vertebrae(
-    scene: Path, *, again: bool = False, seed: Count = 1, states: Count = TEST_STATES
+    scene: GivenFile, *, again: bool = False, seed: Count = 1, states: Count = TEST_STATES
 ) -> int:  # fmt: skip
     """Make the superelements of bodies with vertebrae.
 
@@ -664,7 +666,7 @@ class NoRosError(SoftRobotTwinError):
 
 
 def replay(
-    recorded: Path, *, scene: Path | None = None, set_: Sequence[str] = (),
+    recorded: Path, *, scene: GivenFile | None = None, set_: Sequence[str] = (),
     output: Path | None = None, record_view: Path | None = None,
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
@@ -786,7 +788,7 @@ def program(name: str) -> argparse.ArgumentParser:
 def _complete_paths(command: argparse.ArgumentParser) -> None:
     """Tells shells which arguments are files and folders."""
     for action in command._actions:  # argparse has no public list of them
-        if action.type is Path:
+        if action.type in (Path, given_file):
             is_folder = action.metavar == "FOLDER"
             action.complete = shtab.DIRECTORY if is_folder else shtab.FILE  # type: ignore[attr-defined]
 

@@ -24,6 +24,7 @@ from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES
 from softrobot_twin.scene.patterns import Source, as_written, expand_patterns
 from softrobot_twin.scene.refusal_messages import parts, scene_error
 from softrobot_twin.scene.schema import Scene
+from softrobot_twin.shared_files import given_file
 
 try:
     from yaml.cyaml import CParser
@@ -42,7 +43,7 @@ def load_scene(path: Path | str) -> Scene:
     """Reads and checks a scene.
 
     Args:
-        path: YAML file.
+        path: YAML file; as in `given_file`.
 
     Returns:
         The scene with its path; the paths of its files are relative to it.
@@ -50,7 +51,7 @@ def load_scene(path: Path | str) -> Scene:
     Raises:
         SceneError: The file cannot be read, or an entry is not valid.
     """
-    path = Path(path)
+    path = given_file(path)
 
     def refused(reason: str) -> SceneError:
         return SceneError(path, "scene_file", str(path), "", reason)

@@ -84,7 +84,8 @@ def load(path: Path | str) -> Robot:
     """Reads a scene file and builds its robot, at rest.
 
     Args:
-        path: YAML file; see docs/scene_reference.md.
+        path: YAML file; see docs/scene_reference.md. Paths that begin with ``config/`` name the
+            package's own scenes in every folder that has no such file.
 
     Raises:
         SceneError: The file cannot be read, or an entry is not valid.

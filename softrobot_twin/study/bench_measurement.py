@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import cProfile
 import math
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,7 +22,6 @@ from numba.core.registry import CPUDispatcher
 from scipy.interpolate import interp1d
 from scipy.sparse.linalg import splu
 
-import softrobot_twin
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
@@ -49,6 +47,7 @@ from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.symbolic import NONE
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
+from softrobot_twin.shared_files import shared_folders
 from softrobot_twin.study.accuracy_study import OPEN_SHARE, with_mesh_file
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.machine_facts import (
@@ -429,10 +428,7 @@ def default_scene_path() -> Path:
     Raises:
         NoDefaultSceneError: It is not there.
     """
-    package = Path(softrobot_twin.__file__).resolve().parent
-    shares = [parent / "share" / "softrobot_twin" for parent in package.parents[3:4]]
-    folders = [package.parent, *shares, Path(sys.prefix) / "share" / "softrobot_twin"]
-    candidates = [folder / "config" / _DIAMOND for folder in folders]
+    candidates = [folder / "config" / _DIAMOND for folder in shared_folders()]
     for candidate in candidates:
         if candidate.is_file():
             return candidate
