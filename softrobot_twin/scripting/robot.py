@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
@@ -27,6 +28,13 @@ from softrobot_twin.scripting.named_commands import (
     hold,
     one_number,
     unknown,
+)
+from softrobot_twin.scripting.notebook_html import (
+    actuators_html,
+    actuators_of,
+    effectors_html,
+    figure_html,
+    text_html,
 )
 from softrobot_twin.scripting.robot_view import RobotView
 from softrobot_twin.scripting.run_table import (
@@ -59,7 +67,7 @@ from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.study import direct_run
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
 from softrobot_twin.study.equilibrium import is_at_rest
-from softrobot_twin.study.figure import load_pyplot
+from softrobot_twin.study.figure import MissingExtraError, load_pyplot
 from softrobot_twin.study.offline_run import columns_of, commands_of, unlikely_warning
 from softrobot_twin.study.offline_run import run as run_targets
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
@@ -221,6 +229,10 @@ class Robot:
         return self._reader.target_names
 
     def __repr__(self) -> str:
+        return f"<Robot {self.name}: {self._summary()}>"
+
+    def _summary(self) -> str:
+        """What it is made of, in one line."""
         simulation, scene = self.simulation, self.simulation.scene
         cells = ((simulation.tet_count, "tetrahedra"), (simulation.hexahedron_count, "hexahedra"),
                  (simulation.beam_element_count, "beam elements"))  # fmt: skip
@@ -237,7 +249,20 @@ class Robot:
         parts.append(f"{simulation.dof_count} unknowns")
         if simulation.state.step_count:
             parts.append(f"after {simulation.state.time:.6g} s")
-        return f"<Robot {self.name}: {'; '.join(part for part in parts if part)}>"
+        return "; ".join(part for part in parts if part)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: its parts, effectors and actuators; a picture with matplotlib."""
+        simulation, state = self.simulation, self.simulation.state
+        moved = simulation.actuators.displacements(state.setpoints, state.positions)
+        parts = [
+            text_html(self.name, "h3"), text_html(self._summary()),
+            effectors_html(self.effector_names, simulation.effector_positions()),
+            actuators_html(actuators_of(simulation), state.setpoints, moved, state.efforts),
+        ]  # fmt: skip
+        with suppress(MissingExtraError):
+            parts.append(figure_html(self.plot(), f"{self.name} at {state.time:.6g} s"))
+        return "".join(parts)
 
     # --- where it stands -------------------------------------------------------------------------
 
@@ -588,16 +613,19 @@ class Robot:
 
     def view(
         self, path: Path | str | None = None, *, serve: bool | None = None, spawn: bool = True,
-        port: int = 0, force_scale: float = 0.1,
+        port: int = 0, force_scale: float = 0.1, notebook: bool = False,
     ) -> RobotView:  # fmt: skip
         """Opens a view in rerun, which shows this state and each later step until it is closed.
 
         Args:
             path: File to write, such as ``finger.rrd``, for ``rerun finger.rrd``; None for none.
-            serve: Whether viewers can connect, on this machine only; by default without a file.
+            serve: Whether viewers can connect, on this machine only; by default where it has
+                neither a file nor a viewer in a notebook.
             spawn: Whether a viewer is opened where there is a display.
             port: TCP port for viewers; 0 selects a free one.
             force_scale: Length of the arrow of a contact force [m/N].
+            notebook: Whether the view is shown as a 3-D viewer by a cell of a notebook that ends
+                with it; needs the package rerun-notebook.
 
         Returns:
             The view, whose ``address`` a viewer connects to: ``rerun --connect ADDRESS``. It may be
@@ -608,9 +636,11 @@ class Robot:
         """
         if self._view is not None:
             self._view.close()
-        serves = path is None if serve is None else serve
+        serves = path is None and not notebook if serve is None else serve
         file = None if path is None else Path(path)
-        self._view = RobotView(self.simulation, file, serves, spawn and serves, port, force_scale)
+        self._view = RobotView(
+            self.simulation, file, serves, spawn and serves, port, force_scale, notebook
+        )
         self._view.show()
         return self._view
 

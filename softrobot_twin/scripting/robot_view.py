@@ -1,4 +1,4 @@
-"""A robot in rerun: its states as they are stepped, live, into a file, or both."""
+"""A robot in rerun: its states as they are stepped, live, into a file, or in a notebook."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class RobotView(AbstractContextManager):
 
     def __init__(
         self, simulation: Simulation, path: Path | None, serve: bool, spawn: bool, port: int,
-        force_scale: float,
+        force_scale: float, notebook: bool,
     ):  # fmt: skip
         """Open it.
 
@@ -43,6 +43,7 @@ class RobotView(AbstractContextManager):
             spawn: Whether to open a viewer, if there is a display.
             port: TCP port for viewers; 0 selects a free one.
             force_scale: Length of the arrow of a contact force [m/N].
+            notebook: Whether a notebook that shows it gets a viewer inside.
 
         Raises:
             ViewError: The view cannot be opened.
@@ -51,7 +52,7 @@ class RobotView(AbstractContextManager):
         self._frames = SimulationFrames(simulation, force_scale)
         self._mirror = RerunMirror(
             self._frames.stage, serve=serve, port=port, record=path, spawn_viewer=spawn,
-            live_rate=_ANY_RATE,
+            live_rate=_ANY_RATE, notebook=notebook,
         )  # fmt: skip
         self.address, self.path = self._mirror.address, path
         self._name, self._count = simulation.scene.name, 0
@@ -104,9 +105,15 @@ class RobotView(AbstractContextManager):
     def __exit__(self, *error: object) -> None:
         self.close()
 
+    def _ipython_display_(self) -> None:
+        """Shows the viewer inside a notebook, or what it is."""
+        shown: Any = self._mirror.notebook_viewer
+        print(self) if shown is None else shown.display()
+
     def __repr__(self) -> str:
-        places = [f"{word} {place}" for word, place in (("at", self.address), ("in", self.path))
-                  if place]
+        in_notebook = self._mirror.notebook_viewer and "a notebook"
+        places = [f"{word} {place}" for word, place in (
+            ("at", self.address), ("in", self.path), ("in", in_notebook)) if place]  # fmt: skip
         state = "" if self.is_open else ", closed"
         return f"<View of {self._name} {' and '.join(places)}{state}>"
 

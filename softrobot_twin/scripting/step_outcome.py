@@ -9,6 +9,12 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scripting.named_commands import unknown
+from softrobot_twin.scripting.notebook_html import (
+    actuators_html,
+    actuators_of,
+    effectors_html,
+    text_html,
+)
 from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
 from softrobot_twin.simulation.appearance import Pose, named_poses
 from softrobot_twin.simulation.building.table_columns import STEP, column
@@ -51,8 +57,7 @@ class Result:
         self.outcome, self.is_at_rest = outcome, is_at_rest
         self._columns, self._command, self._model = columns, command, simulation.model
         self._effectors, self._touches = simulation.effector_names, simulation.touch_names
-        self._efforts = tuple(column(name, kind.effort)
-                              for name, kind in simulation.actuators.kind_of.items())
+        self._actuators = actuators_of(simulation)
 
     def __getstate__(self) -> dict[str, Any]:
         """All numbers, without the simulation that they come from."""
@@ -164,14 +169,23 @@ class Result:
             error = self.errors[name]
             missed = f" ({1e3 * error:.2g} mm from its target)" if np.isfinite(error) else ""
             parts.append(f"{name} at [{place}] mm{missed}")
-        efforts = zip(self._efforts, self.outcome.efforts, strict=True)
-        shown = [f"{name} {effort:.4g}" for name, effort in efforts]
+        shown = [f"{column(one.name, one.quantities[-1])} {effort:.4g}"
+                 for one, effort in zip(self._actuators, self.outcome.efforts, strict=True)]
         if len(shown) > _MOST_SHOWN:
             shown = [*shown[:_MOST_SHOWN], f"and {len(shown) - _MOST_SHOWN} more"]
         parts += shown
         if self.limits:
             parts.append(f"at {', '.join(self.limits[:_MOST_SHOWN])}")
         return f"<Result {'; '.join(parts)}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: its status and active limits, effectors and actuators."""
+        outcome, limits = self.outcome, ", ".join(self.limits)
+        text = f"{self.status.value} at {self.time:.6g} s{limits and f'; at limits: {limits}'}"
+        return (text_html(text)
+                + effectors_html(self._effectors, outcome.effector_positions, outcome.effector_errors)
+                + actuators_html(self._actuators, outcome.setpoints, outcome.displacements,
+                                 outcome.efforts))  # fmt: skip
 
 
 class UnknownNameError(CommandError, KeyError):

@@ -72,8 +72,25 @@ def legend_below(axes, width: float, **look) -> None:
                 fontsize=8, handlelength=1.4, columnspacing=1.2, **look)
 
 
-def save_figure(figure, path: Path, dpi: int) -> None:
-    """Writes a figure; as PNG with a palette of colours, which makes the file small.
+def png_of(figure: Any, dpi: int) -> bytes:
+    """A figure as PNG with a palette of colours, which makes it small.
+
+    Args:
+        figure: The figure.
+        dpi: Pixels per inch.
+    """
+    from PIL import Image  # matplotlib writes its own pictures with it
+    whole, small = BytesIO(), BytesIO()
+    figure.savefig(whole, dpi=dpi, format="png")
+    # No colour is far off, that of a small mark neither.
+    few = Image.open(whole).convert("RGB").quantize(
+        256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(small, format="PNG", optimize=True, dpi=(dpi, dpi))
+    return small.getvalue()
+
+
+def save_figure(figure: Any, path: Path, dpi: int) -> None:
+    """Writes a figure; see `png_of` for PNG.
 
     Args:
         figure: The figure.
@@ -83,16 +100,10 @@ def save_figure(figure, path: Path, dpi: int) -> None:
     Raises:
         ValueError: There is no format with this suffix.
     """
-    if path.suffix.lower() != ".png":
+    if path.suffix.lower() == ".png":
+        path.write_bytes(png_of(figure, dpi))
+    else:
         figure.savefig(path, dpi=dpi)
-        return
-    from PIL import Image  # matplotlib writes its own pictures with it
-    whole = BytesIO()
-    figure.savefig(whole, dpi=dpi, format="png")
-    # No colour is far off, that of a small mark neither.
-    few = Image.open(whole).convert("RGB").quantize(
-        256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    few.save(path, format="PNG", optimize=True, dpi=(dpi, dpi))
 
 
 @contextmanager

@@ -56,17 +56,20 @@ class RerunMirror(AbstractContextManager):
         live_rate: Highest rate of frames for viewers [Hz].
         memory_limit: Memory of the server for viewers that connect late.
         spawn_viewer: Whether to open a viewer, if there is a display.
+        notebook: Whether to show them in a viewer inside a notebook, which gets every frame.
 
     Attributes:
         address: Address for viewers, or None when nothing is served.
-        drawing_threads: The requested drawing threads, ``file`` and ``live``, each with its own
-            counts.
+        drawing_threads: The requested drawing threads, ``file``, ``live`` and ``notebook``, each
+            with its own counts.
         frames_offered: Frames offered so far.
         viewer: Process of the viewer that was opened, or None.
+        notebook_viewer: The viewer inside a notebook, or None.
 
     Raises:
-        ViewError: Neither serving nor recording was requested, rerun cannot be imported, the port
-            is taken, the file cannot be written, or the installed rerun cannot serve.
+        ViewError: No output was requested, rerun or what it needs for a notebook cannot be
+            imported, the port is taken, the file cannot be written, or the installed rerun cannot
+            serve.
     """
 
     def __init__(
@@ -80,8 +83,9 @@ class RerunMirror(AbstractContextManager):
         live_rate: float = 50.0,
         memory_limit: str = "256MiB",
         spawn_viewer: bool = False,
+        notebook: bool = False,
     ):
-        if not serve and record is None:
+        if not (serve or notebook) and record is None:
             raise ViewError("serve", serve, "neither serving nor recording was requested")
         if spawn_viewer and not serve:
             raise ViewError("spawn_viewer", spawn_viewer, "a viewer needs serve=True")
@@ -93,6 +97,7 @@ class RerunMirror(AbstractContextManager):
         self.address: str | None = None
         self.drawing_threads: list[DrawingThread] = []
         self.viewer: subprocess.Popen | None = None
+        self.notebook_viewer: object = None
         # Importing rerun takes half a second, so it is imported only when it is needed.
         try:
             from softrobot_twin.view import picture, recording
@@ -112,6 +117,11 @@ class RerunMirror(AbstractContextManager):
                 limit = RateLimit(live_rate)
                 self.drawing_threads.append(DrawingThread(
                     "live", Picture(live, stage), lambda: limit.passes(time.monotonic())))
+            if notebook:
+                page = recording.in_notebook(application, layout)
+                self.notebook_viewer = page.viewer
+                self.drawing_threads.append(
+                    DrawingThread("notebook", Picture(page, stage), every_nth(1)))
         except BaseException:
             self.close()
             raise

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -32,15 +33,16 @@ _LIVE_FLUSH_TICK = 0.04
 
 
 class Recording:
-    """One rerun stream into a file or a server. Each thread has its own present time.
+    """One rerun stream to a file, a server or a notebook. Each thread has its own present time.
 
     Attributes:
-        address: Address for viewers, or None for a file.
+        address: Address for viewers, or None where nothing is served.
+        viewer: The viewer inside a notebook, or None.
     """
 
-    def __init__(self, stream: rr.RecordingStream, address: str | None = None):
+    def __init__(self, stream: rr.RecordingStream, address: str | None = None, viewer: object = None):
         self._stream = stream
-        self.address = address
+        self.address, self.viewer = address, viewer
 
     def set_time(self, step: int, time_ns: int) -> None:
         """Sets the time on both timelines for what this thread logs next."""
@@ -131,6 +133,24 @@ def serve_at(port: int, memory_limit: str, application: str,
         stream.disconnect()
         raise ViewError("port", port, f"the server did not start: {error}") from error
     return Recording(stream, sink.uri)
+
+
+def in_notebook(application: str, blueprint: rrb.Blueprint) -> Recording:
+    """Opens a recording into a viewer that is shown inside a notebook.
+
+    Args:
+        application: Name under which the viewer stores the layout.
+        blueprint: The layout.
+
+    Raises:
+        ViewError: rerun's package for notebooks is not installed.
+    """
+    if find_spec("rerun_notebook") is None:
+        raise ViewError("notebook", True, "a view in a notebook needs rerun-notebook: pip install "
+                        f"rerun-notebook=={rr.__version__}")  # fmt: skip
+    from rerun.notebook import Viewer
+    stream = _new_stream(application)
+    return Recording(stream, viewer=Viewer(recording=stream, blueprint=blueprint))
 
 
 def time_panel() -> rrb.TimePanel:
