@@ -7,7 +7,7 @@ results, and with `view`. None of the three imports another.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import datetime, timezone
 from pathlib import Path
@@ -18,6 +18,7 @@ from softrobot_twin.record.replay import Comparison, Difference, Replay
 from softrobot_twin.record.run_description import machine
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.tick_table import TickTable
+from softrobot_twin.scene.loading import read_changes
 from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.view import RerunMirror
@@ -30,7 +31,7 @@ _LONGEST_DRAWING = 10.0
 
 
 def replay(
-    run: Path, scene: Path | None = None, changes: tuple[str, ...] = (), output: Path | None = None,
+    run: Path, scene: Path | None = None, changes: Sequence[str] = (), output: Path | None = None,
     view_file: Path | None = None,
 ) -> int:  # fmt: skip
     """Replays a run, prints whether all is equal to the bit, and where it is not.
@@ -52,7 +53,7 @@ def replay(
     _print_head(file)
     with ExitStack() as stack:
         with terminal_status("building and compiling"):
-            again = Replay(file, scene, changes)
+            again = Replay(file, scene, read_changes(changes))
         takers: list[Taker] = []
         if output is not None:
             takers.append(_writer(again, output, stack))

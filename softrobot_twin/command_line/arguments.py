@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from string import Template
 from textwrap import dedent, fill
@@ -98,9 +98,33 @@ def add_command(
         words = Template(text).safe_substitute(constants, default=parameter.default)
         _add_argument(groups.get(own, group), parameter, hints[own], metavar,
                       _phrase(words).replace("%", "%%"))
-    parser.set_defaults(
-        run=lambda chosen: function(**{own: getattr(chosen, own) for own in parameters}),
-        examples=examples)
+    files = [own for own, one in parameters.items() if one.kind is not one.KEYWORD_ONLY
+             and own in ("scene", "scenes")]  # fmt: skip
+    if files:
+        parser.add_argument("--set", dest="changes", nargs="+", action="extend", default=[],
+                            metavar="KEY=VALUE", help=_CHANGES)
+    parser.set_defaults(run=lambda chosen: function(**_values(chosen, parameters, files)),
+                        examples=examples)
+
+
+_CHANGES = ("other values of entries of the scene, such as body.material.young_modulus=1.5e5, "
+            "cables.north.rate=0.1 or cables[0].tension=[0,5]")
+
+
+def _values(chosen: argparse.Namespace, names: Iterable[str], files: Sequence[str]) -> dict[str, Any]:
+    """The values of a function's parameters; paths of scene files carry what `--set` gives."""
+    values = {own: getattr(chosen, own) for own in names}
+    if files and chosen.changes:
+        # Scenes are loaded only for a command that runs.
+        from softrobot_twin.scene.loading import ScenePath, read_changes
+
+        changes = read_changes(chosen.changes)
+        for own in files:
+            given = values[own]
+            is_one = isinstance(given, Path)
+            values[own] = (ScenePath(given, changes) if is_one
+                           else [ScenePath(path, changes) for path in given])
+    return values
 
 
 def _add_argument(

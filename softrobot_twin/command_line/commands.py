@@ -666,7 +666,8 @@ class NoRosError(SoftRobotTwinError):
 
 
 def replay(
-    recorded: Path, *, scene: GivenFile | None = None, set_: Sequence[str] = (),
+    recorded: Path, *, scene: GivenFile | None = None,
+    set_: Annotated[Sequence[str] | None, Read(action="extend")] = None,
     output: Path | None = None, record_view: Path | None = None,
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
@@ -694,7 +695,7 @@ def replay(
             raise OptionError(option, f"{path} would overwrite the run")
     # The loop is loaded only for a run of it.
     from softrobot_twin import replay_command
-    return replay_command.replay(recorded, scene, tuple(set_), output, record_view)
+    return replay_command.replay(recorded, scene, set_ or (), output, record_view)
 
 
 def enable_interrupts() -> None:

@@ -9,6 +9,7 @@ result depends on the order of the cells only where all else is equal, and never
 from __future__ import annotations
 
 import heapq
+from functools import lru_cache
 
 import numpy as np
 
@@ -43,8 +44,17 @@ def grow_patches(tets: np.ndarray, size: int) -> np.ndarray:
             they have a neighbour at all, and some more.
 
     Returns:
-        Number of each tetrahedron's patch, counted from 0, shape (tet_count,).
+        Number of each tetrahedron's patch, counted from 0, shape (tet_count,); read-only.
     """
+    tets = np.ascontiguousarray(tets, np.int64)
+    return _patches(tets.tobytes(), size)
+
+
+# A scene is built anew for each other number, by the same meshes.
+@lru_cache(maxsize=16)
+def _patches(cells: bytes, size: int) -> np.ndarray:
+    """The same, of the corners in memory."""
+    tets = np.frombuffer(cells, np.int64).reshape(-1, 4)
     behind = neighbours_of(tets)
     patch = np.full(len(tets), -1, np.int64)
     free = (behind >= 0).sum(axis=1)
@@ -61,7 +71,9 @@ def grow_patches(tets: np.ndarray, size: int) -> np.ndarray:
                 continue
             _grow(seed, size, count, tets, behind, patch, free, beside)
             count += 1
-    return _join_small(behind, patch, count, size)
+    joined = _join_small(behind, patch, count, size)
+    joined.setflags(write=False)
+    return joined
 
 
 def _grow(seed, size, number, tets, behind, patch, free, beside) -> None:

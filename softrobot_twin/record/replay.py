@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,6 +36,7 @@ from softrobot_twin.record.run_values import (
 )
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.loading import load_scene, read_yaml, scene_from_mapping
+from softrobot_twin.scene.parameters import changed_scene
 from softrobot_twin.simulation import Simulation
 
 ANSWER = "answer"
@@ -224,29 +224,29 @@ def _item(value: Any, place: tuple) -> object:
 # --- scenes --------------------------------------------------------------------------------------
 
 
-def recorded_scene(run: RunFile, changes: tuple[str, ...] = ()) -> Scene:
+def recorded_scene(run: RunFile, changes: Mapping[str, Any]) -> Scene:
     """The scene of a run, whose files must not have changed.
 
     Files are looked for where they were, then beside the file of the run.
 
     Args:
         run: The run.
-        changes: Other values of entries, each as ``body.material.young_modulus=1e5``.
+        changes: Other values of its entries; see `changed_scene`.
 
     Raises:
         RunFileError: A file is missing or has changed.
         SceneError: A change cannot be used.
-        ChangeError: A change names no entry.
     """
     description = run.description
     mapping = read_yaml(description.scene_text)
-    for change in changes:
-        change_entry(mapping, change)
-    scene = scene_from_mapping(mapping, Path(description.scene_path))
-    moved = _moved_files(run, scene)
-    if not moved:
-        return scene
-    return scene_from_mapping(_with_files(mapping, moved), Path(description.scene_path))
+
+    def scene() -> Scene:
+        made = scene_from_mapping(mapping, Path(description.scene_path))
+        return changed_scene(made, changes)
+
+    moved = _moved_files(run, scene())
+    mapping = _with_files(mapping, moved)
+    return scene()
 
 
 def _moved_files(run: RunFile, scene: Scene) -> dict[str, str]:
@@ -280,57 +280,6 @@ def _with_files(entry: Any, moved: dict[str, str]) -> Any:
     return moved.get(entry, entry) if isinstance(entry, str) else entry
 
 
-class ChangeError(SoftRobotTwinError):
-    """A change of a scene cannot be made.
-
-    Attributes:
-        change: What was given.
-    """
-
-    def __init__(self, change: str, reason: str):
-        self.change = change
-        super().__init__(f"--set {change}: {reason}")
-
-
-_STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
-
-
-def change_entry(mapping: Any, change: str) -> None:
-    """Puts another value into a scene.
-
-    Args:
-        mapping: The content of its file; changed.
-        change: Dotted key and value (YAML), such as ``cables[0].tension=[0, 5]``.
-
-    Raises:
-        ChangeError: There is no such section, or the value is not YAML.
-    """
-    key, sign, text = change.partition("=")
-    steps = [int(index) if index else name for name, index in _STEP.findall(key)]
-    if not sign or not steps or _STEP.sub("", key):
-        raise ChangeError(change, "must be KEY=VALUE, such as body.material.young_modulus=1e5")
-    try:
-        value = read_yaml(text)
-    except Exception as error:  # noqa: BLE001 - any error of the parser
-        raise ChangeError(change, f"the value is not YAML: {error}") from None
-    section = mapping
-    for step in steps[:-1]:
-        section = _below(section, step, change)
-    if not (isinstance(section, dict) and isinstance(steps[-1], str)):
-        _below(section, steps[-1], change)
-    section[steps[-1]] = value
-
-
-def _below(section: Any, step: str | int, change: str) -> Any:
-    if isinstance(section, dict) and step in section:
-        return section[step]
-    if isinstance(section, list) and isinstance(step, int) and step < len(section):
-        return section[step]
-    known = (", ".join(map(str, section)) if isinstance(section, dict)
-             else f"0 to {len(section) - 1}" if isinstance(section, list) else "no entries")
-    raise ChangeError(change, f"the scene has no {step} there, but {known}")
-
-
 # --- replay --------------------------------------------------------------------------------------
 
 
@@ -345,14 +294,14 @@ class Replay:
     """
 
     def __init__(
-        self, run: RunFile, scene: Path | None = None, changes: tuple[str, ...] = ()
+        self, run: RunFile, scene: Path | None = None, changes: Mapping[str, Any] | None = None
     ):
         """Builds and warms up the loop.
 
         Args:
             run: The run.
             scene: Another scene in place of the recorded one.
-            changes: Other values of entries of the recorded scene; see `change_entry`.
+            changes: Other values of entries of the recorded scene; see `changed_scene`.
 
         Raises:
             RunFileError: A file of the scene is missing or has changed, or the other scene has
@@ -362,7 +311,7 @@ class Replay:
         self.run, self.comparison = run, Comparison()
         self.is_of_its_scene = scene is None and not changes
         self._clock = PlayedClock()
-        built = recorded_scene(run, changes) if scene is None else load_scene(scene)
+        built = recorded_scene(run, changes or {}) if scene is None else load_scene(scene)
         simulation = Simulation(built, self._clock)
         parameters = run.description.parameters
         velocity_effector = parameters["velocity_effector"]

@@ -6,6 +6,7 @@ In a scene file ``on`` is a key, not the truth value, and a key occurs once per 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from yaml.scanner import Scanner
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES
+from softrobot_twin.scene.parameters import changed_scene
 from softrobot_twin.scene.patterns import Source, as_written, expand_patterns
 from softrobot_twin.scene.refusal_messages import parts, scene_error
 from softrobot_twin.scene.schema import Scene
@@ -39,11 +41,58 @@ not read."""
 _MESHES = (".msh", ".vtk", ".vtu", ".inp", *CAD_SUFFIXES)
 
 
-def load_scene(path: Path | str) -> Scene:
+class ScenePath(Path):
+    """The path of a scene file, and other values of its entries, which `load_scene` puts in.
+
+    Attributes:
+        changes: Values by their keys; see `changed_scene`.
+    """
+
+    def __init__(self, path: Path | str, changes: Mapping[str, Any]):
+        super().__init__(path)
+        self.changes = dict(changes)
+
+    def __reduce__(self):
+        return ScenePath, (str(self), self.changes)
+
+    def with_segments(self, *segments) -> Path:  # type: ignore[override]
+        """A path made from this one, such as that of a file beside it: without changes."""
+        return Path(*segments)
+
+    def resolve(self, strict: bool = False) -> ScenePath:
+        """The absolute path of the file, with the same changes."""
+        return ScenePath(super().resolve(strict), self.changes)
+
+
+def read_changes(texts: Iterable[str]) -> dict[str, Any]:
+    """Values of entries of a scene as they are given to a command.
+
+    Args:
+        texts: Each a key and its value (YAML), such as ``cables[0].tension=[0, 5]``.
+
+    Raises:
+        SceneError: A text is no key and value.
+    """
+    changes = {}
+    for text in texts:
+        key, sign, value = text.partition("=")
+        if not sign:
+            raise SceneError(None, text, "", "", "must be KEY=VALUE, such as "
+                             "body.material.young_modulus=1e5")
+        try:
+            changes[key.strip()] = read_yaml(value)
+        except yaml.YAMLError as error:
+            raise SceneError(None, key, value, "", f"is not YAML: {yaml_words(error)}") from None
+    return changes
+
+
+def load_scene(path: Path | str, changes: Mapping[str, Any] | None = None) -> Scene:
     """Reads and checks a scene.
 
     Args:
         path: YAML file; as in `given_file`.
+        changes: Other values of its entries by their keys; see `changed_scene`. None for those of a
+            `ScenePath`.
 
     Returns:
         The scene with its path; the paths of its files are relative to it.
@@ -51,6 +100,8 @@ def load_scene(path: Path | str) -> Scene:
     Raises:
         SceneError: The file cannot be read, or an entry is not valid.
     """
+    if changes is None:
+        changes = getattr(path, "changes", {})
     path = given_file(path)
 
     def refused(reason: str) -> SceneError:
@@ -80,7 +131,7 @@ def load_scene(path: Path | str) -> Scene:
         raise refused(f"is not YAML: {yaml_words(error)}") from None
     if mapping is None:
         raise refused("is empty; a scene is a mapping of keys to values")
-    return scene_from_mapping(mapping, path)
+    return changed_scene(scene_from_mapping(mapping, path), changes)
 
 
 def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:

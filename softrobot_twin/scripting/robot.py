@@ -16,6 +16,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
+from softrobot_twin.scene.parameters import Parameter, changed_scene, parameters
 from softrobot_twin.scripting.entries_in_python import IN_PYTHON, plain_entries
 from softrobot_twin.scripting.labelled_matrix import LabelledMatrix
 from softrobot_twin.scripting.mesh_export import export_mesh
@@ -64,6 +65,7 @@ from softrobot_twin.simulation.runs.input_tables import (
     read_targets,
 )
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
+from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.study import direct_run
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
 from softrobot_twin.study.equilibrium import is_at_rest
@@ -88,18 +90,20 @@ class SceneWarning(UserWarning):
     """Something about a scene, or about what it is asked, looks wrong."""
 
 
-def load(path: Path | str) -> Robot:
+def load(path: Path | str, changes: Mapping[str, Any] | None = None) -> Robot:
     """Reads a scene file and builds its robot, at rest.
 
     Args:
         path: YAML file; see docs/scene_reference.md. Paths that begin with ``config/`` name the
             package's own scenes in every folder that has no such file.
+        changes: Other values of its entries, such as ``{"body.material.young_modulus": 2e5}``;
+            None for those of the file.
 
     Raises:
         SceneError: The file cannot be read, or an entry is not valid.
         MeshError: A mesh cannot be used.
     """
-    return _with_notes(Robot(load_scene(path)))
+    return _with_notes(Robot(load_scene(path, changes)))
 
 
 def build(**entries: Any) -> Robot:
@@ -155,16 +159,22 @@ class Robot:
             SceneError: An entry does not fit the mesh.
             MeshError: A mesh cannot be used.
         """
-        self.simulation = Simulation(scene)
-        self.simulation.warm_up()
-        self._reader = CommandReader(self.simulation)
-        self._columns = ColumnsOfSteps(self.simulation)
-        self._compliance: EffectorCompliance | None = None
-        self._view: RobotView | None = None
+        simulation = Simulation(scene)
+        simulation.warm_up()
         self._has_warned = False
-        self._forget()
+        self._take(simulation)
         if state is not None:
             self.simulation.restore(state)
+
+    def _take(self, simulation: Simulation) -> None:
+        """Steps a simulation from now on, without the last command of another one."""
+        self.simulation = simulation
+        self._reader = CommandReader(simulation)
+        self._columns = ColumnsOfSteps(simulation)
+        self._compliance: EffectorCompliance | None = None
+        self._sensitivities: Sensitivities | None = None
+        self._view: RobotView | None = None
+        self._forget()
 
     def _forget(self) -> None:
         """Forgets the last command and its result."""
@@ -302,6 +312,72 @@ class Robot:
     def poses(self) -> dict[str, Pose]:
         """Pose of each rigid body, by name."""
         return self.simulation.poses()
+
+    # --- its numbers -----------------------------------------------------------------------------
+
+    def parameters(self, *keys: str) -> tuple[Parameter, ...]:
+        """Handles of the numbers of its scene, such as ``body.material.young_modulus``.
+
+        Args:
+            *keys: Keys, perhaps with ``*``, such as ``cables.*.rate``; of a list or a section, all
+                numbers in it. All of the scene where none is given.
+
+        Returns:
+            Each with ``key``, ``unit``, and ``read(robot.scene)``.
+
+        Raises:
+            SceneError: No number has such a key.
+        """
+        return parameters(self.scene, *keys)
+
+    def change(self, values: Mapping[str, Any]) -> None:
+        """Gives entries of its scene other values, at the same state; nothing is compiled again.
+
+        Actuators keep their setpoints. The next step brings the robot to its new equilibrium.
+
+        Args:
+            values: By their keys, such as ``{"body.material.young_modulus": 2e5}``.
+
+        Raises:
+            SceneError: There is no such key, or the scene does not take the value: nothing changes.
+            CommandError: Its bodies would have other unknowns, which its state does not fit.
+            MeshError: A mesh cannot be used.
+        """
+        simulation = Simulation(changed_scene(self.scene, values), with_warnings=False)
+        simulation.warm_up()
+        simulation.restore(self.state)
+        if self._view is not None:
+            self._view.close()
+        self._take(simulation)
+
+    @property
+    def sensitivities(self) -> Sensitivities:
+        """Solves for the answers of its equilibrium to loads, and their adjoint; see there."""
+        if self._sensitivities is None:
+            self._sensitivities = Sensitivities(self.simulation)
+        self._sensitivities.by_effort = self._by_effort
+        return self._sensitivities
+
+    def sensitivity(self, *keys: str, holds_setpoints: bool = True) -> LabelledMatrix:
+        """Derivatives of the positions of the effectors by numbers of the scene, in balance.
+
+        Args:
+            *keys: See `parameters`.
+            holds_setpoints: Whether actuators hold their setpoints, such as the lengths of cables;
+                else their displacements from rest, such as shortenings.
+
+        Returns:
+            Rows ``tip_x_m`` and so on, a column for each key.
+
+        Raises:
+            SceneError: No number has such a key.
+            SensitivityError: A derivative does not exist at this state.
+        """
+        found = self.sensitivities.of_parameters(self.parameters(*keys), holds_setpoints)
+        rows = [f"{name}_{axis}_m" for name in self.effector_names for axis in "xyz"]
+        columns = [one.key for one in found.parameters]
+        return LabelledMatrix(found.effectors.reshape(len(rows), -1), tuple(rows), tuple(columns),
+                              "change of the effectors [m] by one unit of a parameter")
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""

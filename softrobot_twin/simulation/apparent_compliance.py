@@ -112,8 +112,8 @@ def principal_stiffness(compliance: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return stiffness[order], directions * np.sign(largest)[:, None]
 
 
-class EffectorCompliance:
-    """Computes the apparent compliance of the effectors of a simulation at its present state.
+class HeldTangent:
+    """The tangent of statics at the present state of a simulation, and what holds there.
 
     Nothing of a step depends on it: it changes neither the state nor what the next step finds. Its
     memory is allocated when it is made, so a simulation that nobody asks has none.
@@ -139,52 +139,6 @@ class EffectorCompliance:
             nodes = model.nodes
             self._points = along_all_axes(effectors, nodes.free_index, nodes.size)
             self._own_rows = RowStack([self._points], nodes.carried)
-
-    def at_state(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
-        """The compliance at the state where the simulation stands, exactly.
-
-        Assembles the stiffness of statics there, and factorizes it.
-
-        Args:
-            by_effort: Actuators that were commanded by efforts although they are driven by
-                displacements, which therefore hold nothing, shape (actuator_count,); None for
-                those that the scene names.
-        """
-        return self._found(by_effort, None)
-
-    def after_step(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
-        """The same by the factorization of the last step, where it has that of statics.
-
-        It belongs to the state before the last correction, so while the robot moves the result is
-        that of one correction ago. Else this is `at_state`: in motion, after steps whose tangent
-        was indefinite, and with friction along cables.
-
-        Args:
-            by_effort: See `at_state`.
-        """
-        return self._found(by_effort, self._simulation.static_factorization)
-
-    def _found(
-        self, by_effort: np.ndarray | None, factorization: Factorization | None
-    ) -> ApparentCompliance:
-        model, state = self._model, self._simulation.state
-        actuator_count = model.actuators.count
-        if not self._count:
-            no = np.zeros(actuator_count, bool)
-            return ApparentCompliance(
-                np.empty((0, 3, 3)), np.empty((0, 3, actuator_count)), no, no, 0
-            )
-        holding = self._holding(by_effort)
-        rows = self._rows(state.positions, holding)
-        try:
-            if factorization is None:
-                moves = self._solved_anew(state.positions, rows, holding)
-            else:
-                moves = _condensed(factorization, model.nodes.free_node_count, rows, holding)
-        except np.linalg.LinAlgError:  # Only where a stiffness is not finite.
-            moves = (np.full((3 * self._count, 3 * self._count), np.nan),
-                     np.full((3 * self._count, actuator_count), np.nan))  # fmt: skip
-        return self._put_together(holding, *moves)
 
     def _holding(self, by_effort: np.ndarray | None) -> _Holding:
         """Which rows hold at the state; evaluates all rows there."""
@@ -268,51 +222,33 @@ class EffectorCompliance:
                 ]
         return _Rows(H, G)
 
-    def _put_together(
-        self, holding: _Holding, by_force: np.ndarray, by_actuator: np.ndarray
-    ) -> ApparentCompliance:
-        """The result, from the motion of the effectors by each unit load.
-
-        Args:
-            holding: What holds.
-            by_force: Motion by forces on the effectors, shape (3 effector_count, same).
-            by_actuator: Motion by the actuators, shape (3 effector_count, actuator_count).
-        """
-        n, own = self._count, np.arange(self._count)
-        compliance = by_force.reshape(n, 3, n, 3)[own, :, own, :]
-        # Slides, which have no rows, hold their displacements.
-        count = self._model.actuators.count
-        slides = count - len(holding.held)
-        return ApparentCompliance(
-            compliance, by_actuator.reshape(n, 3, count),
-            np.append(holding.held, np.ones(slides, bool)),
-            np.append(holding.is_by_effort, np.zeros(slides, bool)), holding.contact_count,
-        )  # fmt: skip
-
-    def _solved_anew(
-        self, positions: np.ndarray, rows: _Rows, holding: _Holding
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Motion of the effectors by loads, by the stiffness of statics at a state."""
+    def _definite(self, positions: np.ndarray) -> Factorization | None:
+        """Assembles A of statics at a state, and factorizes it; None where it is not definite."""
         model = self._model
         if self._storage is None:
             self._storage = np.zeros_like(model.factorization.storage)
         self._assemble(positions)
-        if self._may_be_definite:
-            if self._own is None:
-                self._own = laid_out_alike(model.factorization)
-            factorization, places = self._own
-            factorization.storage[:] = self._storage[places]
-            with suppress(np.linalg.LinAlgError):
-                if factorization.factor():
-                    return _condensed(factorization, model.nodes.free_node_count, rows, holding)
+        if not self._may_be_definite:
+            return None
+        if self._own is None:
+            self._own = laid_out_alike(model.factorization)
+        factorization, places = self._own
+        factorization.storage[:] = self._storage[places]
+        with suppress(np.linalg.LinAlgError):
+            if factorization.factor():
+                return factorization
+        return None
+
+    def _saddle(self, rows: _Rows, holding: _Holding) -> Saddle:
+        """The equations of unknowns and multipliers together, by the A that was assembled last."""
+        model = self._model
         if self._lu is None:
             self._lu = laid_out_like(model.factorization, SuperLU)
         lu, places = self._lu
         lu.storage[:] = self._storage[places]
         terms = (*model.forces, *model.rows.terms)
         dense = [term.dense_rows for term in terms if term.dense_rows is not None]
-        saddle = _Saddle(lu.matrix(), dense, self._displacement_rows(rows))
-        return saddle.solve(rows, holding)
+        return Saddle(lu.matrix(), dense, rows.H, self._displacement_rows(rows), holding)
 
     def _assemble(self, positions: np.ndarray) -> None:
         """Sum the exact stiffness of statics, in the layout of the model's factorization."""
@@ -340,6 +276,86 @@ class EffectorCompliance:
             np.concatenate([H.node_index[kept], other.node_index]),
             np.concatenate([H.blocks[kept], other.blocks]), H.row_count,
         )  # fmt: skip
+
+
+class EffectorCompliance(HeldTangent):
+    """Computes the apparent compliance of the effectors of a simulation at its present state."""
+
+    def at_state(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
+        """The compliance at the state where the simulation stands, exactly.
+
+        Assembles the stiffness of statics there, and factorizes it.
+
+        Args:
+            by_effort: Actuators that were commanded by efforts although they are driven by
+                displacements, which therefore hold nothing, shape (actuator_count,); None for
+                those that the scene names.
+        """
+        return self._found(by_effort, None)
+
+    def after_step(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
+        """The same by the factorization of the last step, where it has that of statics.
+
+        It belongs to the state before the last correction, so while the robot moves the result is
+        that of one correction ago. Else this is `at_state`: in motion, after steps whose tangent
+        was indefinite, and with friction along cables.
+
+        Args:
+            by_effort: See `at_state`.
+        """
+        return self._found(by_effort, self._simulation.static_factorization)
+
+    def _found(
+        self, by_effort: np.ndarray | None, factorization: Factorization | None
+    ) -> ApparentCompliance:
+        model, state = self._model, self._simulation.state
+        actuator_count = model.actuators.count
+        if not self._count:
+            no = np.zeros(actuator_count, bool)
+            return ApparentCompliance(
+                np.empty((0, 3, 3)), np.empty((0, 3, actuator_count)), no, no, 0
+            )
+        holding = self._holding(by_effort)
+        rows = self._rows(state.positions, holding)
+        try:
+            if factorization is None:
+                moves = self._solved_anew(state.positions, rows, holding)
+            else:
+                moves = _condensed(factorization, model.nodes.free_node_count, rows, holding)
+        except np.linalg.LinAlgError:  # Only where a stiffness is not finite.
+            moves = (np.full((3 * self._count, 3 * self._count), np.nan),
+                     np.full((3 * self._count, actuator_count), np.nan))  # fmt: skip
+        return self._put_together(holding, *moves)
+
+    def _put_together(
+        self, holding: _Holding, by_force: np.ndarray, by_actuator: np.ndarray
+    ) -> ApparentCompliance:
+        """The result, from the motion of the effectors by each unit load.
+
+        Args:
+            holding: What holds.
+            by_force: Motion by forces on the effectors, shape (3 effector_count, same).
+            by_actuator: Motion by the actuators, shape (3 effector_count, actuator_count).
+        """
+        n, own = self._count, np.arange(self._count)
+        compliance = by_force.reshape(n, 3, n, 3)[own, :, own, :]
+        # Slides, which have no rows, hold their displacements.
+        count = self._model.actuators.count
+        slides = count - len(holding.held)
+        return ApparentCompliance(
+            compliance, by_actuator.reshape(n, 3, count),
+            np.append(holding.held, np.ones(slides, bool)),
+            np.append(holding.is_by_effort, np.zeros(slides, bool)), holding.contact_count,
+        )  # fmt: skip
+
+    def _solved_anew(
+        self, positions: np.ndarray, rows: _Rows, holding: _Holding
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Motion of the effectors by loads, by the stiffness of statics at a state."""
+        factorization = self._definite(positions)
+        if factorization is not None:
+            return _condensed(factorization, self._model.nodes.free_node_count, rows, holding)
+        return _solved_together(self._saddle(rows, holding), rows, holding)
 
 
 def apparent_compliance(
@@ -451,78 +467,83 @@ def _condensed(
     )
 
 
-class _Saddle:
-    """Solves for unknowns and multipliers together, whether A is definite or not."""
+class Saddle:
+    """Unknowns and multipliers of what holds, solved together, whether A is definite or not.
 
-    def __init__(self, A: sp.csc_array, dense: list, D: NodeRows):
+    Attributes:
+        H: Rows of forces, of the actuators, the contacts that hold and the effectors, shape
+            (row_count, 3 node_count).
+        D: Those of displacements.
+    """
+
+    def __init__(
+        self, A: sp.csc_array, dense: list, H: NodeRows, D: NodeRows, holding: _Holding
+    ):
         """Take the stiffness.
 
         Args:
             A: Its sparse part, shape (3 node_count, same).
             dense: Parts Σ k h hᵀ of it that are not assembled.
+            H: Rows of forces.
             D: Rows of displacements.
+            holding: What holds.
         """
-        self._A, self._dense, self._D = A, dense, D
-        self._size = A.shape[0]
-
-    def solve(self, rows: _Rows, holding: _Holding) -> tuple[np.ndarray, np.ndarray]:
-        """Motion of the effectors by forces on them, and by the actuators."""
-        size, h, count = self._size, holding.places, len(holding.held)
-        H, D = self._sparse(rows.H), self._sparse(self._D)
-        E, G = H[count + len(holding.contacts) :], rows.G
-        stiff, stiffness = sp.csr_array((0, size)), np.empty(0)
-        if self._dense:
+        self._size, self._system, self._lu = A.shape[0], None, None
+        self.H, self.D = self._sparse(H), self._sparse(D)
+        h = holding.places
+        H, D = self.H[h], self.D[h]
+        stiff, stiffness = sp.csr_array((0, self._size)), np.empty(0)
+        if dense:
             stiff = sp.vstack([
-                self._sparse(NodeRows(*part[:3], len(part.stiffness))) for part in self._dense
+                self._sparse(NodeRows(*part[:3], len(part.stiffness))) for part in dense
             ]).tocsr()  # fmt: skip
-            stiffness = np.concatenate([part.stiffness for part in self._dense])
-        # The told efforts of an actuator change its displacement by C.
-        held_count = np.count_nonzero(holding.held)
-        own = np.zeros((len(h), count))
-        own[:held_count] = holding.own[holding.held]
-        # Loads: forces on the effectors, efforts of all actuators, displacements of what is held,
-        # moves of the slides.
-        counts = E.shape[0], count, len(h), G.shape[1]
-        above = np.zeros((size, sum(counts)))
-        above[:, : E.shape[0] + count] = sp.vstack([E, H[:count]]).toarray().T
-        below = np.hstack([np.zeros((len(h), E.shape[0])), -own, np.eye(len(h)), -G[h]])
-        moves = self._solved(H[h], D[h], stiff, stiffness, holding.own_of_places, above, below)
-        by_force, by_effort, by_set, by_slide = np.split(E @ moves, np.cumsum(counts[:-1]), axis=1)
-        own_by_effort = (D[:count] @ moves)[:, E.shape[0] :].diagonal() + holding.own.diagonal()
-        return by_force, _columns_of_actuators(
-            holding, by_set[:, :held_count], by_effort, own_by_effort,
-            by_slide + G[count + len(holding.contacts) :],
-        )  # fmt: skip
-
-    def _solved(self, H, D, stiff, stiffness, own, above, below) -> np.ndarray:
-        """dq of every load, shape (3 node_count, load_count); NaN where there is none."""
-        size = self._size
+            stiffness = np.concatenate([part.stiffness for part in dense])
         # Redundant rows share the load.
-        diagonal = np.abs(self._A.diagonal())
+        diagonal = np.abs(A.diagonal())
         scale = diagonal[diagonal > 0.0].mean() if (diagonal > 0.0).any() else 1.0
         by_node = np.where(diagonal > 0.0, diagonal, scale)
         softness = (D.multiply(D) @ (1.0 / by_node)) if D.shape[0] else np.empty(0)
         # A row that reaches no unknown holds nothing.
-        C = sp.csr_array(own + np.diag(np.where(softness > 0.0, SHARING * softness, 1.0)))
+        shared = np.where(softness > 0.0, SHARING * softness, 1.0)
+        C = sp.csr_array(holding.own_of_places + np.diag(shared))
         none = sp.csr_array((len(stiffness), len(softness)))
-        right = np.concatenate([above, np.zeros((len(stiffness), above.shape[1])), below])
-        for free in (0.0, FREE_SHARE * scale):
+        self._between, free = len(stiffness), sp.eye_array(self._size)
+        for share in (0.0, FREE_SHARE * scale):
             system = sp.bmat([
-                [self._A + sp.dia_array((np.full((1, size), free), [0]), shape=(size, size)),
-                 stiff.T, -H.T],
+                [A + share * free, stiff.T, -H.T],
                 [stiff, sp.csr_array(np.diag(-1.0 / stiffness)), none],
                 [D, none.T, C],
             ]).tocsc()  # fmt: skip
             if not np.isfinite(system.data).all():
                 break
-            try:
-                lu = splu(sp.csc_matrix(system))
-            except RuntimeError:  # Something is free to move, such as a body in the air.
-                continue
-            found = lu.solve(right)
-            found += lu.solve(right - system @ found)
-            return found[:size]
-        return np.full((size, right.shape[1]), np.nan)
+            with suppress(RuntimeError):  # Something is free to move, such as a body in the air.
+                self._lu = splu(sp.csc_matrix(system))
+                self._system = system
+                break
+
+    def solve(
+        self, above: np.ndarray, below: np.ndarray, transposed: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns and multipliers by loads; NaN where there are none.
+
+        Args:
+            above: Forces on the unknowns [N], shape (3 node_count, load_count).
+            below: Displacements of what holds, less those by the efforts, shape
+                (held_count, load_count).
+            transposed: Whether the equations are those of the adjoint.
+
+        Returns:
+            Both, in the shapes of the loads.
+        """
+        size = self._size
+        right = np.concatenate([above, np.zeros((self._between, above.shape[1])), below])
+        if self._lu is None:
+            found = np.full_like(right, np.nan)
+        else:
+            letter, system = ("T", self._system.T) if transposed else ("N", self._system)
+            found = self._lu.solve(right, letter)
+            found += self._lu.solve(right - system @ found, letter)
+        return found[:size], found[size + self._between :]
 
     def _sparse(self, rows: NodeRows) -> sp.csr_array:
         """Rows of H as a sparse matrix, shape (row_count, 3 node_count)."""
@@ -531,3 +552,27 @@ class _Saddle:
         return sp.coo_array(
             (rows.blocks.ravel(), (row_index, columns.ravel())), shape=(rows.row_count, self._size)
         ).tocsr()
+
+
+def _solved_together(
+    saddle: Saddle, rows: _Rows, holding: _Holding
+) -> tuple[np.ndarray, np.ndarray]:
+    """Motion of the effectors by forces on them, and by the actuators."""
+    h, count, held = holding.places, len(holding.held), np.count_nonzero(holding.held)
+    first, G = count + len(holding.contacts), rows.G
+    E = saddle.H[first:]
+    # The told efforts of an actuator change its displacement by C.
+    own = np.zeros((len(h), count))
+    own[:held] = holding.own[holding.held]
+    # Loads: forces on the effectors, efforts of all actuators, displacements of what is held,
+    # moves of the slides.
+    counts = E.shape[0], count, len(h), G.shape[1]
+    above = np.zeros((E.shape[1], sum(counts)))
+    above[:, : E.shape[0] + count] = sp.vstack([E, saddle.H[:count]]).toarray().T
+    below = np.hstack([np.zeros((len(h), E.shape[0])), -own, np.eye(len(h)), -G[h]])
+    moves, _ = saddle.solve(above, below)
+    by_force, by_effort, by_set, by_slide = np.split(E @ moves, np.cumsum(counts[:-1]), axis=1)
+    own_by_effort = (saddle.D[:count] @ moves)[:, E.shape[0] :].diagonal() + holding.own.diagonal()
+    return by_force, _columns_of_actuators(
+        holding, by_set[:, :held], by_effort, own_by_effort, by_slide + G[first:]
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.building.actuators import build_actuators
+from softrobot_twin.simulation.building.actuators import Actuators, build_actuators
 from softrobot_twin.simulation.building.constraint_building import (
     contact_term,
     effector_term,
@@ -60,19 +61,54 @@ def build_model(
     return model
 
 
-def _model_of(scene: Scene, factorization_type: type | None) -> Model:
+class Terms(NamedTuple):
+    """The terms of a scene, and the bodies that they are of.
+
+    Attributes:
+        layout: The bodies and their unknowns.
+        forces: Force terms.
+        actuators: The actuators of all kinds.
+        effectors: Constraint term of the effectors; None without any.
+        markers: See `marker_mapping`.
+        contacts: Constraint term of contacts; None without any.
+        notes: Repairs and warnings, a sentence each.
+    """
+
+    layout: Layout
+    forces: tuple
+    actuators: Actuators
+    effectors: Any
+    markers: tuple
+    contacts: Any
+    notes: list[str]
+
+    @property
+    def constraints(self) -> list:
+        """The constraint terms, in the order of their rows."""
+        others = [term for term in (self.effectors, self.contacts) if term is not None]
+        return [*self.actuators.terms, *others]
+
+
+def build_terms(scene: Scene) -> Terms:
+    """The terms of a scene alone, which tell forces and rows at a state.
+
+    Raises:
+        SceneError: An entry does not fit the mesh.
+        MeshError: The mesh cannot be used.
+    """
     notes: list[str] = []
-    layout = lay_out(scene, notes)
-    terms = _terms(layout, notes)
-    if layout.asked is not None:
+    terms = _terms(lay_out(scene, notes), notes)
+    if terms.layout.asked is not None:
         # Terms have asked for points of reduced bodies, of which only these are kept.
         notes = []
-        layout = lay_out(scene, notes, layout.asked)
-        terms = _terms(layout, notes)
-    nodes, (forces, actuators, effectors, markers, contacts) = layout.nodes, terms
-    others = [term for term in (effectors, contacts) if term is not None]
-    constraints = [*actuators.terms, *others]
-    is_dense = _is_dense(layout)
+        terms = _terms(lay_out(scene, notes, terms.layout.asked), notes)
+    return terms
+
+
+def _model_of(scene: Scene, factorization_type: type | None) -> Model:
+    terms = build_terms(scene)
+    layout, forces, constraints = terms.layout, terms.forces, terms.constraints
+    nodes, is_dense = layout.nodes, _is_dense(layout)
     factorization = bound_factorization(
         factorization_type or FACTORIZATIONS[scene.solver.factorization], [*forces, *constraints],
         nodes.free_node_count, is_dense,
@@ -91,21 +127,20 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
-        actuators, effectors, contacts, rows, *markers, factorization, guides, notes,
-        layout.superelements, layout.beams, is_dense, layout.is_held,
+        terms.actuators, terms.effectors, terms.contacts, rows, *terms.markers, factorization,
+        guides, terms.notes, layout.superelements, layout.beams, is_dense, layout.is_held,
     )  # fmt: skip
 
 
-def _terms(layout: Layout, notes: list[str]) -> tuple:
-    """All terms of a scene: forces, actuators, effectors, markers (see `marker_mapping`), contacts."""
+def _terms(layout: Layout, notes: list[str]) -> Terms:
     scene, carried = layout.scene, layout.nodes.carried
     forces = tuple(on_unknowns(term, carried) for term in force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
-    return (
-        forces + actuators.held_forces, actuators,
+    return Terms(
+        layout, forces + actuators.held_forces, actuators,
         effector_term(layout, notes) if scene.effectors else None,
         marker_mapping(layout, notes),
-        contact_term(layout, notes) if scene.contact is not None else None,
+        contact_term(layout, notes) if scene.contact is not None else None, notes,
     )  # fmt: skip
 
 

@@ -34,6 +34,7 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
 from softrobot_twin.scene.entry import expanded
 from softrobot_twin.scene.loading import read_yaml, written_out
+from softrobot_twin.scene.parameters import with_values
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -79,6 +80,7 @@ def write_scene_copy(
         OutputError: The file cannot be written.
     """
     content = expanded(Scene, written_out(read_yaml(original.read_text(encoding="utf-8"))))
+    content = with_values(content, chosen, getattr(original, "changes", {}))
     body = content["body"]
     body["mesh"] = expanded(Mesh, body["mesh"])
     folder = path.resolve().parent

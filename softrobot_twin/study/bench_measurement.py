@@ -446,10 +446,10 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     cases, ours = [], robot_cases() if any(path.is_file() for path in paths) else []
     for path in paths:
         known = [case for case in ours if path.is_file() and case.scene.path.samefile(path)]
-        if known and commands is None:
-            cases += known
-            continue
         scene = load_scene(path)
+        if known and commands is None:
+            cases += [case._replace(scene=scene) for case in known]
+            continue
         family = "the given scenes" + (", reduced" if is_reduced(scene) else "")
         cases.append(BenchCase(path.stem, scene, family, _is_default(path), commands))
     return cases

@@ -408,7 +408,7 @@ def begin_training(path: Path, options: TrainingOptions) -> Training:
     run = {"scene": content, "body": name, "loaded points": sampling.load_points,
            "contact": sampling.in_contact}  # fmt: skip
     crew = workers_of(options.workers, options.scheduler)
-    job = Job(FinderMaker(sampling), Path(path).resolve(), content)
+    job = Job(FinderMaker(sampling), path.resolve(), content)
     store = StateStore(output_path(scene, body, options), run)
     return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way)
 

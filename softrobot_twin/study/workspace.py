@@ -487,7 +487,7 @@ def workspace(
     unfinished = UnfinishedFile(output, run, header)
     try:
         crew = workers_of(workers, scheduler)
-        job = Job(SampleComputer, Path(scene).resolve(), content)
+        job = Job(SampleComputer, scene.resolve(), content)
         causes = _compute(simulation.scene.name, crew, job, setpoints, unfinished)
     except KeyboardInterrupt:
         print(f"{len(unfinished.rows)} of {samples} samples are in {unfinished.path}; the same "

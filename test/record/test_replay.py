@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 
 from softrobot_twin import replay_command
 from softrobot_twin.__main__ import main
-from softrobot_twin.record.replay import ChangeError, Replay, change_entry
+from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_clock import PlayedClock
 from softrobot_twin.record.run_description import describe, scene_text
 from softrobot_twin.record.run_file import (
@@ -30,7 +30,7 @@ from softrobot_twin.record.run_file import (
     text_of_cdr,
     text_to_cdr,
 )
-from softrobot_twin.scene.loading import read_yaml, written_out
+from softrobot_twin.scene.loading import read_changes, read_yaml, written_out
 from softrobot_twin.simulation.building.table_columns import is_output
 
 from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
@@ -60,7 +60,7 @@ def test_answers_of_refused_messages_are_compared_too(recorded):
 
 
 def test_a_softer_body_differs_and_the_largest_differences_are_told(recorded, capsys):
-    run, found = replayed(recorded.path, changes=(SOFTER,))
+    run, found = replayed(recorded.path, changes=read_changes([SOFTER]))
     assert found.ticks == TICKS and not found.is_equal
     efforts = found.by_quantity["efforts"]
     assert efforts.ticks == TICKS and efforts.largest.size > 0.0
@@ -398,39 +398,6 @@ def test_a_recording_never_replaces_a_file(scene_file, recorded):
     with pytest.raises(RunFileError, match="exists already"):
         Live(scene_file, recorded.path)
     assert recorded.path.read_bytes() == before
-
-
-# --- changes of a scene --------------------------------------------------------------------------
-
-
-def test_a_change_puts_a_value_at_its_key():
-    mapping = {"body": {"material": {"young_modulus": 1.0}}, "cables": [{"tension": 1}]}
-    change_entry(mapping, "body.material.young_modulus=2.5e+5")
-    change_entry(mapping, "cables[0].tension=[0, 5.0]")
-    change_entry(mapping, "body.damping=0.1")
-    assert mapping == {
-        "body": {"material": {"young_modulus": 2.5e5}, "damping": 0.1},
-        "cables": [{"tension": [0, 5.0]}],
-    }
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ("body.material", "must be KEY=VALUE"),
-        ("=3", "must be KEY=VALUE"),
-        ("body.materil.density=3", "no materil there, but material"),
-        ("cables[3].tension=1", "no 3 there, but 0 to 0"),
-        ("cables.north.tension=1", "no north there, but 0 to 0"),
-        ("cables[0].tension.x=1", "no tension there, but name"),
-        ("cables[0].name.x=1", "no x there, but no entries"),
-        ("body.material.density={", "not YAML"),
-    ],
-)
-def test_a_change_without_its_section_is_refused(change, words):
-    mapping = {"body": {"material": {"density": 1.0}}, "cables": [{"name": "north"}]}
-    with pytest.raises(ChangeError, match=words):
-        change_entry(mapping, change)
 
 
 def test_the_description_names_scene_files_parameters_and_machine(recorded):

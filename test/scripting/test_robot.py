@@ -300,3 +300,16 @@ def test_the_time_step_is_the_same_by_default_wherever_a_robot_runs(finger):
     assert 1.0 / step == DEFAULT_RATE == LoopSettings().rate
     for table in (finger.run(steps=2), finger.run(st.hold(), steps=2)):
         assert np.diff(table["time_s"]) == pytest.approx(step)
+
+
+def test_other_numbers_keep_the_state():
+    robot = st.load(ROOT / "config/scenes/finger.yaml", {"body.material.young_modulus": 2e5})
+    robot.step(st.setpoints(flexor_shortening_m=0.002))
+    before, mesh = robot.state, robot.simulation.model.bodies[0].mesh.node_count
+    robot.change({"body.material.young_modulus": 3e5})
+    assert robot.scene.body.material.young_modulus == 3e5
+    assert np.array_equal(robot.state.positions, before.positions)
+    with pytest.raises(st.SoftRobotTwinError, match="young_modulus"):
+        robot.change({"body.material.young_modulus": -1.0})
+    assert robot.scene.body.material.young_modulus == 3e5
+    assert robot.simulation.model.bodies[0].mesh.node_count == mesh

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Set
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -509,16 +510,29 @@ def build_body(
 def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
     """The mesh of a body from its file, or of a box."""
     mesh = entry.mesh
-    placement = {"translation": mesh.translation, "rotation": mesh.rotation}
     if mesh.box is not None:
         of_hexahedra = element_named(entry.element).of_hexahedra
-        return read_box(mesh.box.size, mesh.box.cell_counts, of_hexahedra, **placement)
+        return read_box(mesh.box.size, mesh.box.cell_counts, of_hexahedra,
+                        translation=mesh.translation, rotation=mesh.rotation)
     file, scale, notes = scene.file_path(mesh.file), mesh.scale, ()
     if mesh.is_cad:
         kept = kept_mesh(file, mesh.size, mesh.scale)
         file, scale, notes = kept.path, 1.0, kept.notes
-    reading = read_solid_mesh(file, scale=scale, merge_tolerance=mesh.merge_distance, **placement,)
+    found = file.stat() if file.is_file() else None
+    changed = None if found is None else (file.absolute(), found.st_mtime_ns, found.st_size)
+    reading = _reading(file, changed, scale, mesh.merge_distance, mesh.translation, mesh.rotation)
     return reading._replace(notes=(*notes, *reading.notes))
+
+
+# A scene is built anew for each other number, by the same file.
+@lru_cache(maxsize=8)
+def _reading(
+    file: Path, changed: tuple | None, scale: float, merge_distance: float | None,
+    translation: tuple, rotation: tuple,
+) -> MeshReading:  # fmt: skip
+    """What a mesh file has, until the file changes; see `read_solid_mesh`."""
+    return read_solid_mesh(file, scale=scale, translation=translation, rotation=rotation,
+                           merge_tolerance=merge_distance)  # fmt: skip
 
 
 def _with_element_of_cells(

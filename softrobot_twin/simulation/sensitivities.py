@@ -1,0 +1,408 @@
+"""Derivatives of an equilibrium by the numbers of its scene, and by loads.
+
+At rest, forces are in balance and what holds is where it is held. With the unknowns q, the efforts λ
+of what holds, and a parameter p,
+
+    r(q, λ, p) = 0,    δ(q, p) + C λ - d(p) = 0,
+
+    A dq - Hᵀ dλ = ∂r/∂p,    D dq + C dλ = ∂d/∂p - ∂δ/∂p,
+
+with the tangent A = -∂r/∂q. One factorization serves all parameters. The right sides are differences
+between the terms of two scenes that are built, but not stepped, so each number of a scene is a
+parameter.
+
+The adjoint solves the transposed equations for a few rows g of the unknowns: then g · dq follows for
+any number of parameters by products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.constraints.effector import along_all_axes
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.errors import NamedError, SceneError
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.parameters import Parameter
+from softrobot_twin.simulation.apparent_compliance import HeldTangent, Saddle
+from softrobot_twin.simulation.build import Terms, build_terms
+from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.apparent_stiffness import SHARING
+from softrobot_twin.simulation.step.step_part import memories_of_terms
+from softrobot_twin.solvers.factorization import Factorization, NodeRows
+
+# Differences are taken over this share of a number. Residuals have 1e-16 of the inner forces as
+# round-off, so 1e-10 of the derivative is lost, and by the curvature 1e-12.
+STEP_SHARE = 1.0e-6
+# A length is not changed by less than the step of a tenth of the robot's size: it may be a coordinate
+# near the origin.
+LEAST_LENGTH = 0.1
+# What stands for a number that is zero, by its unit.
+ZEROS = {"Pa": 1.0e3}
+# Sections of a scene that say what touches.
+TOUCHING = ("contact", "obstacles", "rigid_bodies")
+# Differences below this share of the loads, or of the robot's size, are taken for round-off.
+ROUND_OFF = 1.0e-10
+
+
+class SensitivityError(NamedError):
+    """A derivative does not exist, or cannot be told; its name is the key of the parameter."""
+
+
+class Loads(NamedTuple):
+    """Changes of forces and displacements, by one parameter or by each of several.
+
+    Attributes:
+        forces: On the unknowns [N], shape (free_node_count, 3, ...).
+        displacements: By which each actuator with a row is held further in the direction in which
+            its effort does work, in its unit, shape (actuator_row_count, ...).
+        effectors: Of the effectors while unknowns stay [m], shape (effector_count, 3, ...).
+        roughness: See `Sensitivity`.
+    """
+
+    forces: np.ndarray
+    displacements: np.ndarray
+    effectors: np.ndarray
+    roughness: float | np.ndarray = 0.0
+
+
+class Answer(NamedTuple):
+    """What follows from loads.
+
+    Attributes:
+        moves: Of the unknowns [m], of rotations [rad], shape (free_node_count, 3, load_count).
+        efforts: Changes of the efforts of the actuators, in their units, zero for what holds
+            nothing, shape (actuator_count, load_count).
+    """
+
+    moves: np.ndarray
+    efforts: np.ndarray
+
+
+class Sensitivity(NamedTuple):
+    """Derivatives of an equilibrium by parameters.
+
+    Attributes:
+        parameters: The parameters, p of them.
+        effectors: Of the effectors' positions [m per unit], shape (effector_count, 3, p).
+        efforts: Of the actuators' efforts, in their units, shape (actuator_count, p).
+        moves: Of the unknowns [m per unit], shape (free_node_count, 3, p).
+        roughness: By how much the slopes to both sides of each number differ, as a share of them,
+            shape (p,). The derivative is their mean: where a point lies on a face between elements,
+            its slopes are those of both.
+    """
+
+    parameters: tuple[Parameter, ...]
+    effectors: np.ndarray
+    efforts: np.ndarray
+    moves: np.ndarray
+    roughness: np.ndarray
+
+
+class AtState(NamedTuple):
+    """What the terms of a scene tell at the unknowns and efforts of a state of another one.
+
+    Attributes:
+        forces: Out of balance, on the unknowns [N], shape (free_node_count, 3).
+        paths: Displacements of the actuators with rows from rest, each in its unit.
+        drives: Displacements at which setpoints hold them, same shape.
+        effectors: Positions [m], shape (effector_count, 3).
+        rest_positions: Of all nodes [m], shape (node_count, 3).
+        scene: The scene.
+    """
+
+    forces: np.ndarray
+    paths: np.ndarray
+    drives: np.ndarray
+    effectors: np.ndarray
+    rest_positions: np.ndarray
+    scene: Scene
+
+    def loads(self, holds_setpoints: bool) -> Loads:
+        """The same as loads, whose changes move the equilibrium."""
+        held = self.drives if holds_setpoints else 0.0
+        return Loads(self.forces, held - self.paths, self.effectors)
+
+
+class _Condensed:
+    """Unknowns and multipliers by a factorization of A and the condensed system of what holds."""
+
+    def __init__(
+        self, factorization: Factorization, H: NodeRows, node_count: int, held: np.ndarray,
+        own: np.ndarray,
+    ):  # fmt: skip
+        """Condense.
+
+        Args:
+            factorization: A⁻¹.
+            H: Rows of the actuators, the contacts that hold, and the effectors.
+            node_count: Number of unknowns.
+            held: Those of them that hold, shape (held_count,).
+            own: Their compliance, shape (held_count, held_count).
+        """
+        self._factorization, self.H = factorization, H.transposed(node_count).T
+        self._held = self.H[held]
+        self.by_efforts = self._moves(self._held.T)
+        self._M = self._held @ self.by_efforts + own
+        # A row that reaches no unknown holds nothing; redundant rows share the load.
+        diagonal = self._M.diagonal()
+        self._M[np.diag_indices_from(self._M)] += np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
+
+    def _moves(self, forces: np.ndarray) -> np.ndarray:
+        """A⁻¹ of forces, shape (3 node_count, load_count)."""
+        solved = [self._factorization.solve(np.ascontiguousarray(one).reshape(-1, 3)).reshape(-1)
+                  for one in forces.T]  # fmt: skip
+        return np.array(solved).T.reshape(forces.shape)
+
+    def solve(
+        self, above: np.ndarray, below: np.ndarray, transposed: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Saddle.solve`."""
+        moves, sign = self._moves(above), -1.0 if transposed else 1.0
+        M = self._M.T if transposed else self._M
+        multipliers = np.linalg.solve(M, below - sign * (self._held @ moves))
+        return moves + sign * (self.by_efforts @ multipliers), multipliers
+
+
+class Sensitivities(HeldTangent):
+    """Derivatives at the present state of a simulation, which is in balance.
+
+    Attributes:
+        by_effort: See `EffectorCompliance.at_state`.
+    """
+
+    def __init__(self, simulation: Simulation, by_effort: np.ndarray | None = None):
+        """Allocate.
+
+        Args:
+            simulation: The simulation.
+            by_effort: See `EffectorCompliance.at_state`.
+        """
+        super().__init__(simulation)
+        self.by_effort = by_effort
+        self._at: tuple[State, bytes] | None = None
+        self._middle: AtState | None = None
+        self._built: dict[tuple[str | None, int], Terms] = {}
+
+    def solve_sensitivity(
+        self, forces: np.ndarray, displacements: np.ndarray | None = None
+    ) -> Answer:
+        """How unknowns and efforts answer to small loads, while held actuators hold.
+
+        Args:
+            forces: On the unknowns [N], shape (free_node_count, 3, load_count).
+            displacements: By which actuators are held further; see `Loads`. None for none.
+        """
+        count, system, a = forces.shape[2], *self._system()
+        below = np.zeros((len(self._held.places), count))
+        if displacements is not None:
+            below[: np.count_nonzero(self._held.held)] = displacements[self._held.held]
+        moves, multipliers = system.solve(forces.reshape(3 * len(forces), count), below)
+        efforts = np.zeros((self._model.actuators.count, count))
+        efforts[:a][self._held.held] = multipliers[: np.count_nonzero(self._held.held)]
+        return Answer(moves.reshape(forces.shape), efforts)
+
+    def adjoint(self, rows: np.ndarray | None = None) -> Loads:
+        """What some combinations of the unknowns gain by each load.
+
+        Args:
+            rows: Weights of the unknowns, shape (row_count, free_node_count, 3); None for the
+                positions of the effectors, three rows each.
+
+        Returns:
+            For each row its derivative by the force on each unknown [1/N], shape
+            (free_node_count, 3, row_count), and by the displacement of each actuator, shape
+            (actuator_row_count, row_count). Nothing by effectors.
+        """
+        system, a = self._system()
+        if rows is None:
+            own = system.H[system.H.shape[0] - 3 * self._count :]
+            above = own if isinstance(own, np.ndarray) else own.toarray()
+        else:
+            above = rows.reshape(len(rows), -1)
+        forces, multipliers = system.solve(
+            above.T, np.zeros((len(self._held.places), len(above))), transposed=True)
+        displacements = np.zeros((a, len(above)))
+        displacements[self._held.held] = multipliers[: np.count_nonzero(self._held.held)]
+        return Loads(forces.reshape(-1, 3, len(above)), displacements,
+                     np.zeros((self._count, 3, len(above))))  # fmt: skip
+
+    def of_parameters(
+        self, parameters: Sequence[Parameter], holds_setpoints: bool = True
+    ) -> Sensitivity:
+        """Derivatives of effectors and efforts by parameters.
+
+        Args:
+            parameters: See `softrobot_twin.scene.parameters`.
+            holds_setpoints: Whether actuators hold their setpoints, such as lengths of cables; else
+                their displacements from rest, such as shortenings, whose zero may depend on a
+                parameter.
+
+        Raises:
+            SensitivityError: A derivative does not exist at this state.
+        """
+        count, (system, a) = len(parameters), self._system()
+        none = (np.empty((*shape, 0)) for shape in
+                ((self._model.nodes.free_node_count, 3), (a,), (self._count, 3), ()))  # fmt: skip
+        loads = [self.loads(one, holds_setpoints) for one in parameters]
+        forces, displacements, explicit, roughness = (
+            (np.stack(parts, -1) for parts in zip(*loads, strict=True)) if count else none)
+        answer = self.solve_sensitivity(forces, displacements)
+        own = system.H[system.H.shape[0] - 3 * self._count :]
+        carried = own @ answer.moves.reshape(own.shape[1], count)
+        effectors = explicit + carried.reshape(self._count, 3, count)
+        return Sensitivity(tuple(parameters), effectors, answer.efforts, answer.moves, roughness)
+
+    def loads(self, parameter: Parameter, holds_setpoints: bool = True) -> Loads:
+        """What a parameter changes per its unit, while unknowns and efforts stay.
+
+        Args:
+            parameter: The parameter.
+            holds_setpoints: See `of_parameters`.
+
+        Raises:
+            SensitivityError: The derivative does not exist at this state.
+        """
+        self._system()
+        scene, value = self._model.scene, parameter.read(self._model.scene)
+        step, sides = STEP_SHARE * self._scale(parameter.unit, value), dict[int, AtState]()
+        for side in (1, -1, 2, -2):
+            if len(sides) == 2 or (side == 2 and 1 not in sides):
+                continue
+            try:
+                sides[side] = self._evaluated(self._terms(parameter, side, value + side * step))
+            except SceneError as error:  # The number is at its limit: the other side tells.
+                refused = error
+        if len(sides) < 2:
+            words = f"{step:g} {parameter.unit}".strip()
+            raise SensitivityError(
+                parameter.key, f"cannot be changed by {words}: {refused}") from refused
+        if self._middle is None:
+            self._middle = self._evaluated(self._terms(None, 0, 0.0))
+        for found in sides.values():
+            self._check(parameter.key, found)
+        middle, *others = (one.loads(holds_setpoints) for one in (self._middle, *sides.values()))
+        found = [_derivative(tuple(sides), step, *parts) for parts in zip(middle, *others, strict=True)]
+        slopes, differences = zip(*found[:-1], strict=True)
+        round_off = self._round_off() / step
+        roughness = max(
+            float(np.abs(difference).max(initial=0.0) / max(np.abs(slope).max(initial=0.0), least))
+            for slope, difference, least in zip(slopes, differences, round_off, strict=True))
+        return Loads(*slopes, roughness)
+
+    def _round_off(self) -> np.ndarray:
+        """Differences of forces [N], displacements and places [m] that are taken for round-off."""
+        size, newton = self._model.nodes.size, self._simulation.newton
+        load = newton.constant_load + self._model.actuators.load(self._simulation.state.efforts)
+        length = size if np.isfinite(size) else 1.0
+        return ROUND_OFF * np.array([load or 1.0, length, length])
+
+    def _scale(self, unit: str, value: float) -> float:
+        """The size of a number, of which a small share is its difference."""
+        if unit == "m":
+            size = self._model.nodes.size
+            return max(abs(value), LEAST_LENGTH * size if np.isfinite(size) else 0.0) or 1.0
+        return abs(value) or ZEROS.get(unit, 1.0)
+
+    def _system(self) -> tuple[Saddle | _Condensed, int]:
+        """The factorized equations at the present state, and the number of actuators with rows."""
+        state = self._simulation.state
+        by_effort = b"" if self.by_effort is None else self.by_effort.tobytes()
+        if self._at is None or self._at[0] is not state or self._at[1] != by_effort:
+            held = self._held = self._holding(self.by_effort)
+            rows, own = self._rows(state.positions, held), held.own_of_places
+            A, self._middle = self._definite(state.positions), None
+            if A is None:
+                self._solver = self._saddle(rows, held)
+            else:
+                count = self._model.nodes.free_node_count
+                self._solver = _Condensed(A, rows.H, count, held.places, own)
+            self._at = state, by_effort
+        return self._solver, len(self._held.held)
+
+    def _terms(self, parameter: Parameter | None, side: int, value: float) -> Terms:
+        """The terms of the scene, or of one with another number; they are built once.
+
+        Raises:
+            SceneError: The scene does not take the value.
+        """
+        key = parameter and parameter.key, side
+        if key not in self._built:
+            scene = self._model.scene
+            terms = build_terms(scene if parameter is None else parameter.set(scene, value))
+            for term in (*terms.forces, *terms.constraints):
+                term.bind(np.arange(terms.layout.nodes.free_node_count), _no_slots)
+            self._built[key] = terms
+        return self._built[key]
+
+    def _evaluated(self, terms: Terms) -> AtState:
+        """What the terms of a scene tell at the present unknowns and efforts."""
+        state, own = self._simulation.state, self._model.nodes
+        nodes, actuators = terms.layout.nodes, terms.actuators
+        for part in memories_of_terms(terms):
+            part.recall(state)
+        positions = nodes.rest_positions.copy()
+        given = own.free_index < 0
+        positions[given] += (state.positions - own.rest_positions)[given]
+        nodes.advance(positions, own.displacement(own.rest_positions, state.positions), 1.0)
+        forces, still = np.zeros((2, nodes.free_node_count, 3))
+        for term in terms.forces:
+            if term.remembers_start:
+                term.begin_step(positions, still, np.inf)
+            term.add_forces(positions, forces)
+        rows = RowStack(actuators.terms, nodes.carried)
+        rows.tell_efforts(state.efforts)
+        rows.evaluate(positions)
+        rows.add_forces(rows.multipliers(state.efforts), forces)
+        a = rows.groups.actuators
+        paths, stretch = rows.values[a].copy(), rows.stretch_compliance()
+        if stretch is not None:
+            paths += stretch * state.efforts[a]
+        drives = np.where(actuators.is_effort_driven, 0.0, actuators.drives(state.setpoints))[a]
+        effectors = np.empty(0)
+        if terms.effectors is not None:
+            points = along_all_axes(terms.effectors, nodes.free_index, nodes.size)
+            own_rows = RowStack([points], nodes.carried)
+            own_rows.evaluate(positions)
+            effectors = own_rows.values
+        return AtState(forces, paths, drives, effectors.reshape(-1, 3), nodes.rest_positions,
+                       terms.layout.scene)  # fmt: skip
+
+    def _check(self, key: str, other: AtState) -> None:
+        """Refuses a parameter by which the terms cannot be compared."""
+        middle, scene = self._middle, self._model.scene
+        if other.forces.shape != middle.forces.shape:
+            raise SensitivityError(key, "changes the number of unknowns")
+        is_moved = not np.array_equal(other.rest_positions, middle.rest_positions) or any(
+            getattr(other.scene, name) != getattr(scene, name) for name in TOUCHING)
+        if is_moved and self._held.contact_count:
+            raise SensitivityError(key, "moves what touches, of which no derivative is built")
+        for cable, now in zip(scene.cables, other.scene.cables, strict=True):
+            if cable.hold_radius and (is_moved or now.points != cable.points):
+                raise SensitivityError(key, f"moves points of {cable.name}, whose hold_radius holds "
+                                       "other nodes at once: leave hold_radius out for a derivative")
+
+
+def _no_slots(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places of blocks for terms of which only forces and rows are asked."""
+    return np.zeros((2, *np.shape(rows)), np.int64)
+
+
+def _derivative(
+    sides: tuple[int, int], step: float, middle: np.ndarray, first: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivative of an array by a number, and by how much its slopes to both sides differ.
+
+    Args:
+        sides: Steps from the number to the two others.
+        step: Length of a step.
+        middle, first, second: The array at the number and at the others.
+    """
+    at, to = sides
+    one, other = (first - middle) / (at * step), (second - middle) / (to * step)
+    # The parabola through the three.
+    return (to * one - at * other) / (to - at), other - one

@@ -1,0 +1,151 @@
+"""Derivatives of an equilibrium by numbers of its scene, against scenes that are solved again."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.scene import load_scene
+from softrobot_twin.scene.parameters import changed_scene, parameters
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.sensitivities import Sensitivities, SensitivityError
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+BAR = 1.0e-6
+# The tangent of a reduced body is the derivative of its forces within 2e-6.
+REDUCED_BAR = 1.0e-5
+# Half of the difference, as a share of a number; that of a length is a share of 1 cm.
+SHARE = 1.0e-4
+
+
+def settled(scene, setpoints=None, state=None):
+    """A simulation in balance at some setpoints, or at changes of those at rest."""
+    simulation = Simulation(scene, with_warnings=False)
+    if state is None:
+        setpoints = simulation.rest_setpoints + setpoints(simulation)
+    else:
+        simulation.restore(state)
+    for _ in range(80):
+        before = simulation.state.positions
+        simulation.step(CommandSetpoints(setpoints, 10.0))
+        if np.abs(simulation.state.positions - before).max() < 1.0e-13:
+            return simulation, setpoints
+    raise AssertionError("does not come to rest")
+
+
+def moved(simulation):
+    """Every second actuator moved: cables are pulled by 3 mm, cavities get 500 Pa."""
+    by_section = {"cables": -3.0e-3, "slides": 2.0e-3, "hinge_motors": 0.05, "cavities": 500.0}
+    amounts = [by_section[kind.section] for kind in simulation.actuators.kinds]
+    return np.where(np.arange(len(amounts)) % 2, 0.0, amounts)
+
+
+def exact(name, changes=None):
+    scene = load_scene(CONFIG / "scenes" / f"{name}.yaml", changes or {})
+    return scene.changed(solver={"residual_tolerance": 1.0e-11, "newton_iterations": 20})
+
+
+CASES = [
+    ("finger", "body.material.young_modulus"),
+    ("finger", "body.material.poisson_ratio"),
+    ("finger", "body.material.density"),
+    ("finger", "cables.flexor.points[1][2]"),
+    ("segment", "fibres[0].stiffness"),
+    ("segment", "gravity[2]"),
+    ("flexo", "beams[0].material.young_modulus"),
+    ("strider", "beams[0].material.young_modulus"),
+    ("strider", "gravity[2]"),
+    ("diamond_reduced", "gravity[2]"),
+    ("trunk", "cables[0].points[3][1]"),
+]
+
+
+@pytest.mark.parametrize(("name", "key"), CASES)
+def test_derivatives_are_those_of_states_that_are_solved_again(name, key):
+    scene = exact(name, {"cables[0].hold_radius": 0.0} if ".points" in key else None)
+    simulation, setpoints = settled(scene, moved)
+    (parameter,) = parameters(scene, key)
+    found = Sensitivities(simulation).of_parameters([parameter])
+    value = parameter.read(scene)
+    step = SHARE * (max(abs(value), 0.01) if parameter.unit == "m" else abs(value))
+    ends = [settled(parameter.set(scene, value + side * step), setpoints, simulation.state)[0]
+            for side in (1, -1)]  # fmt: skip
+    places, efforts = (
+        (getter(ends[0]) - getter(ends[1])) / (2.0 * step)
+        for getter in (Simulation.effector_positions, lambda one: one.state.efforts)
+    )
+    bar = REDUCED_BAR if simulation.has_reduced_bodies else BAR
+    assert np.abs(found.effectors[..., 0] - places).max() < bar * np.abs(places).max()
+    assert np.abs(found.efforts[:, 0] - efforts).max() <= bar * np.abs(efforts).max()
+    assert found.roughness[0] < 1.0e-3
+
+
+@pytest.fixture(scope="module")
+def finger():
+    return settled(exact("finger", {f"cables[{i}].hold_radius": 0.0 for i in (0, 1)}), moved)[0]
+
+
+def test_the_adjoint_gives_the_same_derivatives(finger):
+    own = Sensitivities(finger)
+    chosen = parameters(finger.scene, "body.material", "gravity", "cables.flexor.points[2]")
+    found, adjoint = own.of_parameters(chosen), own.adjoint()
+    for index, one in enumerate(chosen):
+        loads = own.loads(one)
+        by_adjoint = np.einsum("nkr,nk->r", adjoint.forces, loads.forces)
+        by_adjoint += adjoint.displacements.T @ loads.displacements + loads.effectors.ravel()
+        expected = found.effectors[..., index].ravel()
+        np.testing.assert_allclose(by_adjoint, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+def test_the_answer_to_a_force_is_the_apparent_compliance(finger):
+    own = Sensitivities(finger)
+    rows = own.adjoint().forces  # effectors by forces on nodes; at the tip the compliance
+    answer = own.solve_sensitivity(rows).moves.reshape(-1, rows.shape[2])
+    symmetric = rows.reshape(-1, rows.shape[2]).T @ answer
+    np.testing.assert_allclose(symmetric, symmetric.T, rtol=1e-8, atol=1e-12 * np.abs(symmetric).max())
+
+
+def test_held_shortenings_and_held_lengths_differ_by_the_length_at_rest(finger):
+    own = Sensitivities(finger)
+    (point,) = parameters(finger.scene, "cables.flexor.points[1][2]")
+    by_length, by_shortening = (own.loads(point, held) for held in (True, False))
+    step, lengths = 1.0e-6, []
+    for side in (1, -1):
+        other = point.set(finger.scene, point.read(finger.scene) + side * step)
+        lengths.append(Simulation(other, with_warnings=False).rest_setpoints[0])
+    slope = (lengths[0] - lengths[1]) / (2.0 * step)
+    difference = by_length.displacements - by_shortening.displacements
+    np.testing.assert_allclose(difference, [slope, 0.0], rtol=1e-6, atol=1e-9)
+
+
+def test_a_point_between_elements_tells_that_its_slopes_differ(finger):
+    (aside,) = parameters(finger.scene, "cables.flexor.points[1][1]")
+    found = Sensitivities(finger).of_parameters([aside])
+    assert aside.read(finger.scene) == 0.0 and found.roughness[0] > 0.1
+
+
+def test_points_held_within_a_radius_have_no_derivative():
+    simulation = settled(exact("finger"), moved)[0]
+    key = "cables.flexor.points[1][2]"
+    with pytest.raises(SensitivityError, match="hold_radius"):
+        Sensitivities(simulation).of_parameters(parameters(simulation.scene, key))
+
+
+def test_the_material_of_a_reduced_body_has_no_derivative():
+    simulation = Simulation(exact("diamond_reduced"), with_warnings=False)
+    with pytest.raises(SensitivityError, match="young_modulus: cannot be changed"):
+        Sensitivities(simulation).of_parameters(
+            parameters(simulation.scene, "body.material.young_modulus"))
+
+
+def test_no_parameters_have_no_derivatives(finger):
+    found = Sensitivities(finger).of_parameters([])
+    assert found.effectors.shape == (1, 3, 0) and found.roughness.shape == (0,)
+
+
+def test_a_state_restores_into_a_scene_with_other_numbers(finger):
+    other = changed_scene(finger.scene, {"body.material.young_modulus": 4e5})
+    softer = Simulation(other, with_warnings=False)
+    softer.restore(finger.state)
+    assert np.array_equal(softer.state.positions, finger.state.positions)
