@@ -18,7 +18,6 @@ from softrobot_twin.record.replay import Comparison, Difference, Replay
 from softrobot_twin.record.run_description import machine
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.tick_table import TickTable
-from softrobot_twin.scene.loading import read_changes
 from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.view import RerunMirror
@@ -53,7 +52,7 @@ def replay(
     _print_head(file)
     with ExitStack() as stack:
         with terminal_status("building and compiling"):
-            again = Replay(file, scene, read_changes(changes))
+            again = Replay(file, scene, changes)
         takers: list[Taker] = []
         if output is not None:
             takers.append(_writer(again, output, stack))

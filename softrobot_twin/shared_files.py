@@ -7,6 +7,7 @@ In a checkout they are beside it. An installation, by pip or colcon, has them in
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -31,3 +32,26 @@ def given_file(path: Path | str) -> Path:
     if path.parts[:1] != ("config",) or path.exists():
         return path
     return next((folder / path for folder in shared_folders() if (folder / path).is_file()), path)
+
+
+class ScenePath(Path):
+    """The path of a scene file, with other values of its entries, which a scene is loaded with.
+
+    Attributes:
+        changes: Keys and their values, such as ``cables[0].tension=[0, 5]``.
+    """
+
+    def __init__(self, path: Path | str, changes: Iterable[str]):
+        super().__init__(path)
+        self.changes = tuple(changes)
+
+    def __reduce__(self):
+        return ScenePath, (str(self), self.changes)
+
+    def with_segments(self, *segments) -> Path:  # type: ignore[override]
+        """A path made from this one, such as that of a file beside it: without changes."""
+        return Path(*segments)
+
+    def resolve(self, strict: bool = False) -> ScenePath:
+        """The absolute path of the file, with the same changes."""
+        return ScenePath(super().resolve(strict), self.changes)

@@ -17,6 +17,8 @@ from textwrap import dedent, fill
 from types import UnionType
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
+from softrobot_twin.shared_files import ScenePath
+
 TEXT_WIDTH = 78
 """Columns of the texts of a command's help."""
 
@@ -115,15 +117,10 @@ def _values(chosen: argparse.Namespace, names: Iterable[str], files: Sequence[st
     """The values of a function's parameters; paths of scene files carry what `--set` gives."""
     values = {own: getattr(chosen, own) for own in names}
     if files and chosen.changes:
-        # Scenes are loaded only for a command that runs.
-        from softrobot_twin.scene.loading import ScenePath, read_changes
-
-        changes = read_changes(chosen.changes)
         for own in files:
             given = values[own]
-            is_one = isinstance(given, Path)
-            values[own] = (ScenePath(given, changes) if is_one
-                           else [ScenePath(path, changes) for path in given])
+            values[own] = (ScenePath(given, chosen.changes) if isinstance(given, Path)
+                           else [ScenePath(path, chosen.changes) for path in given])
     return values
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,8 +35,13 @@ from softrobot_twin.record.run_values import (
     tick_values,
 )
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.loading import load_scene, read_yaml, scene_from_mapping
-from softrobot_twin.scene.parameters import changed_scene
+from softrobot_twin.scene.loading import (
+    load_scene,
+    read_changes,
+    read_yaml,
+    scene_from_mapping,
+)
+from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import Simulation
 
 ANSWER = "answer"
@@ -294,14 +299,14 @@ class Replay:
     """
 
     def __init__(
-        self, run: RunFile, scene: Path | None = None, changes: Mapping[str, Any] | None = None
+        self, run: RunFile, scene: Path | None = None, changes: Sequence[str] = ()
     ):
         """Builds and warms up the loop.
 
         Args:
             run: The run.
             scene: Another scene in place of the recorded one.
-            changes: Other values of entries of the recorded scene; see `changed_scene`.
+            changes: Other values of entries of the recorded scene; see `read_changes`.
 
         Raises:
             RunFileError: A file of the scene is missing or has changed, or the other scene has
@@ -311,7 +316,7 @@ class Replay:
         self.run, self.comparison = run, Comparison()
         self.is_of_its_scene = scene is None and not changes
         self._clock = PlayedClock()
-        built = recorded_scene(run, changes or {}) if scene is None else load_scene(scene)
+        built = recorded_scene(run, read_changes(changes)) if scene is None else load_scene(scene)
         simulation = Simulation(built, self._clock)
         parameters = run.description.parameters
         velocity_effector = parameters["velocity_effector"]

@@ -22,7 +22,7 @@ from yaml.scanner import Scanner
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES
-from softrobot_twin.scene.parameters import changed_scene
+from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.scene.patterns import Source, as_written, expand_patterns
 from softrobot_twin.scene.refusal_messages import parts, scene_error
 from softrobot_twin.scene.schema import Scene
@@ -39,29 +39,6 @@ not read."""
 
 
 _MESHES = (".msh", ".vtk", ".vtu", ".inp", *CAD_SUFFIXES)
-
-
-class ScenePath(Path):
-    """The path of a scene file, and other values of its entries, which `load_scene` puts in.
-
-    Attributes:
-        changes: Values by their keys; see `changed_scene`.
-    """
-
-    def __init__(self, path: Path | str, changes: Mapping[str, Any]):
-        super().__init__(path)
-        self.changes = dict(changes)
-
-    def __reduce__(self):
-        return ScenePath, (str(self), self.changes)
-
-    def with_segments(self, *segments) -> Path:  # type: ignore[override]
-        """A path made from this one, such as that of a file beside it: without changes."""
-        return Path(*segments)
-
-    def resolve(self, strict: bool = False) -> ScenePath:
-        """The absolute path of the file, with the same changes."""
-        return ScenePath(super().resolve(strict), self.changes)
 
 
 def read_changes(texts: Iterable[str]) -> dict[str, Any]:
@@ -101,7 +78,7 @@ def load_scene(path: Path | str, changes: Mapping[str, Any] | None = None) -> Sc
         SceneError: The file cannot be read, or an entry is not valid.
     """
     if changes is None:
-        changes = getattr(path, "changes", {})
+        changes = read_changes(getattr(path, "changes", ()))
     path = given_file(path)
 
     def refused(reason: str) -> SceneError:

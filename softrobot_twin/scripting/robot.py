@@ -16,7 +16,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
-from softrobot_twin.scene.parameters import Parameter, changed_scene, parameters
+from softrobot_twin.scene.scene_parameters import Parameter, changed_scene, parameters
 from softrobot_twin.scripting.entries_in_python import IN_PYTHON, plain_entries
 from softrobot_twin.scripting.labelled_matrix import LabelledMatrix
 from softrobot_twin.scripting.mesh_export import export_mesh

@@ -26,7 +26,7 @@ from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.parameters import Parameter
+from softrobot_twin.scene.scene_parameters import Parameter
 from softrobot_twin.simulation.apparent_compliance import HeldTangent, Saddle
 from softrobot_twin.simulation.build import Terms, build_terms
 from softrobot_twin.simulation.simulation import Simulation
@@ -237,7 +237,7 @@ class Sensitivities(HeldTangent):
         """Derivatives of effectors and efforts by parameters.
 
         Args:
-            parameters: See `softrobot_twin.scene.parameters`.
+            parameters: See `softrobot_twin.scene.scene_parameters`.
             holds_setpoints: Whether actuators hold their setpoints, such as lengths of cables; else
                 their displacements from rest, such as shortenings, whose zero may depend on a
                 parameter.

@@ -30,7 +30,7 @@ from softrobot_twin.record.run_file import (
     text_of_cdr,
     text_to_cdr,
 )
-from softrobot_twin.scene.loading import read_changes, read_yaml, written_out
+from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation.building.table_columns import is_output
 
 from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
@@ -60,7 +60,7 @@ def test_answers_of_refused_messages_are_compared_too(recorded):
 
 
 def test_a_softer_body_differs_and_the_largest_differences_are_told(recorded, capsys):
-    run, found = replayed(recorded.path, changes=read_changes([SOFTER]))
+    run, found = replayed(recorded.path, changes=(SOFTER,))
     assert found.ticks == TICKS and not found.is_equal
     efforts = found.by_quantity["efforts"]
     assert efforts.ticks == TICKS and efforts.largest.size > 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene
-from softrobot_twin.scene.parameters import changed_scene, parameters
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.sensitivities import Sensitivities, SensitivityError
 

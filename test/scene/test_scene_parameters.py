@@ -6,8 +6,9 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene
-from softrobot_twin.scene.loading import ScenePath, read_changes
-from softrobot_twin.scene.parameters import changed_scene, parameters, value_at
+from softrobot_twin.scene.loading import read_changes
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters, value_at
+from softrobot_twin.shared_files import ScenePath
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -98,6 +99,6 @@ def test_what_is_no_number_is_no_parameter(finger, key):
 def test_the_path_of_a_scene_carries_changes_to_other_processes(finger):
     import pickle
 
-    path = pickle.loads(pickle.dumps(ScenePath(finger.path, {"cables.flexor.rate": 0.5}).resolve()))
+    path = pickle.loads(pickle.dumps(ScenePath(finger.path, ["cables.flexor.rate=0.5"]).resolve()))
     assert load_scene(path).cables[0].rate == 0.5 and path.parent == finger.path.parent.resolve()
     assert value_at(load_scene(path, {}), "cables.flexor.rate") == finger.cables[0].rate
