@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -25,10 +25,9 @@ from softrobot_twin.simulation import (
     Simulation,
     Touched,
 )
-from softrobot_twin.simulation.building.limits import ANGLE
-from softrobot_twin.simulation.building.table_columns import column
+from softrobot_twin.simulation.building.table_columns import EFFORTS, SETPOINTS, column
 from softrobot_twin.simulation.channels import NOT_UNIT, WANTED, Channel
-from softrobot_twin.simulation.runs.input_tables import driving_columns
+from softrobot_twin.simulation.runs.input_tables import drives_of
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]
@@ -215,28 +214,11 @@ def _kind(value: Any) -> str:
     return shown if len(shown) < 60 else f"{shown[:57]}..."
 
 
-class Handle(NamedTuple):
-    """A name by which actuators are commanded.
-
-    Attributes:
-        places: The actuators among all of the scene.
-        meaning: ``setpoint``, ``displacement`` or ``effort``; ``drive`` where the setpoint is the
-            effort.
-        factor: Displacement of each actuator by one unit of the value.
-        unit: Unit of the value.
-    """
-
-    places: tuple[int, ...]
-    meaning: str
-    factor: float
-    unit: str
-
-
 class CommandReader:
     """Reads named commands for one simulation.
 
     Attributes:
-        handles: Names of actuators, motors and pulleys with their quantities.
+        drives: What actuators, motors and pulleys are commanded by, by its name.
     """
 
     def __init__(self, simulation: Simulation):
@@ -247,18 +229,18 @@ class CommandReader:
         """
         self._simulation = simulation
         self._effectors = {name: i for i, name in enumerate(simulation.effector_names)}
-        self.handles = dict(_handles(simulation))
+        self.drives = {one.name: one for one in drives_of(simulation)
+                       if SETPOINTS in one.gives or one.kind.takes_efforts}  # fmt: skip
 
     @property
     def setpoint_names(self) -> tuple[str, ...]:
         """Names that `setpoints` takes."""
-        return tuple(name for name, one in self.handles.items() if one.meaning != "effort")
+        return tuple(name for name, one in self.drives.items() if SETPOINTS in one.gives)
 
     @property
     def effort_names(self) -> tuple[str, ...]:
         """Names that `efforts` takes."""
-        return tuple(name for name, one in self.handles.items()
-                     if one.meaning in ("effort", "drive"))
+        return tuple(name for name, one in self.drives.items() if EFFORTS in one.gives)
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -314,30 +296,26 @@ class CommandReader:
         """Each driven actuator, and its setpoint or effort."""
         actuators, driven_by = self._simulation.actuators, dict[int, str]()
         for name, numbers in values.items():
-            handle = self.handles.get(name)
-            if handle is None or name not in allowed:
+            drive = self.drives.get(name)
+            if drive is None or name not in allowed:
                 raise self._refused(name, word, allowed)
-            number = one_number(name, numbers)
-            for place in handle.places:
+            number, kind = one_number(name, numbers), drive.kind
+            shown = f"{number:g} {drive.quantity.unit}"
+            if SETPOINTS not in drive.gives and kind.one_sided and number < 0.0:
+                raise CommandError(name, f"{shown} must not be negative: a {kind.noun} cannot push")
+            if SETPOINTS in drive.gives and not drive.factor and number < kind.least_setpoint:
+                raise CommandError(name, f"{shown} must be {kind.least_setpoint:g} or more: it is "
+                                   f"the {kind.setpoint.word} of a {kind.noun}")
+            for place in drive.places:
                 if place in driven_by:
                     raise CommandError(
                         name, f"drives {actuators.names[place]}, as {driven_by[place]} does")
                 driven_by[place] = name
-                kind, value = actuators.kinds[place], number
-                if handle.meaning == "displacement":
-                    value = kind.sign * handle.factor * number + actuators.rest_setpoints[place]
-                elif handle.meaning == "effort" and kind.one_sided and number < 0.0:
-                    raise CommandError(name, f"{number:g} {handle.unit} must not be negative: a "
-                                       f"{kind.noun} cannot push")
-                elif handle.meaning != "effort" and number < kind.least_setpoint:
-                    raise CommandError(
-                        name, f"{number:g} {handle.unit} must be {kind.least_setpoint:g} or more: "
-                        f"it is the {kind.setpoint.word} of a {kind.noun}")
-                yield place, value
+                yield place, float(drive.commanded(number, actuators.rest_setpoints[place]))
 
     def _refused(self, name: str, word: str, allowed: tuple[str, ...]) -> CommandError:
         simulation = self._simulation
-        if name in self.handles:
+        if name in self.drives:
             other = "setpoints" if word == "efforts" else "efforts"
             return CommandError(name, f"is no name of {word}(...); use {other}({name}=...)")
         if name in simulation.effector_names:
@@ -394,7 +372,7 @@ class CommandReader:
                 whole[forms[name]] = name, numbers
             elif name in ends:
                 single.setdefault(ends[name], {})[name] = numbers
-            elif name in self.handles:
+            elif name in self.drives:
                 commanded[name] = numbers
             else:
                 raise self._refused(name, "targets", self.target_names + self.setpoint_names)
@@ -509,18 +487,3 @@ def one_number(name: str, numbers: Numbers) -> float:
     if len(numbers) != 1:
         raise CommandError(name, f"must be one number, not {len(numbers)}")
     return numbers[0]
-
-
-def _handles(simulation: Simulation) -> Iterator[tuple[str, Handle]]:
-    """Names of actuators, motors and pulleys, as in the columns of commands files."""
-    actuators = simulation.actuators
-    for own, quantity, actuated, kind in driving_columns(simulation):
-        meaning = ("drive" if kind.is_effort_driven else "setpoint" if quantity == kind.setpoint
-                   else "effort" if quantity == kind.effort else "displacement")  # fmt: skip
-        if meaning != "effort" or kind.takes_efforts:
-            places = tuple(map(actuators.names.index, actuated))
-            yield own, Handle(places, meaning, 1.0, quantity.unit)
-    pulleys = actuators.pulleys
-    for name, driven, wound in zip(pulleys.names, pulleys.driven, pulleys.wound, strict=True):
-        places = tuple(map(int, driven))
-        yield column(name, ANGLE), Handle(places, "displacement", float(wound), ANGLE.unit)

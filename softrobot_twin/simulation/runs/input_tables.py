@@ -30,7 +30,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene.refusal_messages import nearest
 from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
-from softrobot_twin.simulation.building.limits import ANGLE, Pulleys
+from softrobot_twin.simulation.building.limits import ANGLE
 from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
     EFFORTS,
@@ -607,7 +607,7 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
         listed = ", ".join(known[what]) or "none"
         raise columns.error(name, f"the scene has no {what} {owner!r}; its {what}s: {listed}")
     today = name_today(name, quantities)
-    near = nearest(name, (TIME, *_columns_of_actuators(simulation),
+    near = nearest(name, (TIME, *(one.name for one in drives_of(simulation)),
                           *(one for own in simulation.effector_names
                             for one in _columns_of_targets(own))))
     use = f"use {today}" if today != name else (
@@ -790,7 +790,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
     if columns.left:
         guided = [entry.name for entry in simulation.scene.rigid_bodies]
         near = nearest(columns.left[0], (
-            TIME, *_columns_of_actuators(simulation),
+            TIME, *(one.name for one in drives_of(simulation)),
             *(one for own in guided for one in position_columns(own) + quaternion_columns(own)),
             *(one for own in simulation.touch_names
               for one in force_columns(own) + displacement_columns(own))))
@@ -812,30 +812,27 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
     driven_by: dict[str, str] = {}
     meanings: dict[str, Collection[str]] = {}
     values = np.full((len(columns), actuators.count), np.nan)
-    _read_angles(columns, actuators.pulleys)
-    for name, driven, kind in _drives(simulation):
+    for name, kind in actuators.kind_of.items():
         _refuse_what_follows(columns, name, kind)
-        for quantity, meaning in _commandable(kind).items():
-            own = column(name, quantity)
-            if own not in columns:
-                continue
-            given, column_values = columns.given(own), columns.pop(own)
-            if name not in actuators.names and quantity != kind.displacement:
-                raise columns.error(own, f"{name} is a motor: it shortens all its cables by the "
-                                    f"same length: use {name}_shortening_m")  # fmt: skip
-            meanings[given] = meaning
-            reason = _impossible(kind, meaning[0], column_values)
-            if quantity != kind.displacement and reason:
-                row = int(np.argmin(column_values))
-                raise columns.error(own, reason, row, float(column_values[row]), quantity.unit)
-            for one in driven:
-                if one in driven_by:
-                    raise columns.error(own, f"drives {one}, as {driven_by[one]} does")
-                driven_by[one] = given
-                index = actuators.names.index(one)
-                values[:, index] = column_values
-                if quantity == kind.displacement:
-                    values[:, index] = kind.sign * column_values + actuators.rest_setpoints[index]
+    _refuse_motors(columns, simulation)
+    for drive in drives_of(simulation):
+        if drive.name not in columns:
+            continue
+        given, series = columns.given(drive.name), columns.pop(drive.name)
+        meanings[given] = drive.gives
+        reason = "" if drive.factor else _impossible(drive.kind, drive.gives[0], series)
+        if reason:
+            row = int(np.argmin(series))
+            raise columns.error(drive.name, reason, row, float(series[row]), drive.quantity.unit)
+        for place in drive.places:
+            one = actuators.names[place]
+            if one in driven_by:
+                by = driven_by[one]  # An angle of a pulley is a shortening.
+                is_twice = drive.quantity == ANGLE and by.endswith("_shortening_m")
+                raise columns.error(drive.name, f"is given twice, also by {by}" if is_twice
+                                    else f"drives {one}, as {by} does")  # fmt: skip
+            driven_by[one] = given
+            values[:, place] = drive.commanded(series, actuators.rest_setpoints[place])
     commanded = HOLD if not meanings else _common_meaning(
         path, meanings, "actuators are driven by setpoint or by effort, all in the same way"
         f"{_setpoint_columns(actuators.kind_of)}")
@@ -856,15 +853,14 @@ def _refuse_undriven(
                 "columns are " + _known(simulation), 1)
 
 
-def _read_angles(columns: Columns, pulleys: Pulleys) -> None:
-    """Replaces columns of angles by those of the shortenings that they wind up."""
-    for name, wound in zip(pulleys.names, pulleys.wound, strict=True):
-        angle, shortening = column(name, ANGLE), f"{name}_shortening_m"
-        if angle not in columns:
-            continue
-        if shortening in columns:
-            raise columns.error(angle, f"is given twice, also by {shortening}")
-        columns.put(shortening, wound * columns.pop(angle))
+def _refuse_motors(columns: Columns, simulation: Simulation) -> None:
+    """Refuses what a motor cannot be told: its cables have lengths and tensions of their own."""
+    for motor in simulation.scene.motors:
+        kind = simulation.actuators.kind_of[motor.cables[0]]
+        for quantity in (kind.setpoint, kind.effort):
+            if (own := column(motor.name, quantity)) in columns:
+                raise columns.error(own, f"{motor.name} is a motor: it shortens all its cables by "
+                                    f"the same length: use {motor.name}_shortening_m")  # fmt: skip
 
 
 def _commandable(kind: ActuatorKind) -> dict[Quantity, tuple[str, ...]]:
@@ -886,12 +882,50 @@ def _refuse_what_follows(columns: Columns, name: str, kind: ActuatorKind) -> Non
                                 f"{quantity.word} follows: use {column(name, kind.setpoint)}")  # fmt: skip
 
 
-def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], ActuatorKind]]:
-    """Names of actuators and motors, the actuators that each of them drives, and their kind."""
-    kind_of = simulation.actuators.kind_of
-    drives = [(name, (name,), kind) for name, kind in kind_of.items()]
-    return drives + [(motor.name, motor.cables, kind_of[motor.cables[0]])
-                     for motor in simulation.scene.motors]
+class Drive(NamedTuple):
+    """A quantity by which actuators are commanded: a column of files, and a name in Python.
+
+    Attributes:
+        name: The column, such as ``north_shortening_m``.
+        quantity: The quantity.
+        places: The actuators among all of the scene.
+        kind: Their kind.
+        gives: What is given: `SETPOINTS`, `EFFORTS`, or both where the setpoint is the effort.
+        factor: Displacement of each actuator by one unit; 0 where the setpoint or the effort itself
+            is given.
+    """
+
+    name: str
+    quantity: Quantity
+    places: tuple[int, ...]
+    kind: ActuatorKind
+    gives: tuple[str, ...] = (SETPOINTS,)
+    factor: float = 0.0
+
+    def commanded(self, values: ArrayLike, rest: float) -> ArrayLike:
+        """Setpoints or efforts of an actuator, of the same shape.
+
+        Args:
+            values: Values of the quantity.
+            rest: Its setpoint at rest.
+        """
+        return self.kind.sign * self.factor * values + rest if self.factor else values
+
+
+def drives_of(simulation: Simulation) -> Iterator[Drive]:
+    """All by which actuators, motors and pulleys of a scene are commanded."""
+    actuators, pulleys = simulation.actuators, simulation.actuators.pulleys
+    for place, (name, kind) in enumerate(actuators.kind_of.items()):
+        for quantity, gives in _commandable(kind).items():
+            factor = float(quantity == kind.displacement)
+            yield Drive(column(name, quantity), quantity, (place,), kind, gives, factor)
+    for motor in simulation.scene.motors:
+        places = tuple(map(actuators.names.index, motor.cables))
+        kind = actuators.kinds[places[0]]
+        yield Drive(column(motor.name, kind.displacement), kind.displacement, places, kind, factor=1.0)
+    for name, driven, wound in zip(pulleys.names, pulleys.driven, pulleys.wound, strict=True):
+        places = tuple(map(int, driven))
+        yield Drive(column(name, ANGLE), ANGLE, places, actuators.kinds[places[0]], factor=float(wound))
 
 
 def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Waypoints]:
@@ -938,22 +972,6 @@ def _known(simulation: Simulation) -> str:
     return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
             f"_qw (guided bodies: {', '.join(guided) or 'none'})"
             f"{touches if simulation.touch_names else ''}")
-
-
-def driving_columns(
-    simulation: Simulation,
-) -> Iterator[tuple[str, Quantity, tuple[str, ...], ActuatorKind]]:
-    """Each column of an actuator or a motor: its name, its quantity, what it drives, and its kind."""
-    for name, driven, kind in _drives(simulation):
-        is_motor = name not in simulation.actuators.kind_of
-        for quantity in (kind.displacement,) if is_motor else _commandable(kind):
-            yield column(name, quantity), quantity, driven, kind
-
-
-def _columns_of_actuators(simulation: Simulation) -> list[str]:
-    """All columns that drive actuators, motors or pulleys of a scene."""
-    return [*(own for own, *_ in driving_columns(simulation)),
-            *(column(name, ANGLE) for name in simulation.actuators.pulleys.names)]
 
 
 def _known_actuators(simulation: Simulation) -> str:
