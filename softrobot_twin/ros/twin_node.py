@@ -5,7 +5,7 @@ results.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import compress, repeat
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
+from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -66,6 +67,7 @@ from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.channels import from_outside, measured
 
@@ -134,13 +136,40 @@ def _paths(simulation: Simulation, positions: np.ndarray) -> list[tuple]:
     return [(list(paths), list(paths.values()), ())]
 
 
-def outputs_of(simulation: Simulation) -> Iterator[Output]:
-    """What is published after each tick beside commands and pressures.
+def _pressure_of(pressure: np.ndarray, header: Header) -> FluidPressure:
+    return pressure_message(pressure.item(), header)
+
+
+def commands_of(loop: TwinLoop) -> Iterator[Output]:
+    """What is published of a command that may leave.
 
     Args:
-        simulation: The model of the loop.
+        loop: The loop. What is read is a command and the poses of guided bodies by name, of which
+            there may be none.
     """
+    names, guided = loop.simulation.actuator_names, loop.simulation.guided_names
+    pulleys, cavities = loop.pulleys, loop.cavities
+    yield Output(TOPICS["~/cables"], [""], partial(cables_message, names),
+                 lambda sent: [tuple(sent[0])], (len(names), len(names)))
+    yield Output(TOPICS["~/angles"], [""] * bool(pulleys.count), partial(cables_message, pulleys.names),
+                 lambda sent: [(pulleys.angles(sent[0].setpoints), pulleys.torques(sent[0].efforts))],
+                 (pulleys.count, pulleys.count))
+    yield Output(TOPICS["~/pressures/<cavity>"], cavities.names, _pressure_of,
+                 lambda sent: rows_of(cavities.absolute(sent[0].efforts).values()), (1,))
+    yield Output(TOPICS["~/poses/<guided body>"], guided, pose_message,
+                 lambda sent: [sent[1][name] for name in guided if name in sent[1]], (3, 4))
+
+
+def outputs_of(loop: TwinLoop) -> Iterator[Output]:
+    """What is published after each tick beside commands.
+
+    Args:
+        loop: The loop.
+    """
+    simulation, sealed = loop.simulation, loop.cavities.sealed
     effectors, scene = simulation.effector_names, simulation.scene
+    yield Output(TOPICS["~/pressures/<cavity>"], loop.cavities.sealed_names, _pressure_of,
+                 lambda tick: rows_of(sealed(tick.result.state.positions).values()), (1,))
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
     yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message,
                  lambda tick: rows_of(tick.result.effector_positions), (3,))
@@ -217,6 +246,8 @@ class ComplianceOutputs:
 DIAGNOSTICS_PERIOD = 1.0
 _WARN_EVERY = 2.0
 _TABLE = {entry.name: entry for entry in TWIN}
+_OF_HARDWARE = ("~/cables", "~/angles", "~/pressures/<cavity>", "~/poses/<guided body>")
+"""Names of the outputs that hardware follows or that tell of it."""
 _OF_USERS = ("~/target", "~/command/")
 """Beginnings of the names of inputs that are wishes; the others are measurements."""
 
@@ -239,7 +270,6 @@ class TwinNode(TickingNode):
         visualization: Publishes markers of rviz.
         cables: Publisher of the commands.
         pressures: Publishers of pressures, by the names of the cavities.
-        poses: Publishers of commanded poses, by the names of the guided bodies.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene, its mesh or the view cannot be used.
@@ -298,8 +328,8 @@ class TwinNode(TickingNode):
                                            self._mesh_error, self, self._reduction)
         self._open_outputs()
         self._open_inputs()
-        self.watch_topics((self.cables, *self._angles, *self.pressures.values(), *self.poses.values(),
-                           *self._measurements), self._commands)
+        hardware = (one for topic in _OF_HARDWARE for one in self.publishers_on(topic).values())
+        self.watch_topics((*hardware, *self._measurements), self._commands)
         self.claim.listen()
         self._yield_to_rivals()
         if not self.loop.use_device:
@@ -330,24 +360,13 @@ class TwinNode(TickingNode):
         simulation = self.loop.simulation
         self._audience = Audience()
         self._repeated = RepeatedMessages(self._audience)
-        self.cables = open_publisher(self, TOPICS["~/cables"])
         frame = self.loop_frame
-        self._command, self._wound = (
-            MessageBytes(partial(cables_message, names), frame, len(names), len(names))
-            for names in (simulation.actuator_names, self.loop.pulleys.names))
-        self._pose = MessageBytes(pose_message, frame, 3, 4)
-        self._pressure = MessageBytes(
-            lambda numbers, header: pressure_message(*numbers, header), frame, 1)
-        self.pressures = {
-            name: open_publisher(self, TOPICS["~/pressures/<cavity>"], name)
-            for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
-        }
-        has_pulleys = self.loop.pulleys.count
-        self._angles = (open_publisher(self, TOPICS["~/angles"]),) if has_pulleys else ()
-        self.poses = {name: open_publisher(self, TOPICS["~/poses/<guided body>"], name)
-                      for name in simulation.guided_names}  # fmt: skip
-        self._outputs = [(output, self._maker(output), publishers)
-                         for output, publishers in open_outputs(self, outputs_of(simulation))]
+        self._orders, self._outputs = (
+            [(output, self._maker(output), publishers)
+             for output, publishers in open_outputs(self, outputs)]
+            for outputs in (commands_of(self.loop), outputs_of(self.loop)))
+        self.cables = self.publishers_on("~/cables")[""]
+        self.pressures = self.publishers_on("~/pressures/<cavity>")
         self._compliances = ComplianceOutputs(self, self.loop, self._audience)
         values = self._values
         self.visualization = VisualizationOutput(
@@ -355,6 +374,12 @@ class TwinNode(TickingNode):
         self._transforms = TransformOutput(self, simulation, values, self._audience)
         self.status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
+
+    def publishers_on(self, topic: str) -> dict[str, Publisher]:
+        """Publishers of an output's topic in `TWIN_TOPICS`, by the names of their objects."""
+        return {output.names[index]: publisher
+                for output, _, publishers in (*self._orders, *self._outputs)
+                if output.topic.name == topic for index, publisher in publishers.items()}  # fmt: skip
 
     def _maker(self, output: Output) -> Callable[..., object]:
         """Makes messages of an output of a stamp [ns] and values."""
@@ -498,14 +523,9 @@ class TwinNode(TickingNode):
         self._repeated.forget()
         offer = self._repeated.offer
         if outcome.command is not None:
-            self._publish_command(outcome.command, stamp)
-            for name, pose in outcome.guided_poses.items():
-                self._repeated.send(self.poses[name], self._pose.message(stamp, *pose))
+            self._publish_command(outcome.command, outcome.guided_poses, stamp)
             if self.last_command is not None:
                 self.last_command.keep(*outcome.command, outcome.guided_poses)
-        sealed = self.loop.cavities.sealed(outcome.result.state.positions)
-        for name, pressure in sealed.items():
-            offer(self.pressures[name], self._pressure.message, stamp, pressure)
         for output, make, publishers in self._outputs:
             hears = self._audience.hears if output.is_costly else self._repeated.is_heard
             if not any(map(hears, publishers.values())):
@@ -517,14 +537,12 @@ class TwinNode(TickingNode):
         outputs, header = (self._compliances, self._transforms), partial(self._header, stamp)
         self._has_listeners = any([output.publish(outcome, header) for output in outputs])
 
-    def _publish_command(self, command: ActuatorCommand, stamp: int) -> None:
-        send, pulleys = self._repeated.send, self.loop.pulleys
-        send(self.cables, self._command.message(stamp, *command))
-        for publisher in self._angles:
-            angles, torques = pulleys.angles(command.setpoints), pulleys.torques(command.efforts)
-            send(publisher, self._wound.message(stamp, angles, torques))
-        for name, pressure in self.loop.cavities.absolute(command.efforts).items():
-            send(self.pressures[name], self._pressure.message(stamp, pressure))
+    def _publish_command(
+        self, command: ActuatorCommand, poses: Mapping[str, Pose], stamp: int
+    ) -> None:
+        for output, make, publishers in self._orders:
+            for publisher, row in zip(publishers.values(), output.read((command, poses))):
+                self._repeated.send(publisher, make(stamp, *row))
 
     def after_failure(self, now: float) -> None:
         """Tells the failure, and publishes the last safe command."""
@@ -533,7 +551,7 @@ class TwinNode(TickingNode):
         if self.recording is not None:
             self.recording.pass_on()
         if command is not None:
-            self._publish_command(command, self.ros_time())
+            self._publish_command(command, {}, self.ros_time())
 
     @property
     def loop_frame(self) -> str:
