@@ -10,12 +10,15 @@ from __future__ import annotations
 import argparse
 import inspect
 import re
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from itertools import takewhile
 from pathlib import Path
 from string import Template
 from textwrap import dedent, fill
 from types import UnionType
-from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, NoReturn, Union, get_args, get_origin, get_type_hints
 
 from softrobot_twin.shared_files import ScenePath
 
@@ -57,6 +60,36 @@ def explained(function: Callable) -> Explained:
                 for title, body in zip(rest[::2], rest[1::2], strict=True)}
     summary, _, description = text.partition("\n")
     return Explained(summary, " ".join(description.split()), sections)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that tells the nearest word it knows to a mistyped one."""
+
+    def parse_known_args(self, args=None, namespace=None):
+        """See `argparse`; a mistyped option is told before what is missing for it."""
+        args = sys.argv[1:] if args is None else list(args)
+        known = [flag for action in self._actions for flag in action.option_strings]
+        for word in takewhile(self._is_before_others, args):
+            flag = word.partition("=")[0]
+            if flag.startswith("--") and not any(one.startswith(flag) for one in known):
+                self.error(f"{flag} is no option here{_meant(flag, known)}")
+        return super().parse_known_args(args, namespace)
+
+    def _is_before_others(self, word: str) -> bool:
+        """Whether a word is before arguments that are no options, or are those of a command."""
+        return word != "--" and (self._subparsers is None or word.startswith("-"))
+
+    def error(self, message: str) -> NoReturn:
+        """See `argparse`."""
+        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            message += _meant(found[1], re.findall(r"[\w-]+", found[2]))
+        super().error(message)
+
+
+def _meant(word: str, known: Iterable[str]) -> str:
+    """A hint at the word that is most like a mistyped one; empty where none is."""
+    found = get_close_matches(word, known, n=1)
+    return f"; is {found[0]} meant?" if found else ""
 
 
 def add_command(

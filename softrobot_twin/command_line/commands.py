@@ -18,7 +18,7 @@ from typing import Annotated, TypeAlias
 
 import shtab
 
-from softrobot_twin.command_line.arguments import TEXT_WIDTH, Read, add_command
+from softrobot_twin.command_line.arguments import TEXT_WIDTH, Parser, Read, add_command
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.shared_files import given_file
 from softrobot_twin.study import training_options
@@ -771,7 +771,7 @@ def program(name: str) -> argparse.ArgumentParser:
     Args:
         name: How the program was called.
     """
-    made = argparse.ArgumentParser(
+    made = Parser(
         prog=name, description="Simulate and control soft robots. All values are in SI units.",
         epilog=f"COMMAND --help shows the options of a command, with examples.\n\n{EXIT_CODES}",
         formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -121,6 +121,16 @@ def test_a_number_out_of_bounds_is_refused(typed, arguments):
     assert done.returncode == 2 and arguments[-1] in done.stderr
 
 
+@pytest.mark.parametrize(("arguments", "nearest"), [
+    (("simulat",), "simulate"), (("--verson",), "--version"),
+    (("simulate", "s.yaml", "--outptu", "x.csv"), "--output"),
+    (("mesh", "x.stl", "--size", "1", "--element", "liner"), "linear"),
+])
+def test_a_mistyped_word_gets_the_nearest(typed, arguments, nearest):
+    done = typed(*arguments)
+    assert done.returncode == 2 and done.stderr.endswith(f"is {nearest} meant?\n")
+
+
 def test_an_option_without_effect_is_refused(typed):
     done = typed("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--rate", "10")
     assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: requires --commands\n")
