@@ -8,9 +8,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, Vector3Stamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import RefusalCounts
@@ -23,14 +22,22 @@ from softrobot_twin.control.target_path import (
     notes_of,
 )
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.messages import READERS, point_message, pose_message, stamp_of
+from softrobot_twin.ros.messages import (
+    READERS,
+    cables_message,
+    point_message,
+    pose_message,
+    stamp_of,
+    vector_message,
+)
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TARGET_TOPICS as TOPICS
 from softrobot_twin.ros.topics import open_publisher
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
+from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD
+from softrobot_twin.simulation.runs.input_tables import CommandTable, between_rows, read_commands
 
 _WAIT_WARNING = 5.0
 _UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
@@ -121,9 +128,9 @@ class TargetNode(TickingNode):
         """Publishes the wanted stiffness at a time since the path began [s]."""
         if self._stiffnesses is None:
             return
-        axes = dict.fromkeys("xyz", math.nan)
-        axes[self._stiffness_axis] = self._stiffness.value(since)
-        self._stiffnesses.publish(Vector3Stamped(header=header, vector=Vector3(**axes)))
+        value = self._stiffness.value(since)
+        along = [value if axis == self._stiffness_axis else math.nan for axis in "xyz"]
+        self._stiffnesses.publish(vector_message(along, header))
 
     def _open_table(self, values: Mapping[str, object]) -> str:
         """Reads the table of commands; returns what the node is ready for."""
@@ -133,7 +140,7 @@ class TargetNode(TickingNode):
         simulation = Simulation.from_scene_file(scene)
         self._table = read_commands(file, simulation)
         self._names = list(simulation.actuator_names)
-        if self._table.kind != "hold":
+        if self._table.kind != HOLD:
             self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
         for name in self._table.poses:
             topic = TOPICS["<twin>/command/pose/<guided body>"]
@@ -171,9 +178,8 @@ class TargetNode(TickingNode):
             self._play(self._table, since, header)
             return
         if self._commands is not None:
-            self._commands.publish(JointState(
-                header=header, name=[self._actuator], position=[self._setpoints.value(since)]
-            ))  # fmt: skip
+            setpoint = self._setpoints.value(since)
+            self._commands.publish(cables_message([self._actuator], [setpoint], (), header))
         self._publish_stiffness(since, header)
         position = self._ramped.position(since)
         if not self._turns:
@@ -189,9 +195,9 @@ class TargetNode(TickingNode):
         first, last = table.times[[0, -1]]
         time = float(first + since % (last - first))
         if self._commands is not None:
-            values = [float(np.interp(time, table.times, column)) for column in table.values.T]
-            field = {"setpoints": "position", "efforts": "effort"}[table.kind]
-            self._commands.publish(JointState(header=header, name=self._names, **{field: values}))
+            values = between_rows(time, table.times, table.values)
+            both = ((), values) if table.kind == EFFORTS else (values, ())
+            self._commands.publish(cables_message(self._names, *both, header))
         for name, publisher in self._poses.items():
             position, quaternion = table.poses[name].at(time)
             quaternion = _UNTURNED if quaternion is None else quaternion

@@ -126,6 +126,8 @@ BUILT_IN = (
 )  # fmt: skip
 """The channels of the package."""
 
+_OTHERS = ("angles", "cables", "pressures")
+"""Names of quantities whose measurements have messages of their own."""
 _REGISTERED: list[Channel] = []
 
 
@@ -151,9 +153,9 @@ def register_channel(channel: Channel) -> None:
         channel: The channel.
 
     Raises:
-        ValueError: There is one of this name.
+        ValueError: There is one of this name, or it is that of messages of the twin.
     """
-    if any(one.name == channel.name for one in channels()):
+    if channel.name in _OTHERS or any(one.name == channel.name for one in channels()):
         raise ValueError(f"there is a channel {channel.name} already")
     _REGISTERED.append(channel)
 

@@ -35,6 +35,8 @@ def force():
 def test_a_name_is_given_once(force):
     with pytest.raises(ValueError, match="a channel force already"):
         register_channel(force)
+    with pytest.raises(ValueError, match="a channel angles already"):
+        register_channel(force._replace(name="angles"))
 
 
 def test_tables_and_results_have_its_columns(force, small_scene_file):
