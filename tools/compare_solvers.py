@@ -32,19 +32,17 @@ from softrobot_twin.solvers.quadratic_program import (
     whiten,
 )
 from softrobot_twin.solvers.superlu import OPTIONS
-from softrobot_twin.study.output_file import make_folder
 from softrobot_twin.study.bench_measurement import (
     BenchCase,
-    SuperLUReference,
     circle_targets,
     default_scene_path,
     given_cases,
     without_garbage_collection,
 )
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import OutputError
-from softrobot_twin.study.run_summary import Spread, spread
+from softrobot_twin.study.output_file import OutputError, make_folder
 from softrobot_twin.study.terminal import console, table, warn
+from softrobot_twin.study.timing import Spread, SuperLUReference, spread
 
 # Every set of active rows is tried up to this many unknowns.
 MOST_ENUMERATED = 4

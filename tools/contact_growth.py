@@ -18,12 +18,10 @@ from typing import NamedTuple
 import meshio
 import numpy as np
 from rich.table import Table
-
 from specimens import column_mesh
 
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
-from softrobot_twin.study.output_file import make_folder
 from softrobot_twin.study.accuracy_study import write_mesh
 from softrobot_twin.study.bench_measurement import (
     INTERRUPTION,
@@ -33,9 +31,9 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import OutputError
-from softrobot_twin.study.run_summary import Spread, spread
+from softrobot_twin.study.output_file import OutputError, make_folder
 from softrobot_twin.study.terminal import console, table
+from softrobot_twin.study.timing import Spread, spread
 
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14)
 """Nodes along the side of the square that is touched."""

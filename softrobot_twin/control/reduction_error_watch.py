@@ -67,8 +67,8 @@ def serve(requests: Requests, reply: Replies) -> None:
         reply: Takes ``(READY,)``, then ``(STATE, states by body, errors by body, linearizations,
             duration [s])`` for each state; errors and linearizations are those of the full model.
     """
-    from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.building.reduced_body import without_fallback
+    from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.effects.reduction_error import FullModelError
 
     scene = requests.read()

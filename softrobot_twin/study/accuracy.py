@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.scene import load_scene
-from softrobot_twin.simulation.building.reduced_body import without_reductions
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.study.accuracy_study import (
     ASSUMED_ORDER,
     CASES,

@@ -34,6 +34,7 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
 from softrobot_twin.scene.entry import expanded
 from softrobot_twin.scene.loading import read_changes, read_yaml, written_out
+from softrobot_twin.scene.scene_changes import unlimited, with_mesh_file, with_newton
 from softrobot_twin.scene.scene_parameters import with_values
 from softrobot_twin.simulation import (
     CommandEfforts,
@@ -54,10 +55,9 @@ from softrobot_twin.simulation.mesh_error import (
 )
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
-from softrobot_twin.study.machine_facts import without_garbage_collection
 from softrobot_twin.study.output_file import cell, csv_output, writing
-from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.terminal import progress, warn
+from softrobot_twin.study.timing import spread, without_garbage_collection
 
 
 class AccuracyError(NamedError):
@@ -110,11 +110,6 @@ def write_scene_copy(
         path.write_text(head + text, encoding="utf-8")
 
 
-def with_mesh_file(scene: Scene, file: Path) -> Scene:
-    """The same scene with another mesh file, placed by the same transformation."""
-    return scene.changed(body={"mesh": {"file": file}})
-
-
 def _own_level(scene: Scene) -> MeshLevel:
     """The scene on its own mesh, of linear tetrahedra."""
     if scene.body.mesh.file is not None:
@@ -144,11 +139,6 @@ def _constants_of(material: Material, law: str) -> dict:
             "young_modulus": at_rest.young_modulus, "poisson_ratio": at_rest.poisson_ratio}  # fmt: skip
 
 
-def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
-    """The same scene with a number of linearizations per step and a residual tolerance [N]."""
-    return scene.changed(solver={"newton_iterations": iterations, "residual_tolerance": tolerance})
-
-
 HOLD_SHARE = 0.0125
 """Default radius over which a cable's force is spread, as a share of the body's size."""
 
@@ -163,23 +153,6 @@ def with_hold_radius(scene: Scene, radius: float | None = None) -> Scene:
     """
     own = round(HOLD_SHARE * only_body(scene).size, 6) if radius is None else radius
     return scene.changed(cables=lambda cable: cable.changed(hold_radius=cable.hold_radius or own))
-
-
-def unlimited(scene: Scene, exact: bool = False) -> Scene:
-    """The same scene without limits on rates; the volumes of its cavities are commanded.
-
-    Args:
-        scene: The scene.
-        exact: Whether limits on displacements and efforts go too: stiff coarse meshes need large
-            forces, and displacements are free when forces are prescribed.
-    """
-    of_cable: dict = {"rate": None}
-    of_cavity: dict = {"rate": None, "flow": None, "control": "volume"}
-    if exact:
-        anything = -np.inf, np.inf
-        of_cable |= {"tension": (0.0, 1.0e9), "shortening": (-10.0, 10.0)}
-        of_cavity |= {"pressure": anything, "growth": anything, "volume": (0.0, np.inf)}
-    return scene.changed(cables=of_cable, cavities=of_cavity)
 
 
 def given_words(scene: Scene) -> tuple[str, str]:
@@ -309,60 +282,6 @@ def _fit(sizes: np.ndarray, values: np.ndarray, order: float) -> tuple[np.ndarra
     coefficients = np.linalg.lstsq(root * terms, root * values, rcond=None)[0]
     left = root * (values - terms @ coefficients)
     return coefficients[0], float(np.linalg.norm(left) / np.sqrt(len(sizes)))
-
-
-Round = Callable[[], np.ndarray]
-"""A function that runs some steps and returns their times [s], shape (step_count,)."""
-
-
-class RobustTiming:
-    """Times rounds of several settings and removes the slowdown caused by other programs.
-
-    A reference is timed before and after each round. The times of a round are divided by the
-    slowdown: the reference's time before and after this round, over its shortest time in all
-    rounds.
-    """
-
-    def __init__(self, reference: Round):
-        """Stores the reference.
-
-        Args:
-            reference: Runs the steps of the reference.
-        """
-        self._reference = reference
-        self._rounds: dict[object, list[tuple[float, float, float]]] = {}
-        self._references: list[float] = []
-
-    def add_round(self, key: object, steps: Round) -> None:
-        """Times one round of a setting.
-
-        Args:
-            key: The setting.
-            steps: Runs its steps.
-        """
-        before = float(np.median(self._reference()))
-        times = steps()
-        after = float(np.median(self._reference()))
-        self._references += [before, after]
-        made = 0.5 * (before + after), *np.percentile(times, (50.0, 99.0))
-        self._rounds.setdefault(key, []).append(made)
-
-    def spread(self, key: object) -> Spread:
-        """Median and 99th percentile of a step of a setting when nothing else runs [s]."""
-        rounds = np.array(self._rounds[key])
-        shares = min(self._references) / rounds[:, :1]
-        median, p99 = np.median(rounds[:, 1:] * shares, axis=0)
-        return Spread(float(median), float(p99), float(p99))
-
-    @property
-    def reference(self) -> float:
-        """Shortest median time of a step of the reference [s]."""
-        return min(self._references)
-
-    @property
-    def slowdown(self) -> float:
-        """Median over rounds of the reference's time over its shortest time."""
-        return float(np.median(self._references) / min(self._references))
 
 
 ELEMENTS = ("linear", "smoothed", "quadratic")

@@ -30,7 +30,6 @@ from softrobot_twin.study.bench_measurement import (
 from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import cell, csv_output, make_folder
-from softrobot_twin.study.run_summary import Spread
 from softrobot_twin.study.terminal import (
     announce,
     by_key,
@@ -39,6 +38,7 @@ from softrobot_twin.study.terminal import (
     report_activity,
     table,
 )
+from softrobot_twin.study.timing import Spread
 
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:

@@ -17,10 +17,8 @@ from time import perf_counter, thread_time
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from numba.core.registry import CPUDispatcher
 from scipy.interpolate import interp1d
-from scipy.sparse.linalg import splu
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings
@@ -30,7 +28,9 @@ from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.scene.body_entries import Body, BoxMesh, BoxRegion, Mesh, Region
+from softrobot_twin.scene.scene_changes import with_mesh_file
 from softrobot_twin.scene.schema import Effector
+from softrobot_twin.shared_files import shared_folders
 from softrobot_twin.simulation import (
     CommandSetpoints,
     FollowTargets,
@@ -46,17 +46,16 @@ from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.symbolic import NONE
-from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
-from softrobot_twin.shared_files import shared_folders
-from softrobot_twin.study.accuracy_study import OPEN_SHARE, with_mesh_file
+from softrobot_twin.study.accuracy_study import OPEN_SHARE
 from softrobot_twin.study.direct_run import run_commands
-from softrobot_twin.study.machine_facts import (
+from softrobot_twin.study.machine_facts import resident_bytes
+from softrobot_twin.study.timing import (
     DenseSpeed,
-    page_faults,
-    resident_bytes,
+    Spread,
+    SuperLUReference,
+    spread,
     without_garbage_collection,
 )
-from softrobot_twin.study.run_summary import Spread, spread
 
 
 def growth_exponent(sizes, times) -> float:
@@ -124,50 +123,6 @@ def _squares(n: np.ndarray) -> np.ndarray:
 def _heights(n: np.ndarray) -> np.ndarray:
     """1 + 2 + … + n."""
     return 0.5 * n * (n + 1.0)
-
-
-_TRANSPOSED = np.arange(9).reshape(3, 3).T.ravel()
-"""Places of the entries of a transposed block."""
-
-
-class SuperLUReference:
-    """Factorizes a simulation's matrix by SuperLU, for comparison, with nodes in the mesh's
-    order.
-    """
-
-    def __init__(self, factorization: Factorization):
-        """Finds where each entry is stored.
-
-        Args:
-            factorization: A simulation's factorization.
-        """
-        self._factorization = factorization
-        if isinstance(factorization, Multifrontal):
-            keys, count = factorization.layout.block_keys, len(factorization.elimination_rank)
-            node = np.argsort(factorization.elimination_rank)
-            rows, columns = node[keys % count], node[keys // count]
-            self._copy = SuperLU(rows, columns, count)
-            starts, _ = self._copy.slots(np.maximum(rows, columns), np.minimum(rows, columns))
-            # What is below the diagonal in one order may be above it in the other.
-            within = np.where((rows < columns)[:, None], _TRANSPOSED, np.arange(9))
-            self._places = (starts[:, None] + within).ravel()
-
-    def matrix(self) -> sp.csc_array:
-        """The matrix assembled last, full, shape (dof_count, dof_count)."""
-        if not isinstance(self._factorization, Multifrontal):
-            return self._factorization.matrix()
-        self._copy.storage[self._places] = self._factorization.storage
-        return self._copy.matrix()
-
-    def factorize(self) -> tuple[float, int]:
-        """Processor time of one factorization [s], whose result is not used, and its page faults:
-        the operating system fills a page with zeros at its first use.
-        """
-        matrix = self.matrix()
-        faults = page_faults()
-        start = thread_time()
-        splu(matrix, **OPTIONS)
-        return thread_time() - start, page_faults() - faults
 
 
 CIRCLE_TIME_STEP = 0.01

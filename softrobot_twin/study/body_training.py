@@ -26,14 +26,12 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.reduced_elements import SampledPoints
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.body_entries import Reduced
+from softrobot_twin.scene.scene_changes import reduced_scene, without_reductions
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     reduction_fingerprints,
-    with_entries,
-    without_reductions,
     write_body_reduction,
 )
 from softrobot_twin.simulation.runs.input_tables import read_targets
@@ -202,11 +200,6 @@ def reduction_of(
         basis, trained.mode_count, trained.sampled[0], trained.spare_sampled[0],
         np.abs(trained.coordinates).max(axis=0), measured, training,
     )  # fmt: skip
-
-
-def reduced_scene(scene: Scene, body: str, file: Path) -> Scene:
-    """A scene in which a body is reduced by a file."""
-    return with_entries(scene, {body: Reduced(file=file.resolve())})
 
 
 # --- a run ---------------------------------------------------------------------------------------

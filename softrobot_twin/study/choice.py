@@ -22,8 +22,8 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.study.accuracy_study import (
     MESH,
     REDUCED,
@@ -32,15 +32,14 @@ from softrobot_twin.study.accuracy_study import (
     Limits,
     MeshLevel,
     ReducedModel,
-    RobustTiming,
     Setting,
     check_one_body,
     differences,
     follow_exactly,
     follow_lengths,
     given_words,
-    length_path,
     hexahedral_family,
+    length_path,
     mean_distance,
     mesh_family,
     read_rows,
@@ -76,6 +75,7 @@ from softrobot_twin.study.terminal import (
     table,
     warn,
 )
+from softrobot_twin.study.timing import RobustTiming
 from softrobot_twin.study.training_options import TargetBox, TrainingOptions
 
 STEPS = 120

@@ -22,20 +22,17 @@ from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
 from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gradients
 from softrobot_twin.mechanics.springs import NO_LENGTH
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.scene_changes import reduced_scene, without_reductions
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.building.reduced_body import (
-    COMMAND,
-    ReducedNodes,
-    without_reductions,
-)
+from softrobot_twin.simulation.building.reduced_body import COMMAND, ReducedNodes
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.simulation.step.augmented_tangent import AUGMENTATION
 from softrobot_twin.simulation.step.inverse_actuation import LONGEST_REACH
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
-from softrobot_twin.study.body_training import output_path, reduce, reduced_scene
+from softrobot_twin.study.body_training import output_path, reduce
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.terminal import console
 from softrobot_twin.study.training_options import TrainingOptions

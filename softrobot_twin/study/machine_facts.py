@@ -1,21 +1,11 @@
-"""Properties of the machine on which times are measured: versions, memory, speed of dense
-products; and measurements without garbage collection.
-"""
+"""Properties of the machine on which times are measured: processor, versions, memory."""
 
 from __future__ import annotations
 
-import gc
 import os
 import platform
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from time import thread_time
-
-import numpy as np
 
 LIBRARIES = ("numpy", "scipy", "osqp", "rerun-sdk")
 """Libraries of a loop with a view."""
@@ -76,53 +66,3 @@ def resident_bytes() -> int | None:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def page_faults() -> int:
-    """Number of page faults of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-
-
-_SIZE = 512
-
-
-class DenseSpeed:
-    """Times products of two square matrices in double precision."""
-
-    def __init__(self) -> None:
-        generator = np.random.default_rng(1)
-        self._a, self._b = generator.standard_normal((2, _SIZE, _SIZE))
-        self._c = np.empty((_SIZE, _SIZE))
-
-    def measure(self) -> float:
-        """Speed of one product, after another one that fills the caches [flop/s].
-
-        It is measured in processor time, which does not include other processes.
-        """
-        np.matmul(self._a, self._b, out=self._c)
-        start = thread_time()
-        np.matmul(self._a, self._b, out=self._c)
-        return 2.0 * _SIZE**3 / (thread_time() - start)
-
-
-@cache
-def _set_loaded_modules_aside() -> None:
-    """Takes what lives as long as the process out of later collections, once.
-
-    Modules make up most objects: a collection that visits them takes some tenths of a second, and a
-    study begins many measurements.
-    """
-    gc.collect()
-    gc.freeze()
-
-
-@contextmanager
-def without_garbage_collection() -> Iterator[None]:
-    """Collects garbage now and disables the collector inside the context."""
-    was_on = gc.isenabled()
-    _set_loaded_modules_aside()
-    gc.collect()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()

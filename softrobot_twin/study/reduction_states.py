@@ -30,6 +30,7 @@ from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.reduced_points import Platform
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import PATCHES_NOT_REDUCED
+from softrobot_twin.scene.scene_changes import full_scene, without_reductions
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.building.deformable_body import Body
@@ -37,7 +38,6 @@ from softrobot_twin.simulation.building.reduced_body import (
     ModelFile,
     ModelFileError,
     rides_on_a_slide,
-    without_reductions,
 )
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.runs.input_tables import between_rows
@@ -53,7 +53,6 @@ from softrobot_twin.study.sample_workers import (
     run_samples,
 )
 from softrobot_twin.study.training_options import TargetBox
-from softrobot_twin.study.vertebrae_reduction import full_scene
 from softrobot_twin.study.workspace import Axis, setpoints_between, shifted_sobol
 
 # Linearizations of a step, and most steps to an equilibrium.

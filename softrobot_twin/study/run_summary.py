@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from softrobot_twin.simulation import Simulation, Status
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.runs.run_columns import RunRow, pair_names, rigid_poses
 from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.terminal import by_key
+from softrobot_twin.study.timing import spread
 
 _SHOWN = 6
 """Most rows of things that are alike; more are put together."""
@@ -22,24 +21,6 @@ _SHOWN = 6
 BAD_END = 3
 """Exit code of a run whose last row is not good."""
 _BAD_ENDS = (Status.NOT_CONVERGED.value, Status.INVERTED.value)
-
-
-class Spread(NamedTuple):
-    """Median, 99th percentile and maximum of a set of numbers, in their unit."""
-
-    median: float
-    p99: float
-    maximum: float
-
-
-def spread(values: ArrayLike) -> Spread:
-    """Median, 99th percentile and maximum over the finite values; NaN when there is none."""
-    finite = np.asarray(values, dtype=float)
-    finite = finite[np.isfinite(finite)]
-    if not finite.size:
-        return Spread(np.nan, np.nan, np.nan)
-    return Spread(float(np.median(finite)), float(np.percentile(finite, 99.0)),
-                  float(finite.max()))
 
 
 # What a summary needs of a row, of its result and of the report; the state and the command, which

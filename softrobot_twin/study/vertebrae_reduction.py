@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.scene_changes import full_scene, without_vertebrae
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.reduced_body import ModelFileError
 from softrobot_twin.simulation.building.scene_layout import lay_out, walls_on, whole_layout
@@ -34,7 +35,6 @@ from softrobot_twin.simulation.building.vertebrae import (
     fingerprints,
     read_reduction,
     reduction_path,
-    without_vertebrae,
     write_reduction,
 )
 from softrobot_twin.study.superelement_fit import (
@@ -52,10 +52,8 @@ from softrobot_twin.study.workspace import shifted_sobol
 
 # States of the full model that show which deformations occur.
 RANGE_STATES = 32
-# Steps from rest to a state, and linearizations of each.
-WAY, MOST_ITERATIONS = 3, 60
-# Residual of an equilibrium, as a share of the scene's tolerance.
-EXACT = 1.0e-3
+# Steps from rest to a state.
+WAY = 3
 
 
 class ReductionError(SoftRobotTwinError):
@@ -87,19 +85,6 @@ class Accuracy(NamedTuple):
     def shares(self) -> np.ndarray:
         """Error of each by its displacement, shape (state_count, name_count)."""
         return self.errors / self.displacements
-
-
-def full_scene(scene: Scene) -> Scene:
-    """The scene in statics with all nodes free, without rates and contact, solved exactly."""
-    def freed(entry):
-        return entry.changed(rate=None) if hasattr(entry, "rate") else entry
-
-    return scene.changed(
-        integration="quasi_static", contact=None, obstacles=(),
-        solver=dict(newton_iterations=MOST_ITERATIONS,
-                    residual_tolerance=EXACT * scene.solver.residual_tolerance),
-        **dict.fromkeys(scene.actuator_entries, freed),
-    )  # fmt: skip
 
 
 def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarray:

@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
-from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.effects.touches import Touched
 

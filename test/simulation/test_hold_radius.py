@@ -7,10 +7,11 @@ import pytest
 
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.scene import load_scene
+from softrobot_twin.scene.scene_changes import with_mesh_file
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.deformable_body import spread_mapping
 from softrobot_twin.simulation.building.scene_layout import lay_out
-from softrobot_twin.study.accuracy_study import with_hold_radius, with_mesh_file
+from softrobot_twin.study.accuracy_study import with_hold_radius
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "config" / "scenes" / "diamond.yaml"

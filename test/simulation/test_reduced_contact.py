@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.scene.scene_changes import reduced_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
@@ -13,7 +14,6 @@ from softrobot_twin.simulation.building.reduced_body import (
     write_body_reduction,
 )
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
-from softrobot_twin.study.body_training import reduced_scene
 
 from .building.test_reduced_body import every_point, spanning_basis
 from .test_slides import CART, FOOT, SLIDE

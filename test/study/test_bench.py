@@ -5,7 +5,6 @@ import gc
 
 import numpy as np
 import pytest
-
 from specimens import column_mesh
 
 from softrobot_twin.geometry.quality import radius_ratios
@@ -18,7 +17,6 @@ from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
     WHOLE_STEP,
     BenchCase,
-    SuperLUReference,
     default_scene_path,
     flop_count,
     given_cases,
@@ -27,6 +25,7 @@ from softrobot_twin.study.bench_measurement import (
     standard_cases,
     without_garbage_collection,
 )
+from softrobot_twin.study.timing import SuperLUReference
 
 COLUMNS = """
 scene family nodes tets dof modes points rows contacts factorization steps stage median_ms p99_ms

@@ -12,12 +12,12 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, all_points
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import written_out
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     read_body_reduction,
     reduction_fingerprints,
-    without_reductions,
     write_body_reduction,
 )
 from softrobot_twin.simulation.building.scene_layout import lay_out

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.study.accuracy_study import RobustTiming
+from softrobot_twin.study.timing import RobustTiming
 
 
 class BusyMachine:

@@ -16,6 +16,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.polynomials import Monomials
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import written_out
+from softrobot_twin.scene.scene_changes import full_scene, without_vertebrae
 from softrobot_twin.simulation import (
     CommandSetpoints,
     FollowTargets,
@@ -23,7 +24,6 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
-from softrobot_twin.simulation.building.vertebrae import without_vertebrae
 from softrobot_twin.simulation.result import SAMPLED
 from softrobot_twin.study.superelement_fit import (
     SampledRange,
@@ -31,12 +31,7 @@ from softrobot_twin.study.superelement_fit import (
     deformations_between,
     rotation_of,
 )
-from softrobot_twin.study.vertebrae_reduction import (
-    accuracy_of,
-    brought_to,
-    divisions,
-    full_scene,
-)
+from softrobot_twin.study.vertebrae_reduction import accuracy_of, brought_to, divisions
 
 from .conftest import ROOT
 

@@ -373,25 +373,9 @@ def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> Non
                                "definite: too few points, or modes that depend on each other")
 
 
-def without_reductions(scene: Scene) -> Scene:
-    """The same scene with all nodes of its reduced bodies as unknowns."""
-    return with_reduced_entries(scene, None)
-
-
 def without_fallback(scene: Scene) -> Scene:
     """The same scene with reduced bodies that stay what they are, whatever their error is."""
-    return with_reduced_entries(scene, {"fallback": None, "error": None})
-
-
-def with_reduced_entries(scene: Scene, changes: dict | None) -> Scene:
-    """The same scene with some keys of `reduced` of its reduced bodies changed, or without these."""
-    return scene.with_deformables({"reduced": changes})
-
-
-def with_entries(scene: Scene, reduced: dict) -> Scene:
-    """The same scene with other entries `reduced` of some bodies, by their names."""
-    return scene.with_deformables(
-        lambda body: body.changed(reduced=reduced.get(body.name, body.reduced)))  # fmt: skip
+    return scene.with_deformables({"reduced": {"fallback": None, "error": None}})
 
 
 class Placed:

@@ -118,11 +118,6 @@ class Division(NamedTuple):
         return ends, shares
 
 
-def without_vertebrae(scene: Scene) -> Scene:
-    """The same scene with all nodes of its bodies as unknowns."""
-    return scene.with_deformables({"vertebrae": None})
-
-
 def divide(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> Division:
     """Divide a body into its vertebrae and the soft parts between them.
 

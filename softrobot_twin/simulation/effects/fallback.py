@@ -19,9 +19,9 @@ import numpy as np
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
+from softrobot_twin.scene.scene_changes import with_entries
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.building.reduced_body import with_entries
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.effects.reduction_error import (
     in_other_model,

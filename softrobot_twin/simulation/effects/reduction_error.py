@@ -47,13 +47,10 @@ from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.superelements import DEFORMATIONS
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
+from softrobot_twin.scene.scene_changes import with_reduced_entries, without_reductions
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.building.reduced_body import (
-    with_reduced_entries,
-    without_fallback,
-    without_reductions,
-)
+from softrobot_twin.simulation.building.reduced_body import without_fallback
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.effects.trusted_ranges import coordinate_ranges, reduced_bodies

@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import ReducedElements, SampledPoints, all_points
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -19,7 +20,6 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
     reduction_fingerprints,
-    without_reductions,
     write_body_reduction,
 )
 from softrobot_twin.simulation.building.scene_layout import lay_out

@@ -6,8 +6,8 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
-from softrobot_twin.simulation.building.reduced_body import without_reductions
 from softrobot_twin.simulation.effects.fallback import CHECK_EVERY
 
 TRAINED, PERIOD = 0.011, 0.01

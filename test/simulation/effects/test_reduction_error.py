@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene
+from softrobot_twin.scene.scene_changes import with_reduced_entries, without_reductions
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -11,7 +12,6 @@ from softrobot_twin.simulation import (
     Status,
     readouts,
 )
-from softrobot_twin.simulation.building.reduced_body import with_reduced_entries, without_reductions
 from softrobot_twin.simulation.effects.reduction_error import ReductionState
 
 ANY_TIME = 1.0e3

@@ -1,0 +1,82 @@
+"""Scenes with one thing changed, as studies and the steps of reduced bodies need them.
+
+A single value by its key is changed by `changed_scene` in `scene_parameters.py`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from softrobot_twin.scene.body_entries import Reduced
+from softrobot_twin.scene.schema import Scene
+
+# An equilibrium that others are compared with: linearizations, and share of the scene's tolerance.
+MOST_ITERATIONS, EXACT = 60, 1.0e-3
+
+
+def without_reductions(scene: Scene) -> Scene:
+    """The same scene with all nodes of its reduced bodies as unknowns."""
+    return with_reduced_entries(scene, None)
+
+
+def with_reduced_entries(scene: Scene, changes: dict | None) -> Scene:
+    """The same scene with some keys of `reduced` of its reduced bodies changed, or without these."""
+    return scene.with_deformables({"reduced": changes})
+
+
+def with_entries(scene: Scene, reduced: dict) -> Scene:
+    """The same scene with other entries `reduced` of some bodies, by their names."""
+    return scene.with_deformables(
+        lambda body: body.changed(reduced=reduced.get(body.name, body.reduced)))  # fmt: skip
+
+
+def without_vertebrae(scene: Scene) -> Scene:
+    """The same scene with all nodes of its bodies as unknowns."""
+    return scene.with_deformables({"vertebrae": None})
+
+
+def with_mesh_file(scene: Scene, file: Path) -> Scene:
+    """The same scene with another mesh file, placed by the same transformation."""
+    return scene.changed(body={"mesh": {"file": file}})
+
+
+def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
+    """The same scene with a number of linearizations per step and a residual tolerance [N]."""
+    return scene.changed(solver={"newton_iterations": iterations, "residual_tolerance": tolerance})
+
+
+def unlimited(scene: Scene, exact: bool = False) -> Scene:
+    """The same scene without limits on rates; the volumes of its cavities are commanded.
+
+    Args:
+        scene: The scene.
+        exact: Whether limits on displacements and efforts go too: stiff coarse meshes need large
+            forces, and displacements are free when forces are prescribed.
+    """
+    of_cable: dict = {"rate": None}
+    of_cavity: dict = {"rate": None, "flow": None, "control": "volume"}
+    if exact:
+        anything = -np.inf, np.inf
+        of_cable |= {"tension": (0.0, 1.0e9), "shortening": (-10.0, 10.0)}
+        of_cavity |= {"pressure": anything, "growth": anything, "volume": (0.0, np.inf)}
+    return scene.changed(cables=of_cable, cavities=of_cavity)
+
+
+def full_scene(scene: Scene) -> Scene:
+    """The scene in statics with all nodes free, without rates and contact, solved exactly."""
+    def freed(entry):
+        return entry.changed(rate=None) if hasattr(entry, "rate") else entry
+
+    return scene.changed(
+        integration="quasi_static", contact=None, obstacles=(),
+        solver=dict(newton_iterations=MOST_ITERATIONS,
+                    residual_tolerance=EXACT * scene.solver.residual_tolerance),
+        **dict.fromkeys(scene.actuator_entries, freed),
+    )  # fmt: skip
+
+
+def reduced_scene(scene: Scene, body: str, file: Path) -> Scene:
+    """A scene in which a body is reduced by a file."""
+    return with_entries(scene, {body: Reduced(file=file.resolve())})
