@@ -69,7 +69,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.channels import from_outside, measured
+from softrobot_twin.simulation.channels import BUILT_IN, from_outside, measured
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording
@@ -160,6 +160,29 @@ def commands_of(loop: TwinLoop) -> Iterator[Output]:
                  lambda sent: [sent[1][name] for name in guided if name in sent[1]], (3, 4))
 
 
+_OF_CHANNELS: dict[str, tuple] = {
+    "~/effectors/<effector>": (point_message, "effector_positions"),
+    "~/effector_poses/<effector>": (pose_message, "effector_positions", "effector_orientations"),
+    "~/stiffness/<effector>": (vector_message, "effector_stiffness"),
+    "~/touch/<touch>": (partial(cables_message, "xyz"), "touch_displacements", "touch_forces"),
+}  # fmt: skip
+"""Topics of channels of the package, what makes their messages, and the channels; of each object
+that has the last one."""
+
+
+def _of_channels(simulation: Simulation) -> Iterator[Output]:
+    """What is published of channels, also of those that were added from outside."""
+    known = {one.name: one for one in BUILT_IN}
+    shown = [(TOPICS[topic], make, [known[name] for name in names])
+             for topic, (make, *names) in _OF_CHANNELS.items()]
+    shown += [(channel_topic(one), lambda values, header, parts=one.parts: cables_message(
+        parts, values, (), header), [one]) for one in from_outside()]  # fmt: skip
+    for topic, make, told in shown:
+        yield Output(topic, told[-1].names(simulation), make,
+                     lambda tick, told=told: rows_of(*(one.read(tick.result) for one in told)),
+                     [one.width for one in told], told[-1].are_asked(simulation))  # fmt: skip
+
+
 def outputs_of(loop: TwinLoop) -> Iterator[Output]:
     """What is published after each tick beside commands.
 
@@ -167,37 +190,21 @@ def outputs_of(loop: TwinLoop) -> Iterator[Output]:
         loop: The loop.
     """
     simulation, sealed = loop.simulation, loop.cavities.sealed
-    effectors, scene = simulation.effector_names, simulation.scene
     yield Output(TOPICS["~/pressures/<cavity>"], loop.cavities.sealed_names, _pressure_of,
                  lambda tick: rows_of(sealed(tick.result.state.positions).values()), (1,))
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
-    yield Output(TOPICS["~/effectors/<effector>"], effectors, point_message,
-                 lambda tick: rows_of(tick.result.effector_positions), (3,))
-    yield Output(TOPICS["~/effector_poses/<effector>"], effectors, pose_message, lambda tick: rows_of(
-        tick.result.effector_positions, tick.result.effector_orientations),
-        (3, 4), simulation.oriented_effectors)  # fmt: skip
-    yield Output(TOPICS["~/stiffness/<effector>"], effectors, vector_message,
-                 lambda tick: rows_of(tick.result.effector_stiffness), (3,), simulation.stiff_effectors)
-    yield Output(TOPICS["~/touch/<touch>"], simulation.touch_names, partial(cables_message, "xyz"),
-                 lambda tick: rows_of(tick.result.touches.displacements, tick.result.touches.forces),
-                 (3, 3))
+    yield from _of_channels(simulation)
     yield Output(TOPICS["~/predicted_markers"], [""] * bool(len(simulation.marker_ids)),
                  markers_message, lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
                  is_costly=True)
     yield Output(TOPICS["~/bodies/<rigid body>"], simulation.rigid_names, pose_message,
                  lambda tick: rows_of(*simulation.rigid_poses()), (3, 4), is_costly=True)
-    yield Output(TOPICS["~/contacts"], [""] * (scene.contact is not None),
+    yield Output(TOPICS["~/contacts"], [""] * (simulation.scene.contact is not None),
                  lambda contacts, header: contacts_message(
                      contacts.positions, contacts.forces, header),
                  lambda tick: [(found,)] if (found := tick.result.contacts) is not None else [])
     yield Output(TOPICS["~/cable_paths"], [""] * has_cables, cables_message,
                  lambda tick: _paths(simulation, tick.result.state.positions), is_costly=True)
-    for channel in from_outside():
-        yield Output(channel_topic(channel), channel.names(simulation),
-                     partial(cables_message, channel.parts),
-                     lambda tick, read=channel.read: [
-                         (*row, ()) for row in rows_of(read(tick.result))],
-                     (len(channel.parts), 0), channel.are_asked(simulation))  # fmt: skip
 
 
 class ComplianceOutputs:
