@@ -163,15 +163,13 @@ class MeasuredSetpoints(ActuatorInput):
     their own; the newest measurement of each counts.
 
     Args:
-        actuator_names: Names of the actuators.
+        names: The names of the actuators.
         rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, shape
             (actuator_count,).
         limits: Limits of the displacements.
-        by_position: Names of the actuators that take no efforts, such as slides.
         settings: Timeouts.
         units: Unit of the setpoint of each actuator; metres by default.
         vacuum: The gauge pressure of a vacuum [Pa].
-        by_angle: Names of the cables that pulleys wind.
 
     Attributes:
         setpoints: Newest setpoints in the unit of each actuator's kind, shape (actuator_count,);
@@ -182,24 +180,20 @@ class MeasuredSetpoints(ActuatorInput):
     """
 
     def __init__(
-        self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits,
-        by_position: Sequence[str], settings: LoopSettings, units: Sequence[str] = (),
-        vacuum: float = -np.inf, by_angle: Sequence[str] = (),
+        self, names: ActuatorNames, rest_setpoints: np.ndarray, limits: ActuatorLimits,
+        settings: LoopSettings, units: Sequence[str] = (), vacuum: float = -np.inf,
     ):
-        self._by_effort = limits.is_effort_driven
-        by_pressure = [name for name, own in zip(actuator_names, self._by_effort) if own]
-        names = ActuatorNames(actuator_names, by_position=by_position, by_pressure=by_pressure,
-                              by_angle=by_angle)  # fmt: skip
-        whole = np.where(self._by_effort, limits.effort_scale, np.abs(rest_setpoints))
+        by_effort = limits.is_effort_driven
+        whole = np.where(by_effort, limits.effort_scale, np.abs(rest_setpoints))
         beyond = np.maximum(OUTSIDE_SHARE * limits.travel(0.0), OUTSIDE_SHARE_OF_REST * whole)
         low, high = limits.setpoint_range(rest_setpoints)
         # Positions of slides and angles may be negative, lengths and volumes not.
         is_angle = np.array([unit == "rad" for unit in units] or [False] * len(low), bool)
         least = np.where(names.by_position | is_angle, -np.inf, 0.0)
-        least = np.where(self._by_effort, vacuum, least)
+        least = np.where(by_effort, vacuum, least)
         self._low, self._high = np.maximum(low - beyond, least), high + beyond
         self._moves = limits.rate, _noise(limits)
-        self._actuator_names = tuple(actuator_names)
+        self._actuator_names = tuple(limits.names)
         self._units = tuple(units) or ("m",) * len(self._actuator_names)
         super().__init__(names, settings)
 

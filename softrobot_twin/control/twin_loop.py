@@ -77,35 +77,16 @@ _SHORTEST_STEP = 1.0e-4
 _SHOWN_UNITS = {"m3": "m³", "Pa": "Pa (gauge)"}
 
 
-_VECTOR, _PAIR = "key numbers arrival", "key numbers numbers arrival"
-CALLS: dict[str, str] = {
-    "targets.accept_point": _VECTOR, "targets.accept_pose": _PAIR,
-    "targets.accept_velocity": "numbers number", "stiffness.accept": _VECTOR,
-    "direct.accept": _PAIR, "selected.accept": _PAIR, "device.accept": _PAIR,
-    "angles.accept": _PAIR, "measured_angles.accept": _PAIR,
-    "pressures.accept": "key number arrival", "measured_pressures.accept": "key number arrival",
-    "poses.accept": _PAIR, "touches.accept_force": _VECTOR, "touches.accept_place": _VECTOR,
-    "markers.accept": "ids points arrival", "enable": "number", "disable": "", "reset": "",
-    "apply": "settings", "contest": "key key key number", "give_up": "key",
-    "after_failure": "key key", "continue_from": "numbers numbers key",
-}  # fmt: skip
-"""All calls by which anything reaches a loop from outside, but `tick`: part of the loop and method,
-and what each argument is; a ``key`` is a name, an index or a word."""
-
-
-def all_calls() -> dict[str, str]:
-    """The same with calls of inputs of channels that were added from outside."""
-    return CALLS | {f"{one.measured_name}.accept": "key key numbers numbers arrival"
-                    for one in measured()}  # fmt: skip
-
-
+SERVICES = ("enable", "disable", "reset", "apply", "contest", "give_up", "after_failure",
+            "continue_from")  # fmt: skip
+"""Methods by which anything but messages and ticks reaches a loop from outside."""
 MOST_REPEATS = 99
 """Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
 _MAY_REPEAT = (Activity.DISABLED, Activity.HOLDING, Activity.COMMANDED, Activity.FOLLOWING)
 
 
 def owner_of(loop: TwinLoop, name: str) -> tuple[object | None, str]:
-    """The part of a loop that takes a call of `CALLS`, and the name of its method.
+    """The part of a loop that takes a call, and the name of its method; see `TwinLoop.calls`.
 
     The part is None where the loop's scene or mode does not call for that input.
     """
@@ -113,10 +94,18 @@ def owner_of(loop: TwinLoop, name: str) -> tuple[object | None, str]:
     return (getattr(loop, part) if part else loop), method
 
 
-class _Entrance:
-    """A call of `CALLS`, which ends the rest of the loop and is told to its listeners."""
+def is_call(loop: TwinLoop, name: str) -> bool:
+    """Whether a loop of any scene or mode has a call of this name."""
+    part, _, method = name.rpartition(".")
+    has_part = part in TwinLoop.__annotations__ or part in loop.inputs
+    return has_part and method.startswith("accept") if part else method in SERVICES
 
-    def __init__(self, loop: TwinLoop, name: str, owner: object, method: str):
+
+class _Entrance:
+    """A call of a loop, which ends the rest of the loop and is told to its listeners."""
+
+    def __init__(self, loop: TwinLoop, name: str):
+        owner, method = owner_of(loop, name)
         self._loop, self._name, self._method = loop, name, getattr(owner, method)
         self.__wrapped__ = self._method  # For its signature.
         setattr(owner, method, self)
@@ -262,7 +251,7 @@ def inputs_of(
     simulation: Simulation, mode: Mode, settings: LoopSettings, frame_id: str,
     cavities: CavityPressures, velocity_effector: int,
 ) -> dict[str, Input]:  # fmt: skip
-    """The inputs that a scene and a mode call for, by their names in `CALLS`.
+    """The inputs that a scene and a mode call for, by their names.
 
     Commands of actuators, their measured setpoints and markers are taken in all of them: who sends
     what the scene does not have is told so.
@@ -277,13 +266,15 @@ def inputs_of(
     """
     names, kinds = simulation.actuator_names, simulation.actuators.kinds
     pulleys, rest = simulation.pulleys, simulation.rest_setpoints
-    by_position = [name for name, kind in zip(names, kinds) if not kind.takes_efforts]
-    by_pressure = [name for name, kind in zip(names, kinds) if kind.is_effort_driven]
-    by_angle = [names[index] for index in np.flatnonzero(pulleys.is_wound)]
+    apart = (
+        [name for name, kind in zip(names, kinds) if not kind.takes_efforts],
+        [name for name, kind in zip(names, kinds) if kind.is_effort_driven],
+        [names[index] for index in np.flatnonzero(pulleys.is_wound)],
+    )
     units = [_SHOWN_UNITS.get(kind.setpoint.unit, kind.setpoint.unit) for kind in kinds]
-    known = ActuatorNames(names, simulation.motors, rest, by_position, by_pressure, by_angle)
-    device = MeasuredSetpoints(names, rest, simulation.limits, by_position, settings, units,
-                               -cavities.ambient_pressure, by_angle)  # fmt: skip
+    device = MeasuredSetpoints(ActuatorNames(names, None, rest, *apart), rest, simulation.limits,
+                               settings, units, -cavities.ambient_pressure)  # fmt: skip
+    known = ActuatorNames(names, simulation.motors, rest, *apart)
     made: dict[str, Input] = {
         "markers": MarkerInput(simulation.marker_ids, frame_id, settings), "device": device}
     if mode is Mode.DIRECT:
@@ -331,7 +322,7 @@ class TwinLoop:
         inputs: The inputs that its scene and mode call for, by name; each is an attribute of its
             name too, and the others are None.
         is_repeating: True when the last tick repeated the outcome of the one before.
-        listeners: Take the name, the arguments and the answer of each call of `CALLS`, after it was
+        listeners: Take the name, the arguments and the answer of each of its `calls`, after it was
             made.
 
     Raises:
@@ -388,15 +379,20 @@ class TwinLoop:
         self._rest: _Rest | None = None
         self.is_repeating = False
         self.listeners: list[Callable[[str, tuple, object], None]] = []
-        for name in all_calls():
-            owner, method = owner_of(self, name)
-            if owner is not None:
-                _Entrance(self, name, owner, method)
+        for name in self.calls:
+            _Entrance(self, name)
 
     @property
     def commands(self) -> ActuatorInput:
         """Commands of actuators; in inverse mode they exclude these from the optimisation."""
         return self.direct or self.selected
+
+    @property
+    def calls(self) -> list[str]:
+        """All by which anything reaches it from outside, but `tick`: `SERVICES`, and inputs with
+        their methods, such as ``targets.accept_point``."""
+        return [*SERVICES, *(f"{name}.{method}" for name, one in self.inputs.items()
+                             for method in dir(one) if method.startswith("accept"))]  # fmt: skip
 
     @property
     def wishes(self) -> list[Input]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.control.loop_settings import Mode, settings_of
-from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop, all_calls
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop, is_call
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.record.loop_calls import repeat
 from softrobot_twin.record.run_clock import PlayedClock
@@ -366,7 +366,7 @@ class Replay:
         """Repeats a call and compares its answer."""
         found, name = self.comparison, content["to"]
         found.calls += 1
-        if name not in all_calls():
+        if not is_call(self.loop, name):
             raise RunFileError(self.run.path, f"holds the call {name}, which is unknown")
         try:
             answer = repeat(self.loop, name, content["arguments"])

@@ -64,7 +64,7 @@ class Topic(NamedTuple):
         unit: Units of its values, or an empty string.
         meaning: What it means, in markdown; no upper case at its beginning.
         call: Of an input of the twin the call of its loop that takes the messages, such as
-            ``markers.accept``; see `softrobot_twin.control.twin_loop.CALLS`.
+            ``markers.accept``; see `TwinLoop.calls`.
     """
 
     name: str

@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.device import MeasuredSetpoints
+from softrobot_twin.control.inputs import ActuatorNames
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.simulation.building.limits import ActuatorLimits
@@ -28,7 +29,8 @@ LIMITS = ActuatorLimits(
 
 @pytest.fixture
 def device():
-    return MeasuredSetpoints(NAMES, REST, LIMITS, ("lift",), LoopSettings())
+    return MeasuredSetpoints(
+        ActuatorNames(NAMES, by_position=("lift",)), REST, LIMITS, LoopSettings())
 
 
 def take(device, *lengths, time=0.0):

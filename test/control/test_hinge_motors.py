@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.command_gate import CommandGate
 from softrobot_twin.control.device import MeasuredSetpoints
+from softrobot_twin.control.inputs import ActuatorNames
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
@@ -62,7 +63,7 @@ def test_the_last_check_names_angles_torques_and_rates_that_are_too_large(simula
 def test_negative_angles_that_a_device_measures_are_accepted_within_its_limits(simulation):
     names, limits = simulation.actuator_names, simulation.limits
     device = MeasuredSetpoints(
-        names, simulation.rest_setpoints, limits, (), LoopSettings(), ("rad",) * 4
+        ActuatorNames(names), simulation.rest_setpoints, limits, LoopSettings(), ("rad",) * 4
     )
 
     def take(angles, time):

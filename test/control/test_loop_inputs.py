@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
-from softrobot_twin.control.twin_loop import CALLS, TwinLoop, owner_of
+from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 
@@ -62,9 +62,9 @@ def test_stiffnesses_are_taken_where_targets_are(small_scene_mapping):
 @pytest.mark.parametrize("mode", Mode)
 def test_each_input_is_an_attribute_and_what_is_not_built_is_none(simulation, mode):
     loop = TwinLoop(simulation, LoopSettings(), mode)
-    for name in CALLS:
-        part = name.rpartition(".")[0]
-        assert owner_of(loop, name)[0] is (loop.inputs.get(part) if part else loop)
+    assert loop.inputs.keys() < TwinLoop.__annotations__.keys()
+    for name in TwinLoop.__annotations__:
+        assert getattr(loop, name) is loop.inputs.get(name)
 
 
 def test_changed_settings_reach_all_inputs(air):

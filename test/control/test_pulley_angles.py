@@ -55,7 +55,8 @@ def measured(pulleys):
         NAMES, -many, many, infinite, np.zeros(4), infinite, REST, np.ones(4), -np.ones(4),
         np.zeros(4, bool), (("shortening_min", "shortening_max"),) * 4, ("tension",) * 4,
     )  # fmt: skip
-    keeper = MeasuredSetpoints(NAMES, REST, limits, (), LoopSettings(), by_angle=("a", "b", "c"))
+    names = ActuatorNames(NAMES, by_angle=("a", "b", "c"))
+    keeper = MeasuredSetpoints(names, REST, limits, LoopSettings())
     return keeper, AngleInput(pulleys, keeper, LoopSettings(), True)
 
 

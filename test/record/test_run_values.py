@@ -1,18 +1,17 @@
 """Numbers of a run as JSON, and the calls that a recording knows."""
 
-import inspect
 import json
 import math
 import random
 import struct
-from typing import get_args, get_type_hints
+from functools import partial
 
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.arrival import Arrival, Input, Refusal
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost, settings_of
-from softrobot_twin.control.twin_loop import CALLS, TwinLoop
+from softrobot_twin.control.twin_loop import SERVICES, is_call
 from softrobot_twin.record.loop_calls import READERS, call_to_json, repeat
 from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import RunFile
@@ -50,18 +49,15 @@ def test_changed_settings_come_back_as_they_were():
     assert settings_of(json.loads(json.dumps(plain(settings)))) == settings
 
 
-def test_every_input_and_service_of_a_loop_is_recorded():
-    """Each attribute of a loop that is an input is declared, with its class or None."""
-    kinds = {name: (get_args(kind) or (kind,))[0] for name, kind in get_type_hints(TwinLoop).items()}
+def test_every_input_and_service_of_a_loop_is_recorded(recorded):
+    loop = Replay(RunFile(recorded.path)).loop
+    parts = {name: part for name, part in vars(loop).items() if isinstance(part, Input)}
     accepting = {
-        f"{name}.{method}": getattr(kind, method) for name, kind in kinds.items()
-        for method in dir(kind) if method.startswith("accept")
+        f"{name}.{method}" for name, part in parts.items() for method in dir(part)
+        if method.startswith("accept")
     }  # fmt: skip
-    services = {name: getattr(TwinLoop, name) for name in CALLS if "." not in name}
-    assert accepting.keys() | services.keys() == CALLS.keys()
-    for name, method in (accepting | services).items():
-        own, *given = inspect.signature(method).parameters
-        assert own == "self" and len(given) == len(CALLS[name].split())
+    assert {*accepting, *SERVICES} == {*loop.calls} and all(map(partial(is_call, loop), loop.calls))
+    assert not any(map(partial(is_call, loop), ("tick", "simulation.reset", "targets.reset")))
 
 
 def test_a_recorded_call_of_what_a_loop_does_not_have_is_answered_by_a_refusal(recorded):
@@ -76,10 +72,8 @@ def test_the_arguments_of_a_call_come_back_with_their_types(position):
     arrival = Arrival("base\0\udce9", 2**63, -(2**63), -0.0)
     call = call_to_json("targets.accept_point", (1, position, arrival), None)
     made = json.loads(json.dumps(call, allow_nan=False))
-    effector, point, header = (
-        READERS[kind](one)
-        for kind, one in zip(CALLS[made["to"]].split(), made["arguments"], strict=True)
-    )
+    effector, point, header = made["arguments"]
+    header, point = READERS["arrival"](header), numbers(point)
     assert effector == 1 and header == arrival
     assert struct.pack("d", header.time) == struct.pack("d", -0.0)
     assert np.array_equal(point, position, equal_nan=True)
