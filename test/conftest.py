@@ -351,7 +351,7 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Marks the tests of the tables; a file or test of `LIBRARIES` that is nowhere is an error."""
+    """Marks the tests of the tables; one of `LIBRARIES` that is nowhere is an error."""
     wanted = tests_of("LIBRARIES")
     missing = {(path, "") for path in wanted if not path.is_file()}
     missing |= {(path, name) for path in {item.path for item in items}
@@ -367,9 +367,7 @@ def pytest_collection_modifyitems(config, items):
         if own & names if names else item.get_closest_marker("slow") is None:
             item.add_marker(pytest.mark.libraries)
             missing -= {(item.path, name) for name in own}
-    if not only_libraries(config):
-        missing = {(path, name) for path, name in missing if not path.is_file()}
-    if missing:
+    if only_libraries(config) and missing:
         raise pytest.UsageError(f"conftest.LIBRARIES names what is not there: {sorted(missing)}")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parent
-TABLES = ("KEPT", "LONG", "SAMPLED")
+TABLES = ("KEPT", "LIBRARIES", "LONG", "SAMPLED")
 
 
 @cache
