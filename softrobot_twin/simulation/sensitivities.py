@@ -45,6 +45,8 @@ LEAST_LENGTH = 0.1
 ZEROS = {"Pa": 1.0e3}
 # Sections of a scene that say what touches.
 TOUCHING = ("contact", "obstacles", "rigid_bodies")
+# This share of all loads may be out of balance.
+UNBALANCED = 1.0e-2
 # Differences below this share of the loads, or of the robot's size, are taken for round-off.
 ROUND_OFF = 1.0e-10
 
@@ -283,6 +285,7 @@ class Sensitivities(HeldTangent):
                 parameter.key, f"cannot be changed by {words}: {refused}") from refused
         if self._middle is None:
             self._middle = self._evaluated(self._terms(None, 0, 0.0))
+            self._check_balance()
         for found in sides.values():
             self._check(parameter.key, found)
         middle, *others = (one.loads(holds_setpoints) for one in (self._middle, *sides.values()))
@@ -294,10 +297,23 @@ class Sensitivities(HeldTangent):
             for slope, difference, least in zip(slopes, differences, round_off, strict=True))
         return Loads(*slopes, roughness)
 
+    def _load(self) -> float:
+        """Sum of the weight and of the forces of the actuators, by magnitude [N]."""
+        own = self._model.actuators.load(self._simulation.state.efforts)
+        return self._simulation.newton.constant_load + own
+
+    def _check_balance(self) -> None:
+        """Refuses a state of statics that is far from its equilibrium."""
+        scene, forces = self._model.scene, self._middle.forces
+        left = float(np.linalg.norm(forces, axis=1).sum())
+        most = max(UNBALANCED * self._load(), len(forces) * scene.solver.residual_tolerance)
+        if scene.integration == "quasi_static" and not self._held.contact_count and left > most:
+            raise SensitivityError("state", f"is not in balance: forces of {left:.2g} N are left in "
+                                   f"all, more than {most:.2g} N; let it settle first")
+
     def _round_off(self) -> np.ndarray:
         """Differences of forces [N], displacements and places [m] that are taken for round-off."""
-        size, newton = self._model.nodes.size, self._simulation.newton
-        load = newton.constant_load + self._model.actuators.load(self._simulation.state.efforts)
+        size, load = self._model.nodes.size, self._load()
         length = size if np.isfinite(size) else 1.0
         return ROUND_OFF * np.array([load or 1.0, length, length])
 

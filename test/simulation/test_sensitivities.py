@@ -132,6 +132,13 @@ def test_points_held_within_a_radius_have_no_derivative():
         Sensitivities(simulation).of_parameters(parameters(simulation.scene, key))
 
 
+def test_a_state_out_of_balance_has_no_derivatives():
+    simulation = Simulation(exact("finger"), with_warnings=False)
+    chosen = parameters(simulation.scene, "body.material.young_modulus")
+    with pytest.raises(SensitivityError, match="state: is not in balance: .* settle first"):
+        Sensitivities(simulation).of_parameters(chosen)
+
+
 def test_the_material_of_a_reduced_body_has_no_derivative():
     simulation = Simulation(exact("diamond_reduced"), with_warnings=False)
     with pytest.raises(SensitivityError, match="young_modulus: cannot be changed"):
