@@ -29,7 +29,7 @@ ALLOWED_ROOMS = {
     "view": {"simulation"},
     "record": CORE | {"control"},
     "ros": CORE | {"control", "view", "record"},
-    "study": CORE | {"control"},
+    "study": CORE | {"control", "view"},
     "scripting": CORE | {"control", "study", "view"},
     "command_line": {"study", "ros", "demo_command", "replay_command"},
 }

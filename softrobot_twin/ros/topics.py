@@ -284,9 +284,10 @@ TWIN_TOPICS = _by_name(
           "pair's resultant and sum of magnitudes are in `/diagnostics`"),
     Topic("~/visualization", OUT, MarkerArray, NEWEST, "m",
           "for RViz and Foxglove, `visualization_rate` times a second and only while somebody "
-          "receives it: the deformed surfaces, cables coloured by tension, cavities coloured by "
-          "pressure, rigid bodies, obstacles, effectors and targets, each kind in a namespace of "
-          "its own; they vanish when the twin ends"),
+          "receives it: the deformed surfaces, cables coloured by tension, motor axes, springs, "
+          "tubes and fibres, cavities coloured by pressure, rigid bodies, obstacles, effectors, "
+          "targets and touches, each kind in a namespace of its own; they vanish when the twin "
+          "ends"),
     Topic("~/status", OUT, DiagnosticStatus, LATCHED, "",
           "when it changes: what the loop does (`disabled`, `resynchronising`, `returning`, "
           "`holding`, `following`, `commanded`) and why, the status of the step, the active "

@@ -27,7 +27,7 @@ CABLE_WIDTH = 0.006
 """Width of a cable, as a share of the robot's size."""
 EFFECTOR_WIDTH = 0.03
 """Diameter of the sphere at an effector, as a share of the robot's size."""
-TARGET_WIDTH = 0.04
+TARGET_WIDTH, THREAD_WIDTH = 0.04, 0.002
 OBSTACLES_EVERY = 1.0
 """Time from one message with obstacles, which do not move, to the next [s]."""
 LEAST_LIFETIME = 3.0
@@ -36,23 +36,28 @@ longer."""
 
 
 _KINDS = {
-    "/robot/surface": ("surfaces", Marker.TRIANGLE_LIST, 0.0),
-    "/robot/cables": ("cables", Marker.LINE_LIST, CABLE_WIDTH),
-    "/robot/cavities": ("cavities", Marker.TRIANGLE_LIST, 0.0),
-    "/rigid_bodies": ("rigid_bodies", Marker.TRIANGLE_LIST, 0.0),
-    "/obstacles": ("obstacles", Marker.TRIANGLE_LIST, 0.0),
-    "/robot/effectors": ("effectors", Marker.SPHERE_LIST, EFFECTOR_WIDTH),
-    "/targets": ("targets", Marker.SPHERE_LIST, TARGET_WIDTH),
+    **dict.fromkeys(("body", "clear body", "beam"), ("surfaces", Marker.TRIANGLE_LIST, 0.0)),
+    "cable": ("cables", Marker.LINE_LIST, CABLE_WIDTH),
+    "axis": ("motor_axes", Marker.LINE_LIST, CABLE_WIDTH),
+    "spring": ("springs", Marker.LINE_LIST, CABLE_WIDTH),
+    "thread": ("threads", Marker.LINE_LIST, THREAD_WIDTH),
+    "cavity": ("cavities", Marker.TRIANGLE_LIST, 0.0),
+    **dict.fromkeys(("free body", "guided body"), ("rigid_bodies", Marker.TRIANGLE_LIST, 0.0)),
+    **dict.fromkeys(("obstacle", "plane"), ("obstacles", Marker.TRIANGLE_LIST, 0.0)),
+    "effector": ("effectors", Marker.SPHERE_LIST, EFFECTOR_WIDTH),
+    "target": ("targets", Marker.SPHERE_LIST, TARGET_WIDTH),
+    "touch": ("touches", Marker.SPHERE_LIST, EFFECTOR_WIDTH),
 }
-"""Namespace, kind and width, as a share of the robot's size, of the markers of entities at a path."""
+"""Namespace, form and width, as a share of the robot's size, of the markers of each kind of entity."""
 
 
 class RobotMarkers:
     """Makes messages of markers of a simulation.
 
-    The namespaces are the kinds: ``surfaces``, ``cables``, ``cavities``, ``rigid_bodies``,
-    ``obstacles``, ``effectors`` and ``targets``. The id is the place of the body in the scene; all
-    cables are one marker, as are all effectors and all targets.
+    The namespaces are the kinds: ``surfaces``, ``cables``, ``motor_axes``, ``springs``,
+    ``threads``, ``cavities``, ``rigid_bodies``, ``obstacles``, ``effectors``, ``targets`` and
+    ``touches``. The id is the place of the body in the scene; all cables are one marker, as are all
+    effectors and all targets.
 
     Args:
         simulation: The simulation.
@@ -81,7 +86,7 @@ class RobotMarkers:
         entities: dict[tuple[str, int], Entity] = {}
         numbers: Counter[str] = Counter()
         for entity in self.entities:
-            namespace = _kind(entity)[0]
+            namespace = _KINDS.get(entity.kind, ("",))[0]
             if not namespace or (namespace == "obstacles" and not with_obstacles):
                 continue
             key = namespace, numbers[namespace]
@@ -100,7 +105,7 @@ class RobotMarkers:
 
     def _marker(self, entity: Entity, number: int) -> Marker:
         """The message of a marker, without points."""
-        namespace, kind, share = _kind(entity)
+        namespace, kind, share = _KINDS[entity.kind]
         r, g, b, a = _shares(entity.colour or (255, 255, 255))
         width = float(share * self._size) or 1.0
         marker = Marker(
@@ -110,12 +115,6 @@ class RobotMarkers:
         )  # fmt: skip
         marker.pose.orientation.w = 1.0
         return marker
-
-
-def _kind(entity: Entity) -> tuple[str, int, float]:
-    """Namespace, kind and width of an entity's markers; no namespace for what has none."""
-    nothing = "", 0, 0.0
-    return _KINDS.get(entity.path) or _KINDS.get(entity.path.rpartition("/")[0], nothing)
 
 
 def _content(entity: Entity, drawn: Drawn | None) -> Content:
@@ -129,10 +128,13 @@ def _content(entity: Entity, drawn: Drawn | None) -> Content:
         colours = entity.colours_of(drawn.values) / 255.0
     if entity.shape == "surface":
         return Content(drawn.points[corners], colour=None if colours is None else colours[0])
+    if entity.shape == "lines" and isinstance(drawn.points, np.ndarray):  # all of one segment
+        return Content(drawn.points.reshape(-1, 3))
     if entity.shape == "lines":
         lines = [np.repeat(path, 2, axis=0)[1:-1] for path in drawn.points]
         counts = [len(line) for line in lines]
-        return Content(np.concatenate(lines), np.repeat(colours, counts, axis=0))
+        each = None if colours is None else np.repeat(colours, counts, axis=0)
+        return Content(np.concatenate(lines), each)
     return Content(drawn.points[np.isfinite(drawn.points).all(axis=1)])
 
 

@@ -13,6 +13,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.mechanics.sealed_gas import SealedGas
+from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, swept_surface
 from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
@@ -108,6 +109,29 @@ class CavityDisplay:
                                               for walls in self._walls)])  # fmt: skip
 
 
+def spring_places(model: Model, node_positions: np.ndarray) -> dict[str, np.ndarray]:
+    """Masses on points, springs, and tubes and fibres, which are threads, where there are any.
+
+    Args:
+        model: The built scene.
+        node_positions: Node positions [m], shape (node_count, 3).
+
+    Returns:
+        Points of each ``mass`` [m], shape (mass_count, 3), and both ends of each ``thread`` and
+        ``spring``, shape (count, 2, 3); what the scene has none of is left out.
+    """
+    scene = model.scene
+    first = sum(body.scene_node_count for body in model.bodies)
+    masses = node_positions[first : first + sum(len(entry.points) for entry in scene.mass_springs)]
+    ends = np.concatenate([np.empty((0, 2, 3)), *(term.ends(node_positions) for term in model.terms
+                                                  if isinstance(term, Springs))])  # fmt: skip
+    # Those of the scene's springs come first, those of its masses last; threads between.
+    first, last = len(scene.springs), len(ends) - sum(len(one.springs) for one in scene.mass_springs)
+    springs = np.concatenate([ends[:first], ends[last:]])
+    found = {"mass": masses, "thread": ends[first:last], "spring": springs}
+    return {kind: places for kind, places in found.items() if len(places)}
+
+
 def skins(bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...] = ()) -> tuple:
     """The surface by which each deformable body is drawn, then that of each beam.
 
@@ -184,16 +208,17 @@ class SolidSkin(NamedTuple):
     triangles: np.ndarray
 
 
-def rigid_skins(model: Model) -> tuple[SolidSkin, ...]:
+def rigid_skins(model: Model, facets: float) -> tuple[SolidSkin, ...]:
     """The rigid bodies, each in the coordinates of its scene entry.
 
     Args:
         model: The built scene.
+        facets: Length of the facets of round shapes, as a share of their radius.
 
     Returns:
         A surface for each.
     """
-    shapes = ((part, *triangulated(part.shape)) for part in model.rigid)
+    shapes = ((part, *triangulated(part.shape, facets)) for part in model.rigid)
     return tuple(SolidSkin(part.name, points + part.centre_of_mass, triangles)
                  for part, points, triangles in shapes)  # fmt: skip
 
@@ -234,11 +259,12 @@ def rigid_poses(model: Model, positions: np.ndarray) -> tuple[np.ndarray, np.nda
     return origins, quaternions
 
 
-def obstacle_skins(model: Model) -> tuple[SolidSkin, ...]:
+def obstacle_skins(model: Model, facets: float) -> tuple[SolidSkin, ...]:
     """The obstacles, in the world; of a plane, a square beside the bodies.
 
     Args:
         model: The built scene.
+        facets: Length of the facets of round shapes, as a share of their radius.
 
     Returns:
         A surface for each.
@@ -251,7 +277,7 @@ def obstacle_skins(model: Model) -> tuple[SolidSkin, ...]:
         # Repairs of its file are reported when the contact is built.
         shape = build_shape(entry.shape, model.scene, notes=[])
         is_plane = isinstance(shape, Plane)
-        points, triangles = _patch(shape, entry, model) if is_plane else triangulated(shape)
+        points, triangles = _patch(shape, entry, model) if is_plane else triangulated(shape, facets)
         turn = Rotation.from_euler("xyz", entry.rotation)
         skins.append(SolidSkin(entry.name, turn.apply(points) + entry.position, triangles))
     return tuple(skins)

@@ -16,8 +16,10 @@ from softrobot_twin.simulation.appearance import (
     rigid_poses,
     rigid_skins,
     skins,
+    spring_places,
 )
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.scene_layout import FACETS
 from softrobot_twin.simulation.effects.reduction_error import (
     ReductionErrors,
     ReductionState,
@@ -223,6 +225,10 @@ class Readouts:
         """Points of each cavity's walls [m], each of shape (point_count, 3)."""
         return tuple(skin.positions(self.state.positions) for skin in self.cavities.skins)
 
+    def spring_places(self) -> dict[str, np.ndarray]:
+        """Places of what is drawn of masses, springs, tubes and fibres [m], by their kinds."""
+        return spring_places(self.model, self.state.positions)
+
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
         """Poses of the coordinates in which the scene gives the rigid bodies' shapes.
 
@@ -236,10 +242,10 @@ class Readouts:
         """Pose of each rigid body, by name."""
         return named_poses(self.model, self.state.positions)
 
-    def rigid_skins(self) -> tuple[SolidSkin, ...]:
+    def rigid_skins(self, facets: float = FACETS) -> tuple[SolidSkin, ...]:
         """Surfaces of the rigid bodies, in the coordinates of `rigid_poses`."""
-        return rigid_skins(self.model)
+        return rigid_skins(self.model, facets)
 
-    def obstacle_skins(self) -> tuple[SolidSkin, ...]:
+    def obstacle_skins(self, facets: float = FACETS) -> tuple[SolidSkin, ...]:
         """Surfaces of the obstacles, in the world; of a plane, a square near the bodies."""
-        return obstacle_skins(self.model)
+        return obstacle_skins(self.model, facets)

@@ -18,16 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.shapes import Sphere
 from softrobot_twin.geometry.surface import half_edges
-from softrobot_twin.mechanics.springs import Springs
-from softrobot_twin.scene.body_entries import PlaneShape
-from softrobot_twin.simulation.appearance import fixed_ends, fixed_places, own_skin
-from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.colours import pressure_colours
-from softrobot_twin.simulation.effects.touches import touch_term
 from softrobot_twin.study.figure import load_pyplot, write_figure
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize
 from softrobot_twin.study.terminal import by_key
+from softrobot_twin.view.draw_list import DrawList, Shown
+from softrobot_twin.view.frame import Drawn, Entity
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
@@ -159,6 +156,31 @@ _FACETS = 0.2
 _SHARP = 0.6
 
 
+class _Look(NamedTuple):
+    """How the entities of a kind are drawn: their look, colour, and radius as a share of the size."""
+
+    look: str
+    colour: np.ndarray
+    radius: float = 0.0
+    legend: str = ""
+
+
+_LOOKS = {
+    "body": _Look("mesh", BODY_COLOUR), "clear body": _Look("clear", BODY_COLOUR),
+    "beam": _Look("rigid", BODY_COLOUR), "free body": _Look("rigid", FREE_COLOUR),
+    "guided body": _Look("rigid", GUIDED_COLOUR), "obstacle": _Look("rigid", OBSTACLE_COLOUR),
+    "cavity": _Look("rigid", LEGEND["cavity"][1], legend="cavity"),
+    "mass": _Look("rigid", LEGEND["spring"][1], 0.012),
+    "fixed end": _Look("thin", LEGEND["fixed"][1], 0.014, "fixed"),
+    **{kind: _Look("thin", LEGEND[kind][1], radius, kind) for kind, radius in (
+        ("fixed", 0.0055), ("cable", 0.004), ("pull point", 0.010), ("axis", 0.008),
+        ("thread", 0.0015), ("spring", 0.004), ("marker", 0.008), ("effector", 0.014),
+        ("target", 0.0035), ("frame", 0.0),
+    )},
+}  # fmt: skip
+"""Look of each kind of entity; planes, forces and touches are drawn in ways of their own."""
+
+
 class Solid(NamedTuple):
     """Triangles of one colour.
 
@@ -233,70 +255,54 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
         targets: Targets of the effectors [m], shape (effector_count, 3); NaN for none.
         effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3).
     """
-    size, paths = _size(simulation), simulation.actuator_paths()
-    obstacles, planes, named = _obstacles(simulation, size)
-    solids = [*_bodies(simulation), *_rigid(simulation, size), *_springs(simulation, size),
-              *obstacles, *_balls(simulation, size), *_axes_of_effectors(simulation, size),
-              *_actuators(simulation, size, paths)]
-    solids += [_mark(cross(point, 0.08 * size, 0.0035 * size), "target")
-               for point in (() if targets is None else targets) if np.isfinite(point).all()]
+    known = {} if contacts is None else {"contacts": (contacts.positions, contacts.forces)}
+    known |= {} if targets is None else {"targets": targets}
+    drawing = DrawList(simulation, 1.0, _FACETS)
+    size, now = drawing.size, drawing.drawn(Shown.of(simulation)._replace(**known))
+    every = [(entity, now.get(entity.path, Drawn(entity.points))) for entity in drawing.entities]
+    solids = [solid for entity, drawn in every for solid in _solids(entity, drawn, size)]
     if effector_path is not None and len(effector_path) > 1:
         solids += [Solid(tube(path, 0.0022 * size), LEGEND["effector"][1], "thin")
                    for path in np.moveaxis(effector_path, 1, 0)]
-    touched, forces = _touches(simulation)
+    paths = simulation.actuator_paths()
     rings = [Ring("hold", place, cable.hold_radius, 0.004 * size)
              for cable in simulation.scene.cables if cable.hold_radius > 0.0
              for place in paths[cable.name][-len(cable.points):]]
-    rings += [Ring("touch", place, 0.02 * size, 0.006 * size) for place in touched]
-    if contacts is not None:
-        touched = np.concatenate([contacts.positions, touched])
-        forces = np.concatenate([contacts.forces, forces])
-    return Snapshot(title, size, solids, rings, planes, (touched, forces),
-                    list(labels(simulation, paths, named)))
+    rings += [Ring("touch", place, 0.02 * size, 0.006 * size)
+              for entity, drawn in every if entity.kind == "touch" for place in drawn.points]
+    planes = [_plane(entity) for entity, _ in every if entity.kind == "plane"]
+    forces = [drawn for entity, drawn in every if entity.kind == "force"]
+    joined = tuple(np.concatenate([np.empty((0, 3)), *arrays])
+                   for arrays in ([one.points for one in forces], [one.vectors for one in forces]))
+    return Snapshot(title, size, solids, rings, planes, joined, list(labels(every, size)))
 
 
-# Least size of lines and marks, as a share of that of the whole scene.
-_LEAST_SHARE = 0.4
-_SIZE_OF_A_POINT = 0.1
+def _plane(entity: Entity) -> tuple[np.ndarray, np.ndarray]:
+    """A point of a plane, and its normal."""
+    return entity.points.mean(axis=0), _normals(entity.points[entity.triangles[:1]])[0]
 
 
-def _size(simulation: Simulation) -> float:
-    """Size by which lines and marks are scaled [m]: of the largest body, not too small for all."""
-    springs = [term.ends(simulation.state.positions).reshape(-1, 3)
-               for term in simulation.terms if isinstance(term, Springs)]
-    points = np.concatenate([np.empty((0, 3)), *simulation.skin_positions(), *springs,
-                             *simulation.actuator_paths().values()])
-    whole = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
-    largest = simulation.model.nodes.size
-    if np.isfinite(largest):
-        return max(largest, _LEAST_SHARE * whole)
-    return whole or _SIZE_OF_A_POINT  # nothing but a single point mass
-
-
-def _bodies(simulation: Simulation) -> Iterator[Solid]:
-    """Bodies by the surfaces of their meshes, beams and walls of cavities."""
-    cavities, bodies = simulation.cavities, simulation.model.bodies
-    positions, soft = simulation.state.positions, "clear" if cavities.skins else "mesh"
-    for skin, look in (*((own_skin(body), soft) for body in bodies),
-                       *((skin, "rigid") for skin in simulation.skins[len(bodies):])):
-        yield Solid(skin.positions(positions)[skin.triangles], BODY_COLOUR, look)
-    for skin, points, pressure in zip(cavities.skins, simulation.cavity_positions(),
-                                      cavities.pressures(simulation.state), strict=True):
-        yield Solid(points[skin.triangles], LEGEND["cavity"][1], "rigid", "cavity", 1e-3 * pressure)
-
-
-def _actuators(
-    simulation: Simulation, size: float, paths: dict[str, np.ndarray]
-) -> Iterator[Solid]:
-    """Cables, and axes of motors."""
-    kind_of, efforts = simulation.actuators.kind_of, simulation.state.efforts
-    tensions = dict(zip(simulation.actuator_names, efforts, strict=True))
-    for name, path in paths.items():
-        if kind_of[name].effort.unit == "N":
-            yield _mark(tube(path, 0.004 * size), "cable")._replace(value=float(tensions[name]))
-            yield _mark(sphere(path[0], 0.010 * size), "pull point")
-        else:
-            yield _mark(tube(path, 0.008 * size), "axis")
+def _solids(entity: Entity, drawn: Drawn, size: float) -> Iterator[Solid]:
+    """An entity as a picture draws it; nothing for kinds without a look."""
+    if entity.kind not in _LOOKS:
+        return
+    look = _LOOKS[entity.kind]
+    if entity.shape in ("surface", "solid"):
+        points = _points(entity, drawn)
+        value = 0.0 if drawn.values is None else 1e-3 * float(drawn.values[0])
+        yield Solid(points[entity.triangles], look.colour, look.look, look.legend, value)
+        if entity.shape == "solid":
+            yield from _edges(points, entity.triangles, look.colour, size)
+    elif entity.shape == "arrows":
+        for start, vector, number in zip(*drawn, strict=True):
+            bar = tube(np.array([start, start + vector]), 0.045 * np.linalg.norm(vector))
+            yield Solid(bar, AXIS_COLOURS[number], look.look, look.legend)
+    else:
+        values = np.zeros(len(drawn.points)) if drawn.values is None else drawn.values
+        for own, value in zip(drawn.points, values, strict=True):
+            if np.isfinite(own).all():
+                mark = _mark_of(entity, own, look.radius * size, size)
+                yield Solid(mark, look.colour, look.look, look.legend, float(value))
 
 
 def _mark(triangles: np.ndarray, kind: str) -> Solid:
@@ -304,160 +310,65 @@ def _mark(triangles: np.ndarray, kind: str) -> Solid:
     return Solid(triangles, LEGEND[kind][1], "thin", kind)
 
 
-def _balls(simulation: Simulation, size: float) -> Iterator[Solid]:
-    """Fixed nodes of surfaces, fixed ends of beams, markers and effectors."""
-    model, positions = simulation.model, simulation.state.positions
-    nodes = [place for body in model.bodies for place in fixed_places(body, positions)]
-    for kind, radius, places in (
-        ("fixed", 0.0055, nodes), ("fixed", 0.014, fixed_ends(model.beams)),
-        ("marker", 0.008, simulation.marker_positions()),
-        ("effector", 0.014, simulation.effector_positions()),
-    ):  # fmt: skip
-        for place in places:
-            yield _mark(sphere(place, radius * size), kind)
+def _mark_of(entity: Entity, own: np.ndarray, radius: float, size: float) -> np.ndarray:
+    """Triangles of a point or a line."""
+    if entity.shape == "lines":
+        return tube(own, radius)
+    return cross(own, 0.08 * size, radius) if entity.kind == "target" else sphere(own, radius)
 
 
-def _rigid(simulation: Simulation, size: float) -> Iterator[Solid]:
-    """Rigid bodies with their frames, not longer than the body."""
-    positions = simulation.state.positions
-    for part in simulation.model.rigid:
-        frame = positions[part.first_node : part.first_node + 4]
-        colour = FREE_COLOUR if part.is_free else GUIDED_COLOUR
-        shape = _solid_shape(part.shape, frame[0], (frame[1:] - frame[0]).T, colour, size)
-        extent = float(np.ptp(shape[0].triangles.reshape(-1, 3), axis=0).max())
-        origin, rotation = part.entry_pose(positions)
-        yield from shape
-        yield from _frame(origin, rotation.T, AXIS_COLOURS, min(0.09 * size, 0.7 * extent))
+def _points(entity: Entity, drawn: Drawn) -> np.ndarray:
+    """Points of a surface or solid where it is now [m], shape (point_count, 3)."""
+    if entity.shape == "surface" or drawn.vectors is None:
+        return drawn.points
+    return drawn.points + Rotation.from_quat(drawn.vectors).apply(entity.points)
 
 
-def _frame(origin: np.ndarray, axes, colours, length: float) -> list[Solid]:
-    """Bars along the axes of a frame."""
-    return [Solid(tube(np.array([origin, origin + length * axis]), 0.045 * length), colour,
-                  "thin", "frame") for axis, colour in zip(axes, colours, strict=True)]
-
-
-def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> list[Solid]:
-    """A rigid shape and its sharp edges."""
-    points, triangles = shape.surface(_FACETS * getattr(shape, "radius", np.inf))
-    placed = np.asarray(origin) + points @ rotation.T
-    solids = [Solid(placed[triangles], colour, "rigid")]
-    edges = creases(placed, triangles, _SHARP)
-    if len(edges):
-        bars = np.concatenate([tube(edge, 0.0015 * size) for edge in edges])
-        solids.append(Solid(bars, 0.7 * colour, "rigid"))
-    return solids
-
-
-def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list, list]:
-    """Solids of obstacles; points and normals of those that are planes; names and places of all."""
-    solids, planes, named = [], [], []
-    for entry in simulation.scene.obstacles:
-        turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-        shape = build_shape(entry.shape, simulation.scene, [])
-        if isinstance(entry.shape, PlaneShape):
-            point, normal = entry.position + turn @ shape.point, turn @ shape.normal
-            planes.append((point, normal))
-            # Beside what stands on the plane.
-            aside = np.array([0.5, -0.3, 0.0]) * size
-            named.append((entry.name, point + aside - (aside @ normal) * normal))
-            continue
-        own = _solid_shape(shape, entry.position, turn, OBSTACLE_COLOUR, size)
-        corners = own[0].triangles.reshape(-1, 3)
-        named.append((entry.name, 0.5 * (corners.min(axis=0) + corners.max(axis=0))))
-        solids += own
-    return solids, planes, named
-
-
-def _axes_of_effectors(simulation: Simulation, size: float) -> Iterator[Solid]:
-    """Axes of the effectors with orientation, x red, y green, z blue; of one that points, it alone.
-    """
-    turns = simulation.effector_orientations()
-    if turns is None:
-        return
-    places = simulation.effector_positions()
-    for effector, place, turn in zip(simulation.scene.effectors, places, turns, strict=True):
-        if effector.orientation is None:
-            continue
-        axes, colours = np.eye(3), AXIS_COLOURS
-        if effector.orientation.pointing is not None:
-            axis = np.array(effector.orientation.pointing)
-            axes, colours = [axis / np.linalg.norm(axis)], AXIS_COLOURS[2:]
-        yield from _frame(place, Rotation.from_quat(turn).apply(axes), colours, 0.1 * size)
-
-
-def _springs(simulation: Simulation, size: float) -> Iterator[Solid]:
-    """Bars for all springs, thin ones for tubes and fibres; balls at the points of masses."""
-    scene, positions = simulation.scene, simulation.state.positions
-    first = sum(body.scene_node_count for body in simulation.model.bodies)
-    count = sum(len(entry.points) for entry in scene.mass_springs)
-    for point in positions[first : first + count]:
-        yield Solid(sphere(point, 0.012 * size), LEGEND["spring"][1], "rigid")
-    for term in simulation.terms:
-        if not isinstance(term, Springs):
-            continue
-        ends = term.ends(positions)
-        # Those of the scene's springs come first, those of its masses last; threads between.
-        masses = sum(len(entry.springs) for entry in scene.mass_springs)
-        threads = slice(len(scene.springs), len(ends) - masses)
-        for own, radius, kind in ((ends[threads], 0.0015, "thread"),
-                                  (np.delete(ends, threads, axis=0), 0.004, "spring")):
-            if len(own):
-                yield _mark(np.concatenate([tube(pair, radius * size) for pair in own]), kind)
-
-
-def _touches(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
-    """Points that may be touched and the forces on them now."""
-    term = touch_term(simulation.model)
-    if term is None:
-        return np.empty((0, 3)), np.empty((0, 3))
-    positions = simulation.state.positions
-    return term.points(positions), term.forces(positions)
+def _edges(points: np.ndarray, triangles: np.ndarray, colour: np.ndarray, size: float) -> list[Solid]:
+    """Bars along the sharp edges of a rigid shape."""
+    edges = creases(points, triangles, _SHARP)
+    bars = [tube(edge, 0.0015 * size) for edge in edges]
+    return [Solid(np.concatenate(bars), 0.7 * colour, "rigid")] if bars else []
 
 
 # More things of one kind than this share one label for each pattern of their names.
 _MOST_LABELS = 6
 
 
-def labels(
-    simulation: Simulation, paths: dict[str, np.ndarray], obstacles: list[tuple[str, np.ndarray]]
-) -> Iterator[Label]:  # fmt: skip
+def labels(every: Sequence[tuple[Entity, Drawn]], size: float) -> Iterator[Label]:
     """Names of all things of a scene, at their present places.
 
     Args:
-        simulation: The simulation.
-        paths: Lines of the actuators [m]; see `Readouts.actuator_paths`.
-        obstacles: Names of the obstacles, and their places [m].
+        every: All entities, and where they are.
+        size: About the size of the largest body [m].
 
     Yields:
         The labels; many things with alike names share one, such as ``hub_0 … hub_17 (18)``.
     """
-    model, positions, cavities = simulation.model, simulation.state.positions, simulation.cavities
-    skins = list(zip(simulation.skins, simulation.skin_positions(), strict=True))
-    soft, driven = len(model.bodies), len(simulation.scene.cavities)
-    walls = [(skin.name, points[skin.triangles].mean(axis=(0, 1)))
-             for skin, points in zip(cavities.skins, simulation.cavity_positions(), strict=True)]
-    for noun, things in (
-        ("body", [(skin.name, points[skin.triangles[len(skin.triangles) // 2, 0]])
-                  for skin, points in skins[:soft]]),
-        ("beam", [(skin.name, _nearest(points, points.mean(axis=0)))
-                  for skin, points in skins[soft:]]),
-        ("rigid body", [(part.name, positions[part.first_node]) for part in model.rigid]),
-        ("obstacle", obstacles),
-        *((group.kind.noun, [(name, paths[name][:2].mean(axis=0))
-                             for name in group.names if name in paths])
-          for group in simulation.actuators.groups),
-        ("cavity", walls[:driven]), ("sealed cavity", walls[driven:]),
-        ("effector", zip(simulation.effector_names, simulation.effector_positions())),
-        ("touch", zip(simulation.touch_names, _touches(simulation)[0])),
-        ("marker", zip(map(str, simulation.marker_ids), simulation.marker_positions())),
-    ):  # fmt: skip
-        yield from _grouped(noun, list(things))
-    for noun, places in (*(("node", fixed_places(body, positions)) for body in model.bodies),
-                         ("beam end", fixed_ends(model.beams))):
-        if len(places):
-            plural = "" if len(places) == 1 else "s"
-            yield Label(f"fixed, {len(places)} {noun}{plural}",
-                        _nearest(places, places.mean(axis=0)))
+    named = by_key((entity.noun, thing) for entity, drawn in every
+                   for thing in zip(entity.labels, _label_places(entity, drawn, size)) if entity.noun)
+    for noun, things in named.items():
+        yield from _grouped(noun, things)
+    for entity, drawn in every:
+        if entity.kind.startswith("fixed"):
+            many = len(drawn.points)
+            yield Label(f"fixed, {many} {entity.noun}{'' if many == 1 else 's'}",
+                        _nearest(drawn.points, drawn.points.mean(axis=0)))
+
+
+def _label_places(entity: Entity, drawn: Drawn, size: float) -> Sequence[np.ndarray]:
+    """Where the labels of an entity stand [m], each of shape (3,)."""
+    if entity.shape == "surface":
+        return drawn.points[entity.anchors]
+    if entity.kind == "plane":  # beside what stands on it
+        (point, normal), aside = _plane(entity), np.array([0.5, -0.3, 0.0]) * size
+        return [point + aside - (aside @ normal) * normal]
+    if entity.shape == "solid":
+        points = _points(entity, drawn)
+        return [0.5 * (points.min(axis=0) + points.max(axis=0))]
+    if entity.shape == "lines":
+        return [path[:2].mean(axis=0) for path in drawn.points]
+    return drawn.points
 
 
 def _nearest(points: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -39,12 +39,15 @@ class Entity:
             recent path is drawn.
         colour: sRGB, 8 bits each, with or without alpha; None where values give it.
         size: Radius of points, lines and arrows [points of the screen].
-        labels: Name of each point or line.
+        labels: Name of each point or line, or those of a surface or solid.
         may_miss: Whether points of a frame may be NaN, and are not drawn then.
         triangles: Of a surface or solid: indices of points, shape (triangle_count, 3).
         points: Points that do not change [m], shape (point_count, 3): of a solid in its own
             coordinates.
         colours_of: Colours of the values in a frame, shape (value_count, 3 or 4).
+        kind: What it shows, such as ``cable``; pictures and markers choose their look by it.
+        noun: What each of its labels names, such as ``rigid body``; empty where none is told.
+        anchors: Of a surface: the point at which each label stands, shape (label_count,).
 
     Raises:
         ViewError: The triangles are not triples of valid indices.
@@ -59,6 +62,9 @@ class Entity:
     triangles: np.ndarray = field(default_factory=lambda: np.empty((0, 3), int))
     points: np.ndarray | None = None
     colours_of: Callable[[np.ndarray], np.ndarray] | None = None
+    kind: str = ""
+    noun: str = ""
+    anchors: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         triangles = np.asarray(self.triangles)
@@ -96,7 +102,9 @@ class Entity:
             return
         if self.shape == "lines":
             values = () if drawn.values is None else drawn.values
-            found, wanted = (len(drawn.points), len(values)), (count, count)
+            count = count or len(drawn.points)
+            found = len(drawn.points), count if self.colours_of is None else len(values)
+            wanted = count, count
         elif self.shape == "solid":
             found, wanted = (*np.shape(drawn.points), *vectors), (3, 4)
         elif self.shape == "arrows":

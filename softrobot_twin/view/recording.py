@@ -40,7 +40,9 @@ class Recording:
         viewer: The viewer inside a notebook, or None.
     """
 
-    def __init__(self, stream: rr.RecordingStream, address: str | None = None, viewer: object = None):
+    def __init__(
+        self, stream: rr.RecordingStream, address: str | None = None, viewer: object = None
+    ):
         self._stream = stream
         self.address, self.viewer = address, viewer
 

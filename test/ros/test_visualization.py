@@ -236,8 +236,8 @@ def test_a_body_with_nothing_to_show_is_left_out(make_twin):
     twin.tick()
     markers = RobotMarkers(twin.loop.simulation, "base_link", 3.0)
     triangles, points = np.array([[0, 1, 2]]), np.ones((3, 3))
-    markers.entities = [Entity(f"/obstacles/{many}", "solid", triangles=triangles[:many], points=points)
-                        for many in (0, 1)]
+    markers.entities = [Entity(f"/obstacles/{many}", "solid", triangles=triangles[:many], points=points,
+                               kind="obstacle") for many in (0, 1)]
     found = deserialize_message(
         markers.message(twin.window.newest, (1, 2), True), MarkerArray
     ).markers

@@ -41,8 +41,9 @@ def entity(stage, path):
 @pytest.mark.parametrize(("name", "things", "plots"), [
     ("finger", {"robot", "targets", "markers"}, {"cable_lengths", "cable_tensions"}),
     ("springy", {"robot", "targets", "markers"}, {"cavity_pressures", "cavity_volumes"}),
-    ("strider", {"robot", "targets", "markers", "rigid_bodies"}, {"actuators"}),
-    ("grasper", {"robot", "targets", "markers", "rigid_bodies", "obstacles", "contacts"},
+    ("strider", {"robot", "targets", "markers", "rigid_bodies", "rigid_frames"}, {"actuators"}),
+    ("grasper", {"robot", "targets", "markers", "rigid_bodies", "rigid_frames", "obstacles",
+                 "contacts"},
      {"cable_lengths", "cable_tensions", "contacts"}),
 ])
 def test_a_stage_has_what_the_robot_has_and_nothing_else(name, things, plots):
@@ -53,7 +54,7 @@ def test_a_stage_has_what_the_robot_has_and_nothing_else(name, things, plots):
     assert ("cables" in drawn) == ("pull_points" in drawn) == ("cable_lengths" in plots)
     assert ("cavities" in drawn) == bool(simulation.cavities.skins) == ("cavities:" in stage.title)
     still = {one.path for one in stage.entities} - frame.drawn.keys()
-    assert all(path.startswith("/obstacles") or path == "/robot/fixed" for path in still)
+    assert all(path.startswith(("/obstacles", "/robot/fixed")) for path in still)
 
 
 def test_cables_have_paths_tensions_and_pull_points():
@@ -67,7 +68,7 @@ def test_cables_have_paths_tensions_and_pull_points():
     np.testing.assert_array_equal(cables.values, result.efforts)
     np.testing.assert_allclose(frame.curves["/plots/cable_lengths"], 1e3 * result.setpoints)
     np.testing.assert_array_equal(frame.curves["/plots/cable_tensions"], result.efforts)
-    assert len(entity(stage, "/robot/fixed").points) > 0
+    assert len(entity(stage, "/robot/fixed/body").points) > 0
     assert frame.times["whole step"] == result.report.compute_time
 
 

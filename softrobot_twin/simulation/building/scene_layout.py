@@ -49,10 +49,10 @@ from softrobot_twin.simulation.building.vertebrae import reduced_body
 FACETS = 0.4
 
 
-def triangulated(shape) -> tuple[np.ndarray, np.ndarray]:
+def triangulated(shape, facets: float = FACETS) -> tuple[np.ndarray, np.ndarray]:
     """Surface of a shape: points in its frame [m], (n, 3), and triangles, (triangle_count, 3)."""
     is_round = isinstance(shape, shapes.Sphere | shapes.Capsule | shapes.Cylinder)
-    return shape.surface(FACETS * shape.radius if is_round else np.inf)
+    return shape.surface(facets * shape.radius if is_round else np.inf)
 
 
 def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
