@@ -117,16 +117,12 @@ def test_corners_a_tenth_of_a_micrometre_apart_are_one(tmp_path):
     assert shells.volume == pytest.approx((20 * MM) ** 3, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    "content, word",
-    [
-        (b"", "is empty"),
-        (b"hello", "is no STL file"),
-        (b"solid nothing\nendsolid nothing\n", "has no triangles"),
-        (b"\0" * 80 + (12).to_bytes(4, "little") + b"\0" * 100, "12 triangles need 684 bytes"),
-    ],
-    ids=["empty", "text", "no facets", "truncated"],
-)
+@pytest.mark.parametrize("content, word", [
+    (b"", "is empty"),
+    (b"hello", "is no STL file"),
+    (b"solid nothing\nendsolid nothing\n", "has no triangles"),
+    (b"\0" * 80 + (12).to_bytes(4, "little") + b"\0" * 100, "12 triangles need 684 bytes"),
+], ids=["empty", "text", "no facets", "truncated"])  # fmt: skip
 def test_what_is_no_stl_file_is_refused(tmp_path, content, word):
     path = tmp_path / "part.stl"
     path.write_bytes(content)
@@ -215,15 +211,11 @@ def test_text_is_no_step_file(tmp_path):
     refused(path, "cannot be read as STEP")
 
 
-@pytest.mark.parametrize(
-    "raised, words",
-    [
-        ("ModuleNotFoundError('No module named gmsh')", ("pip install gmsh", "not installed")),
-        ("OSError('libGLU.so.1: cannot open shared object file')",
-         ("libGLU.so.1", "sudo apt install libglu1-mesa")),
-    ],
-    ids=["gmsh", "library"],
-)  # fmt: skip
+@pytest.mark.parametrize("raised, words", [
+    ("ModuleNotFoundError('No module named gmsh')", ("pip install gmsh", "not installed")),
+    ("OSError('libGLU.so.1: cannot open shared object file')",
+     ("libGLU.so.1", "sudo apt install libglu1-mesa")),
+], ids=["gmsh", "library"])  # fmt: skip
 def test_what_is_missing_is_named_with_the_command_that_installs_it(
     tmp_path, monkeypatch, raised, words
 ):

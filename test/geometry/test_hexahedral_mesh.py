@@ -231,18 +231,15 @@ def _ten_nodes():
     return [("hexahedron", CUBE.hexahedra), ("tetra10", np.array([[0, 1, 2, 4, 3, 5, 6, 7, 0, 1]]))]
 
 
-@pytest.mark.parametrize(
-    ("cells", "told"),
-    [
-        (_wedge, "hexahedra of 8 (1 wedge), which are not simulated"),
-        (_pyramid, "hexahedra of 8 (1 pyramid), which are not simulated"),
-        (_twenty_nodes, "(1 hexahedron20), which are not simulated"),
-        (_collapsed, "hexahedron 0 has a node twice: a wedge or pyramid written as a hexahedron"),
-        (_crossed, "hexahedron 0 is flat or inside out in a corner: are its nodes in the order"),
-        (_beyond, "hexahedron 0 has the nodes"),
-        (_ten_nodes, "tetrahedra of 10 nodes beside hexahedra of 8"),
-    ],
-)
+@pytest.mark.parametrize("cells, told", [
+    (_wedge, "hexahedra of 8 (1 wedge), which are not simulated"),
+    (_pyramid, "hexahedra of 8 (1 pyramid), which are not simulated"),
+    (_twenty_nodes, "(1 hexahedron20), which are not simulated"),
+    (_collapsed, "hexahedron 0 has a node twice: a wedge or pyramid written as a hexahedron"),
+    (_crossed, "hexahedron 0 is flat or inside out in a corner: are its nodes in the order"),
+    (_beyond, "hexahedron 0 has the nodes"),
+    (_ten_nodes, "tetrahedra of 10 nodes beside hexahedra of 8"),
+])  # fmt: skip
 def test_cells_that_are_not_simulated_are_refused_by_name(cells, told, tmp_path):
     path = tmp_path / "body.vtk"
     meshio.write(path, meshio.Mesh(CUBE.node_positions, cells()))

@@ -248,17 +248,14 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
         read_solid_mesh(tmp_path / "nowhere.vtk")
 
 
-@pytest.mark.parametrize(
-    ("cells", "told"),
-    [
-        ([("triangle", [[0, 1, 2]])], "no tetrahedra or hexahedra, only 1 triangle"),
-        ([("pyramid", [range(5)])], "other than tetrahedra of 4 or 10 nodes and hexahedra of 8 (1 pyr"),
-        ([("tetra10", [[*range(9), 10]])], "nodes [4, 5, 6, 7, 8, 10] on its edges"),
-        ([("tetra", [[0, 1, 2, 3]]), ("wedge", [range(6)])], "(1 wedge)"),
-        ([("tetra", [[0, 1, 2, 2]])], "only tetrahedra without volume"),
-        ([("tetra", [[0, 1, 2, 30]])], "tetrahedron 0 has the nodes [0, 1, 2, 30]"),
-    ],
-)
+@pytest.mark.parametrize("cells, told", [
+    ([("triangle", [[0, 1, 2]])], "no tetrahedra or hexahedra, only 1 triangle"),
+    ([("pyramid", [range(5)])], "other than tetrahedra of 4 or 10 nodes and hexahedra of 8 (1 pyr"),
+    ([("tetra10", [[*range(9), 10]])], "nodes [4, 5, 6, 7, 8, 10] on its edges"),
+    ([("tetra", [[0, 1, 2, 3]]), ("wedge", [range(6)])], "(1 wedge)"),
+    ([("tetra", [[0, 1, 2, 2]])], "only tetrahedra without volume"),
+    ([("tetra", [[0, 1, 2, 30]])], "tetrahedron 0 has the nodes [0, 1, 2, 30]"),
+])  # fmt: skip
 def test_cells_that_form_no_body_are_refused(cells, told, tmp_path):
     points = np.random.default_rng(6).uniform(size=(10, 3))
     path = write(tmp_path / "body.vtk", points, [(kind, np.array(data)) for kind, data in cells])
@@ -276,17 +273,14 @@ def test_a_node_that_is_not_finite_is_named(tmp_path):
         read_solid_mesh(path)
 
 
-@pytest.mark.parametrize(
-    ("placement", "told"),
-    [
-        ({"scale": 0.0}, "scale is 0.0"),
-        ({"scale": -1.0}, "scale is -1.0"),
-        ({"scale": math.nan}, "scale is nan"),
-        ({"translation": (0, 0)}, "translation is (0, 0) m"),
-        ({"rotation": (0, 0, math.inf)}, "rotation is (0, 0, inf) rad"),
-        ({"merge_tolerance": -1.0}, "merge_tolerance is -1.0 m"),
-    ],
-)
+@pytest.mark.parametrize("placement, told", [
+    ({"scale": 0.0}, "scale is 0.0"),
+    ({"scale": -1.0}, "scale is -1.0"),
+    ({"scale": math.nan}, "scale is nan"),
+    ({"translation": (0, 0)}, "translation is (0, 0) m"),
+    ({"rotation": (0, 0, math.inf)}, "rotation is (0, 0, inf) rad"),
+    ({"merge_tolerance": -1.0}, "merge_tolerance is -1.0 m"),
+])  # fmt: skip
 def test_an_impossible_placement_is_refused(placement, told, tmp_path):
     path = write(tmp_path / "body.vtk", CORNERS, [("tetra", np.array([[0, 1, 2, 3]]))])
     with pytest.raises(MeshError) as caught:

@@ -182,21 +182,18 @@ def test_a_capsule_without_length_is_a_sphere(points):
     assert surface_mass_properties(*capsule.surface(0.02)).volume > 0.0
 
 
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: Sphere([0, 0, 0], 0.0), "sphere.radius"),
-        (lambda: Sphere([0, 0, np.nan], 1.0), "sphere.centre"),
-        (lambda: Capsule([[0, 0, 0], [0, 0, 1]], -1.0), "capsule.radius"),
-        (lambda: Cylinder([[0, 0, 1], [0, 0, 1]], 1.0), "cylinder.ends"),
-        (lambda: Cylinder([[0, 0, 1]], 1.0), "cylinder.ends"),
-        (lambda: Box([0, 0, 0], [1, 0, 1]), "box.size"),
-        (lambda: Box([0, 0, 0], [1, 1, 1], np.diag([1, 1, -1])), "box.rotation"),
-        (lambda: Plane([0, 0, 0], [0, 0, 0]), "plane.normal"),
-        (lambda: Plane([0, 0, 0], [0, 0, 1]).mass_properties(), "plane"),
-        (lambda: Sphere([0, 0, 0], 1.0).surface(0.0), "resolution"),
-    ],
-)
+@pytest.mark.parametrize("make, key", [
+    (lambda: Sphere([0, 0, 0], 0.0), "sphere.radius"),
+    (lambda: Sphere([0, 0, np.nan], 1.0), "sphere.centre"),
+    (lambda: Capsule([[0, 0, 0], [0, 0, 1]], -1.0), "capsule.radius"),
+    (lambda: Cylinder([[0, 0, 1], [0, 0, 1]], 1.0), "cylinder.ends"),
+    (lambda: Cylinder([[0, 0, 1]], 1.0), "cylinder.ends"),
+    (lambda: Box([0, 0, 0], [1, 0, 1]), "box.size"),
+    (lambda: Box([0, 0, 0], [1, 1, 1], np.diag([1, 1, -1])), "box.rotation"),
+    (lambda: Plane([0, 0, 0], [0, 0, 0]), "plane.normal"),
+    (lambda: Plane([0, 0, 0], [0, 0, 1]).mass_properties(), "plane"),
+    (lambda: Sphere([0, 0, 0], 1.0).surface(0.0), "resolution"),
+])  # fmt: skip
 def test_an_impossible_shape_is_refused_by_name(make, key):
     with pytest.raises(SceneError) as refused:
         make()

@@ -132,10 +132,9 @@ def test_least_gap_is_the_distance_of_the_surfaces(box, seed):
     assert found.gaps.min() <= expected + 1e-9
 
 
-@pytest.mark.parametrize(
-    ("turn", "height"),
-    [((30, 20, 10), 0.0), ((0, 45, 25), 0.0), ((20, 0, 0), 0.0), ((30, 20, 10), -1e-3)],
-)
+@pytest.mark.parametrize("turn, height", [
+    ((30, 20, 10), 0.0), ((0, 45, 25), 0.0), ((20, 0, 0), 0.0), ((30, 20, 10), -1e-3),
+])  # fmt: skip
 def test_normal_is_the_gradient_of_the_gap(box, turn, height):
     first, second = box((0.02, 0.03, 0.025), (2, 3, 2)), box((0.04, 0.04, 0.02), (3, 3, 2))
     points = Rotation.from_euler("xyz", turn, degrees=True).apply(first[0])

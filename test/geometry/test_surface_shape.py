@@ -327,14 +327,11 @@ def carries_moment(positions):
 
 
 @pytest.mark.parametrize("gap", [1e-3, 1e-9, -1e-4])
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda z: Sphere([0.001, 0.002, z - 0.01], 0.01),
-        lambda z: Capsule([[0.001, 0, z - 0.03], [0.003, 0, z - 0.01]], 0.01),
-        lambda z: Cylinder([[0, 0, z - 0.02], [1e-9, 0, z]], 0.01),
-    ],
-)
+@pytest.mark.parametrize("make", [
+    lambda z: Sphere([0.001, 0.002, z - 0.01], 0.01),
+    lambda z: Capsule([[0.001, 0, z - 0.03], [0.003, 0, z - 0.01]], 0.01),
+    lambda z: Cylinder([[0, 0, z - 0.02], [1e-9, 0, z]], 0.01),
+])  # fmt: skip
 def test_a_coarse_triangle_touches_with_its_interior(make, gap):
     found = under_cover(make(-gap))
     assert len(found.gaps) >= 1
@@ -439,17 +436,14 @@ def test_a_corner_outside_a_thin_body_is_not_treated_as_inside():
     np.testing.assert_allclose(found.normals, [[0, 0, 1]], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        Plane([0, 0, 0], [0, 0, 1]),
-        Sphere([0, 0, -0.03], 0.03),
-        Capsule([[-0.1, 0, -0.03], [0.1, 0, -0.03]], 0.03),
-        Cylinder([[-0.1, 0, -0.03], [0.1, 0, -0.03]], 0.03),
-        Cylinder([[0, 0, -0.06], [0, 0, 0]], 0.03),
-        Box([0, 0, -0.03], [0.06] * 3),
-    ],
-)
+@pytest.mark.parametrize("shape", [
+    Plane([0, 0, 0], [0, 0, 1]),
+    Sphere([0, 0, -0.03], 0.03),
+    Capsule([[-0.1, 0, -0.03], [0.1, 0, -0.03]], 0.03),
+    Cylinder([[-0.1, 0, -0.03], [0.1, 0, -0.03]], 0.03),
+    Cylinder([[0, 0, -0.06], [0, 0, 0]], 0.03),
+    Box([0, 0, -0.03], [0.06] * 3),
+])  # fmt: skip
 def test_the_normal_of_a_tip_five_millimetres_deep_points_to_the_nearest_surface_point(shape):
     points = np.array([[0, 0, 0], [0.03, 0, 0.1], [0, 0.03, 0.1], [-0.03, -0.03, 0.1]])
     triangles = [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]
@@ -460,17 +454,14 @@ def test_the_normal_of_a_tip_five_millimetres_deep_points_to_the_nearest_surface
     assert found.gaps.min() >= -np.sqrt(2) * DEEP
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        Sphere([0, 0, 0], 0.01),
-        Capsule([[-0.1, 0, 0], [0.1, 0, 0]], 0.01),
-        Cylinder([[-0.1, 0, 0], [0.1, 0, 0]], 0.01),
-        Cylinder([[0, 0, -0.1], [0, 0, 0.1]], 0.01),
-        Capsule([[0, 0, -0.1], [0, 0, 0.1]], 0.01),
-        Box([0, 0, 0], [0.02] * 3),
-    ],
-)
+@pytest.mark.parametrize("shape", [
+    Sphere([0, 0, 0], 0.01),
+    Capsule([[-0.1, 0, 0], [0.1, 0, 0]], 0.01),
+    Cylinder([[-0.1, 0, 0], [0.1, 0, 0]], 0.01),
+    Cylinder([[0, 0, -0.1], [0, 0, 0.1]], 0.01),
+    Capsule([[0, 0, -0.1], [0, 0, 0.1]], 0.01),
+    Box([0, 0, 0], [0.02] * 3),
+])  # fmt: skip
 @pytest.mark.parametrize("part", ["vertex", "edge", "inside"])
 def test_a_feature_through_the_centre_has_a_unit_normal(shape, part):
     weights = {"vertex": [1, 0, 0], "edge": [0.3, 0.7, 0], "inside": [0.2, 0.3, 0.5]}[part]

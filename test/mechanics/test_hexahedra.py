@@ -186,15 +186,11 @@ def deflection(bind_blocks):
     return solve
 
 
-@pytest.mark.parametrize(
-    ("depth", "cells", "poisson", "error"),
-    [
-        (0.1, (10, 1, 1), 0.3, 0.03), (0.1, (10, 1, 1), 0.49, 0.04),
-        (0.05, (10, 1, 1), 0.3, 0.03), (0.05, (10, 1, 1), 0.49, 0.04),
-        (0.02, (10, 1, 1), 0.3, 0.03), (0.02, (10, 1, 1), 0.49, 0.05),
-        (0.05, (40, 2, 2), 0.49, 0.04), (0.05, (40, 2, 2), 0.4999, 0.05),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("depth, cells, poisson, error", [
+    (0.1, (10, 1, 1), 0.3, 0.03), (0.1, (10, 1, 1), 0.49, 0.04), (0.05, (10, 1, 1), 0.3, 0.03),
+    (0.05, (10, 1, 1), 0.49, 0.04), (0.02, (10, 1, 1), 0.3, 0.03), (0.02, (10, 1, 1), 0.49, 0.05),
+    (0.05, (40, 2, 2), 0.49, 0.04), (0.05, (40, 2, 2), 0.4999, 0.05),
+])  # fmt: skip
 def test_a_cantilever_of_any_aspect_ratio_bends_as_beam_theory(
     deflection, depth, cells, poisson, error
 ):

@@ -48,16 +48,10 @@ def test_one_inverted_element_does_not_change_its_neighbours():
         assert flat_count == 1
 
 
-@pytest.mark.parametrize(
-    "F",
-    [
-        np.diag([1.0, 1.0, -0.3]),
-        np.diag([1.0, 1.0, 0.0]),
-        np.diag([1.0, 0.0, 0.0]),
-        np.zeros((3, 3)),
-        -np.eye(3),
-    ],
-)
+@pytest.mark.parametrize("F", [
+    np.diag([1.0, 1.0, -0.3]), np.diag([1.0, 1.0, 0.0]), np.diag([1.0, 0.0, 0.0]), np.zeros((3, 3)),
+    -np.eye(3),
+])  # fmt: skip
 def test_flat_and_inverted_deformations_still_give_a_proper_rotation(F):
     (R,), flat_count = rotations_of([F])
     assert flat_count == 1

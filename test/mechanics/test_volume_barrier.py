@@ -110,10 +110,9 @@ def test_an_element_that_is_inside_out_does_not_hold_up_a_move(body):
     assert bound.terms[0].largest_share(x * [1.0, 1.0, -0.5], x) == 1.0
 
 
-@pytest.mark.parametrize(
-    "scales, acts",
-    [((1.0, 1.0), False), ((1.0, 0.05), True), ((0.05, -0.5), False), ((np.nan, 0.05), False)],
-)
+@pytest.mark.parametrize("scales, acts", [
+    ((1.0, 1.0), False), ((1.0, 0.05), True), ((0.05, -0.5), False), ((np.nan, 0.05), False),
+])  # fmt: skip
 def test_the_barrier_acts_where_a_point_is_nearly_flat_and_none_is_inside_out(scales, acts):
     least, upright = no_volumes_yet(), np.empty(BATCH)
     for place, scale in enumerate(scales):

@@ -33,25 +33,22 @@ def test_a_box_needs_no_file():
     assert mesh.label == "the box" and not mesh.is_cad
 
 
-@pytest.mark.parametrize(
-    "mesh, key, word",
-    [
-        ({}, "body.mesh.file", "a box in its place"),
-        ({**BOX, "file": "bar.msh"}, "body.mesh.file", "beside box"),
-        ({**BOX, "scale": 0.001}, "body.mesh.scale", "beside box"),
-        ({**BOX, "size": 0.01}, "body.mesh.size", "beside box"),
-        ({**BOX, "merge_distance": 0.001}, "body.mesh.merge_distance", "beside box"),
-        ({"box": {"size": [0.1, 0.02, 0.02]}}, "body.mesh.box", "exactly one of"),
-        ({"box": {**BOX["box"], "cells": [1, 1, 1]}}, "body.mesh.box", "exactly one of"),
-        ({"box": {"size": [0.1, 0.0, 0.02], "cell_size": 0.01}}, "body.mesh.box.size[1]", ""),
-        ({"box": {"size": [0.1, 0.02, 0.02], "cells": [1, 0, 1]}}, "body.mesh.box.cells[1]", ""),
-        ({"box": {"size": [0.1, 0.02, 0.02], "cell_size": 1e-5}}, "body.mesh.box.cell_size",
-         "more than 1000000"),
-        ({"file": "bar.msh", "size": 0.01}, "body.mesh.size", "has its own"),
-        ({"file": "bar.stl"}, "body.mesh.size", "is required"),
-        ({"file": "bar.STEP", "size": 0.01, "scale": 0.001}, "body.mesh.scale", "states its unit"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("mesh, key, word", [
+    ({}, "body.mesh.file", "a box in its place"),
+    ({**BOX, "file": "bar.msh"}, "body.mesh.file", "beside box"),
+    ({**BOX, "scale": 0.001}, "body.mesh.scale", "beside box"),
+    ({**BOX, "size": 0.01}, "body.mesh.size", "beside box"),
+    ({**BOX, "merge_distance": 0.001}, "body.mesh.merge_distance", "beside box"),
+    ({"box": {"size": [0.1, 0.02, 0.02]}}, "body.mesh.box", "exactly one of"),
+    ({"box": {**BOX["box"], "cells": [1, 1, 1]}}, "body.mesh.box", "exactly one of"),
+    ({"box": {"size": [0.1, 0.0, 0.02], "cell_size": 0.01}}, "body.mesh.box.size[1]", ""),
+    ({"box": {"size": [0.1, 0.02, 0.02], "cells": [1, 0, 1]}}, "body.mesh.box.cells[1]", ""),
+    ({"box": {"size": [0.1, 0.02, 0.02], "cell_size": 1e-5}}, "body.mesh.box.cell_size",
+     "more than 1000000"),
+    ({"file": "bar.msh", "size": 0.01}, "body.mesh.size", "has its own"),
+    ({"file": "bar.stl"}, "body.mesh.size", "is required"),
+    ({"file": "bar.STEP", "size": 0.01, "scale": 0.001}, "body.mesh.scale", "states its unit"),
+])  # fmt: skip
 def test_a_key_without_effect_or_a_missing_one_is_refused_by_name(mesh, key, word):
     with pytest.raises(SceneError) as error:
         with_mesh(mesh)

@@ -200,8 +200,7 @@ def test_a_vtu_file_has_all_parts_and_their_displacements(held, tmp_path):
         held.save_vtu(tmp_path / "held.nothing")
 
 
-@pytest.mark.parametrize(("element", "kind"), [
-    ("quadratic", "tetra10"), ("hexahedral", "hexahedron")])
+@pytest.mark.parametrize("element, kind", [("quadratic", "tetra10"), ("hexahedral", "hexahedron")])
 def test_a_vtu_file_has_the_cells_of_the_element(entries, tmp_path, element, kind):
     entries["body"]["element"] = element
     robot = st.build(**entries)
@@ -258,14 +257,11 @@ def test_loading_a_mesh_says_how_a_scene_is_made_of_it(suffix):
         st.load(f"meshes/part{suffix}")
 
 
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        (st.setpoints(upper_shortening_m=5.0), "upper: a shortening of 5 m is .*: is it in m?"),
-        (st.setpoints(upper_length_m=110.0), "upper: a shortening of 110 m is"),
-        (st.efforts(lower_tension_N=3000.0), "lower: a tension of 3e.03 N is .*: is it in N?"),
-    ],
-)
+@pytest.mark.parametrize("command, words", [
+    (st.setpoints(upper_shortening_m=5.0), "upper: a shortening of 5 m is .*: is it in m?"),
+    (st.setpoints(upper_length_m=110.0), "upper: a shortening of 110 m is"),
+    (st.efforts(lower_tension_N=3000.0), "lower: a tension of 3e.03 N is .*: is it in N?"),
+])  # fmt: skip
 def test_setpoints_and_efforts_far_out_of_scale_are_questioned(entries, command, words):
     robot = st.build(**entries)
     with pytest.warns(st.SceneWarning, match=words):

@@ -15,6 +15,7 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Hold, Simulation, State, Status
+from test.scene_changes import change_scene, repeat_step
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
 MAPPING = written_out(yaml.safe_load(SCENE_FILE.read_text()))
@@ -28,12 +29,11 @@ TRUNK["body"]["element"] = "linear"
 
 @pytest.fixture
 def diamond():
-    """Makes a simulation of the coarse Diamond; a function may change its scene first."""
+    """Makes a simulation of the coarse Diamond, its scene changed by `change_scene`."""
 
-    def make(change=None) -> Simulation:
+    def make(*changes) -> Simulation:
         mapping = copy.deepcopy(MAPPING)
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, *changes)
         return Simulation(scene_from_mapping(mapping, SCENE_FILE))
 
     return make
@@ -68,7 +68,7 @@ def circle():
 
 @pytest.fixture
 def beam(simulate, body_of, block):
-    """Makes a slim upright beam with four cables along it; a function may change its scene.
+    """Makes a slim upright beam with four cables along it, its scene changed by `change_scene`.
 
     It is 100 mm high, 20 mm thick, held at its foot and weightless; its tip is the effector.
     """
@@ -80,7 +80,7 @@ def beam(simulate, body_of, block):
             "shortening": [0.0, 0.02], "rate": 0.05, "tension": [0.0, 40.0],
         }  # fmt: skip
 
-    def make(change=None) -> Simulation:
+    def make(*changes) -> Simulation:
         foot = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
         mesh = block(size=(0.02, 0.02, 0.1), cells=(1, 1, 5))
         mapping = {
@@ -91,8 +91,7 @@ def beam(simulate, body_of, block):
             "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]]}],
             "solver": {"newton_iterations": 3, "residual_tolerance": 1e-6},
         }  # fmt: skip
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, *changes)
         return simulate(**mapping)
 
     return make
@@ -115,16 +114,13 @@ def rod():
 
 @pytest.fixture
 def coarse_trunk():
-    """Makes the Trunk between its cylinders, coarse and settled; a function may change it first."""
+    """Makes the Trunk between its cylinders, coarse, changed by `change_scene`, and settled."""
 
-    def make(change=None) -> Simulation:
+    def make(*changes) -> Simulation:
         mapping = copy.deepcopy(TRUNK)
-        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, {"body.mesh.file": "../../meshes/trunk_700.vtk"}, *changes)
         simulation = Simulation(scene_from_mapping(mapping, TRUNK_FILE))
-        for _ in range(20):
-            simulation.step(Hold(0.02))
+        repeat_step(simulation, Hold(0.02), 20)
         return simulation
 
     return make
@@ -297,14 +293,13 @@ def hollow(tmp_path, block, body_of):
 
 @pytest.fixture
 def inflatable(simulate, hollow):
-    """Makes a weightless hollow block with one cavity; a function may change its scene."""
+    """Makes a weightless hollow block with one cavity, its scene changed by `change_scene`."""
 
-    def make(change=None, body=None, **entries) -> Simulation:
+    def make(*changes, body=None, **entries) -> Simulation:
         soft, surface = hollow(**(body or {}))
         cavity = {"name": "air", "walls": [{"file": surface}], "pressure": [0.0, 2.0e4], **entries}
         mapping = {"gravity": [0.0, 0.0, 0.0], "body": soft, "cavities": [cavity]}
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, *changes)
         return simulate(**mapping)
 
     return make
@@ -362,12 +357,12 @@ def layered():
 
 @pytest.fixture
 def two_cavities(simulate, body_of, block, tmp_path):
-    """Makes a solid block with two cavities inside, side by side; a function may change its scene.
+    """Makes a solid block with two cavities inside, side by side; `change_scene` changes it.
 
     They are thin boxes between its elements: their gas pushes the material apart.
     """
 
-    def make(change=None):
+    def make(*changes):
         foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]
         mesh = block(size=(0.02, 0.02, 0.06), cells=(4, 4, 6), shake=0.0)
         mapping = {
@@ -385,8 +380,7 @@ def two_cavities(simulate, body_of, block, tmp_path):
             mapping["cavities"].append(
                 {"name": name, "walls": [wall], "pressure": [0.0, 5e4]}
             )
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, *changes)
         return simulate(**mapping)
 
     return make

@@ -15,6 +15,7 @@ from softrobot_twin.simulation.apparent_compliance import (
     apparent_compliance,
     principal_stiffness,
 )
+from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -130,8 +131,7 @@ def quadratic(mapping):
     mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-11}
 
 
-def exact(mapping):
-    mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-11}
+exact = changed({"solver": {"newton_iterations": 30, "residual_tolerance": 1e-11}})
 
 
 @pytest.mark.parametrize("change", [exact, quadratic])
@@ -179,11 +179,7 @@ def test_a_cable_that_is_neither_slack_nor_tense_holds_nothing_and_still_pulls(b
 
 
 def test_a_contact_that_presses_holds_its_gap(beam, rod):
-    def change(mapping):
-        exact(mapping)
-        rod(mapping, x=0.028, radius=0.005)
-        mapping["contact"]["tolerance"] = 1e-12
-
+    change = changed(exact, lambda m: rod(m, x=0.028, radius=0.005), {"contact.tolerance": 1e-12})
     simulation, free = beam(change), beam(exact)
     for each in (simulation, free):
         go_to(each, [0.009, 0.0, 0.0, 0.0])
@@ -194,10 +190,7 @@ def test_a_contact_that_presses_holds_its_gap(beam, rod):
 
 def test_a_cable_that_stretches_holds_less(beam):
     def stretch(stiffness):
-        def change(mapping):
-            exact(mapping)
-            for cable in mapping["cables"]:
-                cable["axial_stiffness"] = stiffness
+        change = changed(exact, {"cables.*.axial_stiffness": stiffness})
         return change
 
     soft, stiff = beam(stretch(30.0)), beam(stretch(1e7))
@@ -252,12 +245,7 @@ def test_with_friction_a_small_push_lets_the_cables_stick(beam):
 
 @pytest.mark.parametrize("control", ["pressure", "volume"])
 def test_a_cavity_holds_its_pressure_or_its_volume(two_cavities, control):
-    def change(mapping):
-        exact(mapping)
-        for cavity in mapping["cavities"]:
-            cavity.update(control=control, rate=None)
-
-    simulation = two_cavities(change)
+    simulation = two_cavities(exact, {"cavities.*.control": control, "cavities.*.rate": None})
     amount, step = (4e3, 1.0) if control == "pressure" else (4e-7, 1e-10)
     go_to(simulation, [amount, 0.25 * amount])
     found = check(simulation, 1e-4, [step, step])
@@ -288,10 +276,9 @@ def test_the_flexo_of_ribs_hubs_and_fingers():
     assert 0 < np.count_nonzero(found.is_held) < 12
 
 
-def moving(mapping):
-    exact(mapping)
-    mapping["integration"] = "dynamic"
-    mapping["body"]["damping"] = {"mass": 1.0, "stiffness": 0.01}
+moving = changed(exact, {
+    "integration": "dynamic", "body.damping": {"mass": 1.0, "stiffness": 0.01},
+})  # fmt: skip
 
 
 def test_in_motion_it_is_the_compliance_of_statics(beam):
@@ -299,8 +286,7 @@ def test_in_motion_it_is_the_compliance_of_statics(beam):
     go_to(still, [0.006, 0.005, 0.0, 0.0])
     found = apparent_compliance(still)
     lengths = dynamic.actuators.setpoints(np.array([0.006, 0.005, 0.0, 0.0]))
-    for _ in range(400):
-        dynamic.step(CommandSetpoints(lengths, 0.1))
+    repeat_step(dynamic, CommandSetpoints(lengths, 0.1), 400)
     assert dynamic.static_factorization is None
     for seen in (apparent_compliance(dynamic), EffectorCompliance(dynamic).after_step()):
         assert_same(seen.compliance, found.compliance, 1e-6)
@@ -337,11 +323,7 @@ def test_what_is_free_does_not_hide_the_stiffness_of_the_robot(beam):
         mapping["rigid_bodies"] = [
             {"name": "ball", "sphere": {"radius": 0.01}, "mass": 0.01, "position": [0.2, 0.0, 0.5]}
         ]
-
-    def without(mapping):
-        change(mapping)
-        del mapping["rigid_bodies"]
-
+    without = changed(change, {"rigid_bodies": LEFT_OUT})
     found, alone = (apparent_compliance(beam(each)) for each in (change, without))
     assert_same(found.compliance, alone.compliance, 1e-6)
 
@@ -390,11 +372,7 @@ def test_a_simulation_that_nobody_asks_allocates_nothing_for_it(beam, monkeypatc
 
 @pytest.mark.slow
 def test_where_only_taut_cables_stabilise_the_body(diamond):
-    def finer(mapping):
-        mapping["body"]["mesh"]["file"] = "../../meshes/diamond_1600.vtk"
-        exact(mapping)
-
-    simulation = diamond(finer)
+    simulation = diamond({"body.mesh.file": "../../meshes/diamond_1600.vtk"}, exact)
     go_to(simulation, [0.0171, 0.0007, 0.0146, 0.0035])
     assert simulation.static_factorization is None  # The tangent of the last step was augmented.
     found = apparent_compliance(simulation)

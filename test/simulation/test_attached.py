@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandSetpoints, Hold, Status
+from test.scene_changes import repeat_step
 
 G = np.array([0.0, 0.0, -9.81])
 SIZE = (0.02, 0.02, 0.06)
@@ -90,8 +91,7 @@ def held_by_its_top(pair, integration, **more):
 
 def test_a_box_hung_on_a_soft_block_is_in_equilibrium(pair):
     scene = held_by_its_top(pair, "quasi_static")
-    for _ in range(5):
-        result = scene.step(Hold())
+    result = repeat_step(scene, Hold(), 5)
     assert result.status is Status.OK and result.report.residual < 1e-9
     model, x = scene.model, result.state.positions
     elastic = next(term for term in model.forces if "corotational" in term.name).on_points
@@ -113,8 +113,7 @@ def test_the_same_box_comes_to_rest_there_in_dynamics(pair):
         expected = still.step(Hold()).state.positions
     damping = {"damping": {"mass": 5.0, "stiffness": 0.05}}
     scene = held_by_its_top(pair, "dynamic", box={**BOX, "damping": 5.0}, **damping)
-    for _ in range(300):
-        result = scene.step(Hold(0.05))
+    result = repeat_step(scene, Hold(0.05), 300)
     assert result.status is Status.OK
     np.testing.assert_allclose(result.state.positions, expected, atol=1e-7)
 
@@ -157,8 +156,7 @@ def test_attached_nodes_that_touch_a_floor_carry_the_weight_of_both(pair):
         "obstacles": [{"name": "floor", "plane": {}, "position": [0, 0, -0.001]}],
         "contact": {"between": [{"pair": ["soft", "floor"]}], "friction": 0.5},
     })  # fmt: skip
-    for _ in range(150):
-        result = scene.step(Hold(0.01))
+    result = repeat_step(scene, Hold(0.01), 150)
     assert result.status is Status.OK
     attached = np.flatnonzero(scene.model.bodies[0].fixed)
     assert len(attached) and np.all(result.state.positions[attached, 2] < 0.0005)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, Status
+from test.scene_changes import repeat_step
 
 SHEAR, LIMIT, LIMIT_STRETCH = 1.0e5, 0.81642, 1.828
 
@@ -65,8 +66,7 @@ def test_pressure_control_stops_at_the_limit_point_and_says_so(balloon):
     simulation = balloon()
     whole = rest_volume(simulation)
     for pressure in (0.2, 0.4, 0.6, 0.7, 0.76, 0.79):
-        for _ in range(3):
-            result = simulation.step(CommandSetpoints([pressure * SHEAR], 1.0))
+        result = repeat_step(simulation, CommandSetpoints([pressure * SHEAR], 1.0), 3)
         assert result.status is Status.OK, pressure
         assert result.efforts[0] == pytest.approx(pressure * SHEAR)
     # Above the limit no state balances the pressure: the balloon grows, to its greatest volume.

@@ -9,6 +9,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, Status
+from test.scene_changes import repeat_step
 
 YOUNG, DENSITY, RADIUS, LENGTH = 1.0e8, 1100.0, 0.004, 0.2
 INERTIA = 0.25 * np.pi * RADIUS**4
@@ -52,8 +53,7 @@ def test_a_beam_that_is_dropped_rests_on_a_floor_that_bears_its_weight(section, 
              section=section, thickness_direction=[0.0, 0.0, 1.0]),
         integration="dynamic", obstacles=[FLOOR],
     )  # fmt: skip
-    for _ in range(40):
-        result = sim.step(Hold(0.005))
+    result = repeat_step(sim, Hold(0.005), 40)
     assert result.status is Status.OK
     weight = 9.81 * sim.model.beams[0].mass
     np.testing.assert_allclose(result.contacts.forces.sum(axis=0), [0.0, 0.0, weight],
@@ -64,8 +64,7 @@ def test_a_beam_that_is_dropped_rests_on_a_floor_that_bears_its_weight(section, 
 def test_a_prop_at_the_tip_of_a_cantilever_bears_three_eighths_of_its_weight():
     prop = {"name": "prop", "sphere": {"centre": [LENGTH, 0.0, -0.014], "radius": 0.01}}
     sim = touching(beam(), obstacles=[prop], pair=("rod", "prop"), friction=0.0)
-    for _ in range(3):
-        result = sim.step(Hold(0.01))
+    result = repeat_step(sim, Hold(0.01), 3)
     assert result.contacts.forces.sum(axis=0)[2] == pytest.approx(0.375 * WEIGHT, rel=0.003)
 
 
@@ -75,8 +74,7 @@ def test_beams_that_cross_bear_each_other_as_their_stiffnesses_demand():
     under = beam(name="under", points=[[at, -0.1, -2 * RADIUS], [at, 0.1, -2 * RADIUS]],
                  fixed=["start", "end"], material=light)  # fmt: skip
     sim = touching(beam(), under, pair=("under", "rod"), friction=0.0)
-    for _ in range(3):
-        result = sim.step(Hold(0.01))
+    result = repeat_step(sim, Hold(0.01), 3)
     bending = YOUNG * INERTIA
     sag = WEIGHT / LENGTH * at**2 * (6 * LENGTH**2 - 4 * LENGTH * at + at**2) / (24 * bending)
     force = sag / (at**3 / (3 * bending) + LENGTH**3 / (192 * bending))
@@ -155,8 +153,7 @@ def test_a_beam_that_lies_on_a_soft_block_is_borne_by_it(tmp_path):
     rod = beam(points=[[-0.05, 0.03, 0.0245], [0.11, 0.03, 0.0245]], elements=8,
                material=MATERIAL | {"young_modulus": 2.0e6, "density": 3000.0})  # fmt: skip
     sim = touching(rod, pair=("rod", "block"), body=block)
-    for _ in range(3):
-        result = sim.step(Hold(0.01))
+    result = repeat_step(sim, Hold(0.01), 3)
     assert result.status is Status.OK
     assert result.contacts.forces.sum(axis=0)[2] > 0.05
     assert overlap(sim) < 1e-6

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
+from test.scene_changes import repeat_step
 
 YOUNG, RADIUS, DENSITY = 1.0e7, 0.002, 1000.0
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
@@ -199,8 +200,7 @@ def test_a_steady_spin_stretches_a_rod_by_its_centrifugal_force(simulate, scheme
     velocities[2::2] = np.cross([0, 0, rate], beam.places[1:])
     velocities[3::2] = [0, 0, rate]
     simulation.restore(replace(simulation.state, velocities=velocities))
-    for _ in range(1500):
-        simulation.step(Hold(step))
+    repeat_step(simulation, Hold(step), 1500)
     deformations = simulation.model.forces[0].deformations(simulation.state.positions)
     expected = DENSITY * rate**2 * length**3 / 3.0 / YOUNG
     assert deformations[:, 0].sum() - length == pytest.approx(expected, rel=0.02)
@@ -221,8 +221,7 @@ def test_the_scheme_of_second_order_is_one_for_a_tumbling_beam(simulate):
         velocities[0::2] = np.cross(spin, simulation.model.beams[0].places)
         velocities[1::2] = spin
         simulation.restore(replace(simulation.state, velocities=velocities))
-        for _ in range(count):
-            simulation.step(Hold(0.05 / count))
+        repeat_step(simulation, Hold(0.05 / count), count)
         ends.append(simulation.state.positions)
     errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
     print(errors)

@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.rotation import (
     quaternion_from_rotation,
     rotation_from_vector,
@@ -18,6 +17,7 @@ from softrobot_twin.simulation import (
     Hold,
     Status,
 )
+from test.scene_changes import repeat_step
 
 YOUNG, RADIUS = 1.0e6, 0.002
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
@@ -147,8 +147,7 @@ def column(simulate, share, push):
         solver={"newton_iterations": 100, "residual_tolerance": 1e-12},
     )  # fmt: skip
     simulation.step(CommandEfforts(np.array([push * euler]), 1.0))
-    for _ in range(4):
-        result = simulation.step(CommandEfforts(np.zeros(1), 1.0))
+    result = repeat_step(simulation, CommandEfforts(np.zeros(1), 1.0), 4)
     assert result.status is Status.OK
     return tip_of(simulation)
 
@@ -198,8 +197,7 @@ def test_a_toggle_of_round_rods_buckles_to_the_side_in_a_few_steps(simulate):
     # Flat, its middle is pressed by 1.8 times Euler's load of a clamped rod.
     simulation = toggle(simulate, aside=1e-6)
     rest = simulation.state.setpoints[0]
-    for _ in range(20):
-        result = simulation.step(CommandSetpoints(np.array([rest - 0.006]), 1.0))
+    result = repeat_step(simulation, CommandSetpoints(np.array([rest - 0.006]), 1.0), 20)
     assert result.status is Status.OK
     assert abs(nodes_of(simulation)[8, 1]) > 1e-3
 
@@ -256,8 +254,7 @@ def test_at_a_tension_above_the_limit_a_dynamic_toggle_passes_through(simulate):
         beam={"density": 1000.0, "damping": {"mass": 0.5, "stiffness": 0.01}},
     )  # fmt: skip
     for share, below in ((0.8, False), (1.15, True)):
-        for _ in range(300):
-            result = moving.step(CommandEfforts(np.array([share * limit]), 0.2))
+        result = repeat_step(moving, CommandEfforts(np.array([share * limit]), 0.2), 300)
         assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
         assert (nodes_of(moving)[8, 2] < 0.0) == below
 
@@ -437,34 +434,6 @@ def test_the_mass_of_a_joined_end_is_that_of_the_beam(simulate):
     names["weight of beams"].add_forces(simulation.state.positions, forces)
     # The hub bears half of the weight of the element that it joins.
     assert np.allclose(forces[0], [0.0, 0.0, -10.0 * 1000.0 * AREA / 8.0])
-
-
-@pytest.mark.parametrize(("change", "words"), [
-    ({"fixed": []}, "floats"),
-    ({"elements": 0}, "elements"),
-    ({"points": [[0, 0, 0], [0, 0, 0]]}, "the same point"),
-    ({"section": {"tube": {"radius": 0.01, "wall": 0.02}}}, "wall of a tube"),
-    ({"section": {"rectangle": {"thickness": 0.01, "width": 0.02}}}, "thickness_direction"),
-    ({"section": {}}, "exactly one of rectangle"),
-    ({"thickness_direction": [1, 0, 0]}, "lies along the axis"),
-    ({"joined": [{"at": "end", "to": "nobody"}]}, "nobody"),
-    ({"joined": [{"at": 7, "to": "weight"}]}, "joins point 7"),
-    ({"joined": [{"at": "start", "to": "weight"}]}, "cannot be fixed too"),
-    ({"material": {"young_modulus": -1.0, "poisson_ratio": 0.3, "density": 1.0}}, "young_modulus"),
-    ({"points": [[0, 0, 0], [1, 0, float("nan")]]}, "points"),
-])  # fmt: skip
-def test_what_is_no_beam_is_refused_by_name(simulate, change, words):
-    with pytest.raises(SceneError, match=words):
-        simulate(integration="quasi_static", rigid_bodies=[
-            {"name": "weight", "motion": "guided", "position": [1, 0, 0],
-             "sphere": {"radius": 0.01}}], beams=[rod(**change)])  # fmt: skip
-
-
-def test_beams_apart_from_each_other_are_not_joined(simulate):
-    with pytest.raises(SceneError, match="0.1 m away"):
-        simulate(beams=[rod("a", 4, ((0, 0, 0), (0.5, 0, 0))),
-                        rod("b", 4, ((1, 0, 0), (0.6, 0, 0)), fixed=[],
-                            joined=[{"at": "end", "to": "a"}])])  # fmt: skip
 
 
 def test_points_on_a_beam_move_with_it(simulate):

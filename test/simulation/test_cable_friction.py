@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from softrobot_twin.constraints.cable_friction import FrictionCables
-from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Status
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+from test.scene_changes import repeat_step
 
 SHARES = "cable_friction_0.shares"
 
@@ -78,8 +78,7 @@ def test_the_inverse_reaches_a_target_against_friction(beam, stiffness):
     goal = beam(rubbing(0.0))
     pull(goal, 0.008, 0.004, 0.0, 0.0)
     target = goal.effector_positions()
-    for _ in range(40):
-        result = simulation.step(FollowTargets(target, 0.1))
+    result = repeat_step(simulation, FollowTargets(target, 0.1), 40)
     assert result.status.is_success
     assert np.linalg.norm(simulation.effector_positions() - target) < 1e-6
     again = pull(simulation, *result.displacements)
@@ -87,16 +86,11 @@ def test_the_inverse_reaches_a_target_against_friction(beam, stiffness):
 
 
 def test_back_and_forth_the_inverse_reaches_its_targets(beam):
-    def change(mapping):
-        rubbing(0.4, 10, 1e-3)(mapping)
-        mapping["effectors"][0]["directions"] = ["x", "y"]
-
-    simulation = beam(change)
+    simulation = beam(rubbing(0.4, 10, 1e-3), {"effectors.0.directions": ["x", "y"]})
     slipped = []
     for x in (0.005, 0.012, 0.006, -0.003, 0.008):
         target = np.array([[0.01 + x, 0.012, 0.1]])
-        for _ in range(20):
-            result = simulation.step(FollowTargets(target, 0.1))
+        result = repeat_step(simulation, FollowTargets(target, 0.1), 20)
         assert result.effector_errors[0] < 1e-5, x
         # What the targets leave open goes on towards the least energy.
         assert result.report.residual < 1e-2 * result.efforts.max(), x
@@ -108,8 +102,7 @@ def test_back_and_forth_the_inverse_reaches_its_targets(beam):
 def test_commanded_tensions_are_those_at_the_winches(beam):
     simulation = beam(rubbing(0.3))
     wanted = np.array([3.0, 1.0, 0.0, 0.0])
-    for _ in range(3):
-        result = simulation.step(CommandEfforts(wanted, 0.1))
+    result = repeat_step(simulation, CommandEfforts(wanted, 0.1), 3)
     assert result.status is Status.OK
     np.testing.assert_allclose(result.efforts, wanted, atol=1e-9)
     tensions, angles = of_east(simulation)
@@ -146,12 +139,7 @@ def test_restored_states_go_on_as_they_did(beam):
 
 
 def test_a_beam_in_motion_comes_to_rest_at_the_capstan_equation(beam):
-    def change(mapping):
-        rubbing(0.3, 10)(mapping)
-        mapping.update(integration="dynamic")
-        mapping["body"]["damping"] = {"mass": 20.0}
-
-    simulation = beam(change)
+    simulation = beam(rubbing(0.3, 10), {"integration": "dynamic", "body.damping": {"mass": 20.0}})
     for _ in range(60):
         lengths = simulation.rest_setpoints - [0.006, 0.0, 0.0, 0.0]
         result = simulation.step(CommandSetpoints(lengths, 0.02))
@@ -169,23 +157,3 @@ def test_scenes_without_friction_have_none_of_it(beam):
     assert not isinstance(simulation.model.factorization, DenseStiffness)
     assert simulation.model.rows.displacement_rows() is None
     assert simulation.model.rows.told is None
-
-
-@pytest.mark.parametrize("values, words", [
-    ({"friction": -0.1}, r"cables\[0\].friction"),
-    ({"friction": float("nan")}, r"cables\[0\].friction"),
-    ({"friction": 0.3, "presliding": 0.0}, r"cables\[0\].presliding.* m"),
-    ({"friction": 0.0, "presliding": 1e-4}, r"cables\[0\].presliding.*give friction"),
-])  # fmt: skip
-def test_an_impossible_friction_is_named(beam, values, words):
-    with pytest.raises(SceneError, match=words):
-        beam(rubbing(**values))
-
-
-def test_friction_along_cables_in_contact_is_refused(beam, rod):
-    def change(mapping):
-        rubbing(0.3)(mapping)
-        rod(mapping)
-
-    with pytest.raises(SceneError, match=r"cables\[0\].friction.*not built.*contact"):
-        beam(change)

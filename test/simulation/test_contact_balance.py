@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold, Simulation
+from test.scene_changes import repeat_step
 
 DENSITY = 1000.0
 
@@ -103,7 +104,6 @@ def test_friction_on_a_sliding_block_opposes_its_motion(scene_of):
                            "velocity": list(0.5 * way), "box": {"size": [0.08, 0.08, 0.01]}}],
             contact={"friction": 0.4, "between": [{"pair": ["box", "floor"]}]},
         )  # fmt: skip
-        for _ in range(5):
-            result = simulation.step(Hold(0.002))
+        result = repeat_step(simulation, Hold(0.002), 5)
         total = result.contacts.forces.sum(axis=0)
         np.testing.assert_allclose(total[:2], -0.4 * total[2] * way[:2], rtol=1e-3, atol=1e-4)

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Hold
 from softrobot_twin.traced_stage import TracedStages
+from test.scene_changes import repeat_step
 
 MATERIAL = {"young_modulus": 1.0e5, "poisson_ratio": 0.3, "density": 1000.0}
 STEP, REACH = 0.002, 0.004
@@ -147,8 +148,7 @@ def test_a_thin_plate_is_not_passed_in_one_step(scene):
 
 def test_a_restored_state_and_a_reset_begin_anew(scene):
     simulation, other = scene(), scene()
-    for _ in range(8):
-        result = simulation.step(Hold(STEP))
+    result = repeat_step(simulation, Hold(STEP), 8)
     contacts = simulation.model.contacts
     assert contacts._stages._are_known
     kept = result.state

@@ -23,11 +23,7 @@ CYCLING = [
 
 @pytest.fixture(params=["linear", "smoothed", "quadratic"])
 def beside_a_rod(request, beam, rod):
-    def change(mapping):
-        rod(mapping)
-        mapping["body"]["element"] = request.param
-
-    return beam(change)
+    return beam(rod, {"body.element": request.param})
 
 
 def wind_to_rest(simulation, wound):

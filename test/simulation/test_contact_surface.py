@@ -206,11 +206,6 @@ def test_a_contact_surface_that_is_not_on_the_body_is_refused(tmp_path, cube, sc
         cube(skin)
 
 
-def test_a_contact_surface_whose_file_is_missing_is_named(cube):
-    with pytest.raises(SceneError, match=r"bodies\[0\]\.contact_surface\.file.*no such file"):
-        cube("nowhere.stl")
-
-
 def test_an_unused_contact_surface_is_reported(tmp_path, cube):
     skin = written(tmp_path / "skin.stl", *Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5))
     simulation = cube(skin, contact=None)

@@ -7,6 +7,7 @@ from scipy.optimize import minimize
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.actuation import INVERSION
 from softrobot_twin.simulation.step.target_trust import GREATEST, LONG_PATIENCE, Approach
+from test.scene_changes import changed, repeat_step
 
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 
@@ -100,8 +101,7 @@ def test_the_trunk_returns_from_targets_ten_times_too_far(trunk, slides, has_cyl
     assert is_back or (slides and back.status in HELD_BACK)
     assert back.status.is_success or back.report.active_limits == (INVERSION,) or not is_back
     # The body keeps nothing of it: at the lengths at rest it has its shape at rest.
-    for _ in range(LENGTHS_HOME):
-        simulation.step(CommandSetpoints(rest.setpoints, 0.02))
+    repeat_step(simulation, CommandSetpoints(rest.setpoints, 0.02), LENGTHS_HOME)
     np.testing.assert_allclose(simulation.state.positions, rest.positions, atol=1e-6)
 
 
@@ -160,11 +160,7 @@ def robot(beam, eight, rod, coarse_trunk, diamond):
     def slender(mapping):
         """Linear elements lock in a beam of one cell across: it would hardly bend."""
         mapping["body"]["element"] = "quadratic"
-
-    def beside_a_rod(mapping):
-        slender(mapping)
-        rod(mapping)
-
+    beside_a_rod = changed(slender, rod)
     def trunk(*without):
         def change(mapping):
             for entry in without:
@@ -187,8 +183,7 @@ def robot(beam, eight, rod, coarse_trunk, diamond):
     def make(name: str) -> tuple[Simulation, float]:
         make_it, distance = makes[name]
         simulation = make_it()
-        for _ in range(20):
-            simulation.step(Hold())
+        repeat_step(simulation, Hold(), 20)
         return simulation, distance
 
     return make
@@ -336,8 +331,7 @@ def test_noise_of_far_targets_saturates_nothing(robot, name, seed, number):
     simulation, home, target = asked_for(robot, name, seed, number)
     calm = steps_towards(simulation, target, OUT)[-1].effector_positions
     simulation.reset()
-    for _ in range(20):
-        simulation.step(Hold())
+    repeat_step(simulation, Hold(), 20)
     size, random = simulation.model.nodes.size, np.random.default_rng(seed)
     places, weights = [], []
     for _ in range(300):

@@ -13,6 +13,7 @@ from softrobot_twin.mechanics.element_kinds import register_element, unregister_
 from softrobot_twin.mechanics.inertia import ConsistentInertia
 from softrobot_twin.simulation import CommandEfforts, FollowTargets
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
+from test.scene_changes import repeat_step
 
 BUBBLE_SHARE = 256.0 * 6.0 / 5040.0
 """∫b dV / V of the bubble b = 256 L₀ L₁ L₂ L₃."""
@@ -122,8 +123,7 @@ def test_a_beam_of_it_bends_as_one_of_linear_elements(bubbles, beam_of):
     def deflection(element):
         simulation = beam_of(element)
         rest = simulation.effector_positions()
-        for _ in range(20):
-            result = simulation.step(CommandEfforts(np.array([0.5, 0.0, 0.0, 0.0]), 0.1))
+        result = repeat_step(simulation, CommandEfforts(np.array([0.5, 0.0, 0.0, 0.0]), 0.1), 20)
         assert not result.status.is_failure and result.report.residual < 1e-6
         return np.linalg.norm(result.effector_positions - rest)
 
@@ -134,12 +134,10 @@ def test_a_beam_of_it_bends_as_one_of_linear_elements(bubbles, beam_of):
 
 def test_it_is_brought_to_a_target(bubbles, beam_of):
     pulled, simulation = beam_of("bubble"), beam_of("bubble")
-    for _ in range(20):
-        result = pulled.step(CommandEfforts(np.array([0.5, 0.2, 0.0, 0.0]), 0.1))
+    result = repeat_step(pulled, CommandEfforts(np.array([0.5, 0.2, 0.0, 0.0]), 0.1), 20)
     target = result.effector_positions
     assert np.linalg.norm(target - simulation.effector_positions()) > 1e-4
-    for _ in range(20):
-        result = simulation.step(FollowTargets(target, 0.1))
+    result = repeat_step(simulation, FollowTargets(target, 0.1), 20)
     assert result.effector_errors[0] < 1e-6
 
 

@@ -4,24 +4,18 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets
+from test.scene_changes import changed, repeat_step
+
+quadratic = changed({"body.element": "quadratic"})
 
 
-def quadratic(mapping):
-    mapping["body"]["element"] = "quadratic"
+linear_law = changed({"body.material.law": "linear"})
 
 
-def linear_law(mapping):
-    mapping["body"]["material"]["law"] = "linear"
+small = changed(quadratic, {"body.mesh.file": "../../meshes/diamond_150.vtk"})
 
 
-def small(mapping):
-    quadratic(mapping)
-    mapping["body"]["mesh"]["file"] = "../../meshes/diamond_150.vtk"
-
-
-def both(mapping):
-    quadratic(mapping)
-    linear_law(mapping)
+both = changed(quadratic, linear_law)
 
 
 def test_mid_edge_nodes_are_added_and_counted(diamond):
@@ -78,18 +72,14 @@ def test_newton_converges_faster_than_linearly(diamond, change):
 def test_targets_in_the_workspace_are_met(diamond, circle, change):
     simulation = diamond(change)
     for targets in circle(4):
-        for _ in range(6):
-            result = simulation.step(FollowTargets(targets, 10.0))
+        result = repeat_step(simulation, FollowTargets(targets, 10.0), 6)
         assert result.status.is_success
         assert result.effector_errors[0] < 1e-5
 
 
 def test_quadratic_elements_are_softer_and_both_laws_agree_for_small_displacements(diamond, settle):
     def light(change):
-        def weigh(mapping):
-            change(mapping)
-            mapping["gravity"] = [0.0, 0.0, -0.01]
-
+        weigh = changed(change, {"gravity": [0.0, 0.0, -0.01]})
         return weigh
 
     def sag(change):

@@ -10,6 +10,7 @@ from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.factorization import Condensed
+from test.scene_changes import repeat_step
 
 
 class DenseCholesky:
@@ -65,8 +66,7 @@ def steps(request, beam, rod):
         target = simulation.effector_positions() + [0.004, 0.002, -0.001]
         wound = simulation.rest_setpoints - [0.004, 0.0, 0.0, 0.0]
         command = CommandSetpoints(wound, 0.1) if setpoints else FollowTargets(target, 0.1)
-        for _ in range(5):
-            result = simulation.step(command)
+        result = repeat_step(simulation, command, 5)
         return result
 
     return run

@@ -7,6 +7,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import Hold
 from softrobot_twin.study.explain import effects
+from test.scene_changes import repeat_step
 
 INNER, OUTER, HEIGHT = 0.008, 0.010, 0.06
 MIDDLE = 0.009
@@ -133,8 +134,7 @@ def bar(simulate, tmp_path, block):
                 "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}],
             }, fibres=fibres, gravity=list(gravity),
         )  # fmt: skip
-        for _ in range(4):
-            result = scene.step(Hold(0.05))
+        result = repeat_step(scene, Hold(0.05), 4)
         assert result.report.residual < 1e-8
         return scene
 
@@ -179,25 +179,22 @@ def test_a_scene_without_fibres_has_no_springs_and_explain_lists_fibres(bar):
     assert term.spring_count == 2 * 5 * 24 + 5 and term.is_thread.sum() == 2 * 5 * 24
 
 
-@pytest.mark.parametrize(
-    ("entry", "key", "told"),
-    [
-        ({"edges": "seam"}, "fibres[0].edges",
-         "bar.inp: has no set of edges named seam; of this kind it names rim"),
-        ({}, "fibres[0]", "has exactly one of helix, points, edges"),
-        ({"edges": "rim", "points": ENDS}, "fibres[0]", "exactly one of helix, points, edges"),
-        ({"points": [[0, 0, 0], [0.1, 0, 0.05]]}, "fibres[0].points[1]", "outside the body"),
-        ({"helix": {"radius": 0.05, "pitch": 0.1, "reach": [0, 0.02]}}, "fibres[0].helix",
-         "outside the body"),
-        ({"helix": {"radius": 0.05, "pitch": 0.1, "reach": [0.1, 0.02]}}, "fibres[0].helix",
-         "is not before the last"),
-        ({"helix": {"radius": 0.05, "pitch": 0.1, "reach": [0, 1], "direction": [0, 0, 0]}},
-         "fibres[0].helix", "must not be zero"),
-        ({"helix": {"radius": 0.05, "pitch": 1e-6, "reach": [0, 1]}}, "fibres[0].helix",
-         "more than 50000: are pitch and reach in metres?"),
-        ({"edges": "rim", "on": "other"}, "fibres[0].on", "which the scene does not have"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("entry, key, told", [
+    ({"edges": "seam"}, "fibres[0].edges",
+     "bar.inp: has no set of edges named seam; of this kind it names rim"),
+    ({}, "fibres[0]", "has exactly one of helix, points, edges"),
+    ({"edges": "rim", "points": ENDS}, "fibres[0]", "exactly one of helix, points, edges"),
+    ({"points": [[0, 0, 0], [0.1, 0, 0.05]]}, "fibres[0].points[1]", "outside the body"),
+    ({"helix": {"radius": 0.05, "pitch": 0.1, "reach": [0, 0.02]}}, "fibres[0].helix",
+     "outside the body"),
+    ({"helix": {"radius": 0.05, "pitch": 0.1, "reach": [0.1, 0.02]}}, "fibres[0].helix",
+     "is not before the last"),
+    ({"helix": {"radius": 0.05, "pitch": 0.1, "reach": [0, 1], "direction": [0, 0, 0]}},
+     "fibres[0].helix", "must not be zero"),
+    ({"helix": {"radius": 0.05, "pitch": 1e-6, "reach": [0, 1]}}, "fibres[0].helix",
+     "more than 50000: are pitch and reach in metres?"),
+    ({"edges": "rim", "on": "other"}, "fibres[0].on", "which the scene does not have"),
+])  # fmt: skip
 def test_an_entry_that_cannot_be_used_is_refused(bar, entry, key, told):
     with pytest.raises(SceneError) as caught:
         bar([{"name": "f", "stiffness": 1.0, **entry}])

@@ -5,19 +5,13 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import Hold, Status
-
-BOX = {"name": "box", "box": {"size": [0.02, 0.03, 0.04]}, "mass": 0.1}
+from test.scene_changes import repeat_step
 
 
 @pytest.fixture
 def soft(body_of, block):
     """The entry of a soft body that nothing holds."""
     return body_of(block(size=(0.04, 0.04, 0.06), cells=(1, 1, 2)))
-
-
-def test_an_unheld_soft_body_is_named_in_statics(simulate, soft):
-    with pytest.raises(SceneError, match=r"body\.fixed.*not held"):
-        simulate(body=soft)
 
 
 def test_of_several_bodies_the_floating_one_is_named(simulate, soft, body_of, block):
@@ -29,27 +23,13 @@ def test_of_several_bodies_the_floating_one_is_named(simulate, soft, body_of, bl
         simulate(bodies=[held, soft])
 
 
-def test_a_rigid_body_that_is_free_is_named_in_statics(simulate):
-    with pytest.raises(SceneError, match=r"rigid_bodies\[0\]\.motion.*box floats"):
-        simulate(rigid_bodies=[BOX])
-
-
-def test_an_unheld_point_mass_is_named_in_statics(simulate):
-    with pytest.raises(SceneError, match=r"mass_springs\[0\].*floats"):
-        simulate(mass_springs=[{
-            "name": "net", "points": [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], "masses": [0.1],
-            "springs": [[0, 1]], "fixed": [0],
-        }])  # fmt: skip
-
-
 def test_a_point_mass_held_by_a_spring_to_ground_is_not_floating(simulate):
     scene = simulate(
         mass_springs=[{"name": "bob", "points": [[0, 0, 0]], "masses": [0.1]}],
         springs=[{"name": "string", "stiffness": 100.0,
                   "ends": [{"on": "bob", "point": [0, 0, 0]}, {"point": [0.05, 0, 0]}]}],
     )  # fmt: skip
-    for _ in range(100):
-        result = scene.step(Hold())
+    result = repeat_step(scene, Hold(), 100)
     assert result.status is Status.OK
     # Let go beside the point it hangs on, it ends below it.
     np.testing.assert_allclose(
@@ -70,10 +50,3 @@ def test_an_unheld_soft_body_falls_undeformed_in_dynamics(simulate, soft, integr
     np.testing.assert_allclose(
         result.state.velocities, [[0, 0, -9.81 / 5.0]] * len(shape), atol=1e-5
     )
-
-
-def test_first_order_motion_without_resistance_is_named(simulate, soft):
-    with pytest.raises(SceneError, match=r"body\.damping\.mass"):
-        simulate(body=soft, integration="first_order")
-    with pytest.raises(SceneError, match="first_order"):
-        simulate(rigid_bodies=[BOX], integration="first_order")

@@ -1,17 +1,15 @@
 """The limit on contact force in the inverse problem: it holds wherever it is feasible."""
 
 import numpy as np
-import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
+from test.scene_changes import repeat_step
 
 LIMITS = (2.0, 0.8, 0.5, 0.3, 0.1, 0.03, 0.01)
 
 
 def lean(simulation, target, steps=80):
-    for _ in range(steps):
-        result = simulation.step(FollowTargets(target, 0.05))
+    result = repeat_step(simulation, FollowTargets(target, 0.05), steps)
     return result
 
 
@@ -112,9 +110,3 @@ def test_forces_are_continuous_as_a_limit_becomes_infeasible(beam, rod):
     # Named while it cannot be kept, not named while it can, and never to and fro.
     assert named[0] and named[-1] and not named[60]
     assert np.count_nonzero(np.diff(named)) == 2
-
-
-@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
-def test_an_impossible_limit_is_refused_by_name(beam, rod, limit):
-    with pytest.raises(SceneError, match="force_limit"):
-        beam(lambda m: rod(m, force_limit=limit))

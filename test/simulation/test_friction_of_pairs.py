@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.simulation import Hold, Simulation, Status
 from softrobot_twin.simulation.step import direct_actuation
+from test.scene_changes import repeat_step
 
 G, EDGE, MASS, FRICTION = 9.81, 0.04, 0.03, 0.5
 STEP = 0.002
@@ -133,8 +134,7 @@ def test_motion_and_forces_are_those_of_three_rows_with_a_coefficient_of_zero(
 
 def test_rows_of_both_kinds_are_those_of_finite_differences(scene_of, write_block):
     simulation = in_a_corner(scene_of, write_block)
-    for _ in range(30):
-        simulation.step(Hold(STEP))
+    repeat_step(simulation, Hold(STEP), 30)
     model, q, step = simulation.model, simulation.state.positions, 1e-7
     rows = model.rows
     model.contacts.begin_step(q, np.empty((0, 3)), STEP)

@@ -12,6 +12,7 @@ from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.effects.touches import Touched
+from test.scene_changes import repeat_step
 
 ANY_TIME = 1.0e3
 TRAINED = 0.011
@@ -107,8 +108,7 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
         {"name": "other", "body": "beside", "points": [[0.5, 0.0, 0.125]]})  # fmt: skip
     simulation = Simulation(scene_from_mapping(mapping, half_trained), with_warnings=False)
     lengths = simulation.rest_setpoints - [0.006, 0.0, 0.002, 0.008]
-    for _ in range(12):
-        simulation.step(CommandSetpoints(lengths, ANY_TIME))
+    repeat_step(simulation, CommandSetpoints(lengths, ANY_TIME), 12)
     places, surface = simulation.effector_positions(), simulation.surface_positions()
     judge = FullModelError(simulation)
     judge.better.restore(judge.lifted(simulation.state))

@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
 from softrobot_twin.simulation import FollowTargets, Hold, Status
+from test.scene_changes import repeat_step
 
 SPEED, TURN_RATE = 0.1, 2.0
 _Pose = namedtuple("_Pose", "position quaternion")
@@ -87,8 +88,7 @@ def test_a_moved_finger_has_the_equilibrium_of_one_built_there(finger, simulate,
     scene = finger("quasi_static")
     half_turn = rotation_from_vector(np.array([np.pi * 0.999999, 0.0, 0.0]))
     scene.model.guides.aim("palm", [0.2, 0.1, 0.3], quaternion_from_rotation(half_turn))
-    for _ in range(400):
-        result = scene.step(Hold(0.01))
+    result = repeat_step(scene, Hold(0.01), 400)
     assert result.status is Status.OK
     count = scene.model.bodies[0].mesh.node_count
     carried = result.state.positions[:count] - [0.2, 0.1, 0.3]
@@ -201,8 +201,7 @@ def test_a_tip_stays_at_its_target_while_a_palm_carries_its_foot(beam, speed):
 
     simulation = beam(onto_a_palm)
     target = simulation.effector_positions().copy()
-    for _ in range(5):
-        simulation.step(FollowTargets(target, 0.02))
+    repeat_step(simulation, FollowTargets(target, 0.02), 5)
     simulation.model.guides.aim("palm", np.array(PALM["position"]) + [0.02, 0.0, 0.0])
     for _ in range(int(0.02 / speed / 0.02) + 5):
         result = simulation.step(FollowTargets(target, 0.02))

@@ -12,6 +12,7 @@ from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
+from test.scene_changes import changed, repeat_step
 
 FOOT = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 
@@ -111,17 +112,14 @@ def test_a_coarse_bar_bends_as_a_fine_one(bar, poisson):
 
 def test_a_bar_is_brought_to_a_target(bar):
     pulled, simulation = bar(), bar()
-    for _ in range(5):
-        result = pulled.step(CommandEfforts(np.array([0.4, 0.1]), 0.1))
-    for _ in range(10):
-        reached = simulation.step(FollowTargets(result.effector_positions, 0.1))
+    result = repeat_step(pulled, CommandEfforts(np.array([0.4, 0.1]), 0.1), 5)
+    reached = repeat_step(simulation, FollowTargets(result.effector_positions, 0.1), 10)
     assert reached.effector_errors[0] < 1e-6
 
 
 def test_the_state_is_complete(bar):
     first, second = bar(), bar()
-    for _ in range(3):
-        first.step(CommandEfforts(np.array([0.3, 0.0]), 0.1))
+    repeat_step(first, CommandEfforts(np.array([0.3, 0.0]), 0.1), 3)
     second.restore(first.state)
     ahead, again = (s.step(CommandEfforts(np.array([0.1, 0.2]), 0.1)) for s in (first, second))
     np.testing.assert_array_equal(ahead.state.positions, again.state.positions)
@@ -145,8 +143,7 @@ def test_a_free_block_falls_undeformed(simulate, body_of_hexahedra, mass):
     block = body_of_hexahedra(mixed_block((0.02, 0.02, 0.04), (2, 2, 4)), mass=mass)
     simulation = simulate(gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block)
     step, rest = 0.01, simulation.state.positions
-    for _ in range(5):
-        result = simulation.step(Hold(step))
+    result = repeat_step(simulation, Hold(step), 5)
     fallen = 9.81 * step**2 * 15
     expected = rest - [0.0, 0.0, fallen]
     np.testing.assert_allclose(result.state.positions, expected, atol=1e-9)
@@ -162,8 +159,7 @@ def test_a_free_plate_on_a_block_falls_with_it(simulate, body_of_hexahedra, mass
         gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block, rigid_bodies=[plate]
     )
     rest = simulation.state.positions[: simulation.node_count]
-    for _ in range(5):
-        result = simulation.step(Hold(0.01))
+    result = repeat_step(simulation, Hold(0.01), 5)
     fallen = rest - [0.0, 0.0, 9.81 * 0.01**2 * 15]
     np.testing.assert_allclose(result.state.positions[: len(rest)], fallen, atol=1e-9)
 
@@ -210,8 +206,7 @@ def test_strain_rate_damping_ends_the_motion_of_a_bar(bar):
             mapping["body"]["damping"] = {"stiffness": beta}
 
         simulation = bar(change)
-        for _ in range(30):
-            result = simulation.step(Hold(0.005))
+        result = repeat_step(simulation, Hold(0.005), 30)
         return result.state.velocities
 
     free, slow = damped(0.0), damped(0.5)
@@ -230,8 +225,7 @@ def test_a_block_rests_on_a_plane_with_its_weight(simulate, body_of_hexahedra):
         obstacles=[{"name": "floor", "plane": {}}],
         contact={"between": [{"pair": ["soft", "floor"]}], "friction": 0.5},
     )  # fmt: skip
-    for _ in range(120):
-        result = simulation.step(Hold(0.005))
+    result = repeat_step(simulation, Hold(0.005), 120)
     assert result.status is Status.OK
     lowest = result.state.positions[:, 2].min()
     assert -1e-4 < lowest < 2e-4
@@ -275,8 +269,7 @@ def test_a_cavity_in_hexahedra_is_inflated(chamber):
 def test_a_target_in_reach_of_the_pressure_is_met(chamber):
     simulation = chamber()
     target = simulation.effector_positions() + [0.0, 0.0, 1e-4]
-    for _ in range(5):
-        result = simulation.step(FollowTargets(target, 0.1))
+    result = repeat_step(simulation, FollowTargets(target, 0.1), 5)
     assert abs(result.effector_positions[0, 2] - target[0, 2]) < 1e-6
 
 
@@ -291,8 +284,7 @@ def test_a_collapsed_bar_comes_back_or_says_that_it_is_inside_out(bar, recovers,
 def test_a_bar_that_is_crushed_never_calls_an_inverted_cell_converged(simulate, body_of_hexahedra):
     body = body_of_hexahedra(read_box((0.02, 0.02, 0.04), (2, 2, 4), of_hexahedra=True).mesh, fixed=FOOT)
     simulation = simulate(gravity=[0.0, 0.0, -9.81e3], body=body)
-    for _ in range(10):
-        result = simulation.step(Hold())
+    result = repeat_step(simulation, Hold(), 10)
     assert np.all(np.isfinite(result.state.positions))
     if result.status is Status.OK:
         assert result.report.inverted_count == 0
@@ -341,10 +333,7 @@ def test_a_moved_and_turned_bar_bends_alike(bar):
         mapping["body"]["fixed"][0]["frame"] = "mesh"
         mapping.update(cables=[], gravity=[0.0, -4.0, 0.0])
         mapping["effectors"][0]["points"] = [[5.1, 0.01, -0.01]]
-
-    def upright(mapping):
-        mapping.update(cables=[], gravity=[0.0, -4.0, 0.0])
-
+    upright = changed({"cables": [], "gravity": [0.0, -4.0, 0.0]})
     assert tip(turned) == pytest.approx(tip(upright), rel=1e-6)
 
 

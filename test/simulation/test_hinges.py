@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.beam_masses import BeamWeight
 from softrobot_twin.mechanics.beams import Beams
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
@@ -19,6 +18,7 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
+from test.scene_changes import repeat_step
 
 E, DENSITY = 35e6, 1220.0
 THICKNESS, WIDTH, LENGTH = 0.005, 0.01, 0.2
@@ -338,8 +338,7 @@ def test_a_pose_does_not_depend_on_the_path_to_it(scene):
     turn(straight, 0.7, -0.4)
     for _ in range(30):
         wandering.step(CommandSetpoints(rng.uniform(-2.0, 2.0, 2), 0.05))
-    for _ in range(10):
-        wandering.step(CommandSetpoints(np.array([0.7, -0.4]), 1.0))
+    repeat_step(wandering, CommandSetpoints(np.array([0.7, -0.4]), 1.0), 10)
     for beam in (0, 1):
         np.testing.assert_allclose(nodes(wandering, beam), nodes(straight, beam), atol=1e-7)
 
@@ -431,46 +430,7 @@ def test_the_inverse_problem_turns_motors_to_bring_an_effector_to_its_target(sce
         solver={"newton_iterations": 20, "residual_tolerance": 1e-8},
     )  # fmt: skip
     for target in ([0.15, 0.0, -0.25], [0.05, 0.0, -0.3], [-0.1, 0.0, -0.2]):
-        for _ in range(30):
-            result = simulation.step(FollowTargets(np.array([target]), 0.1))
+        result = repeat_step(simulation, FollowTargets(np.array([target]), 0.1), 30)
         tip = simulation.effector_positions()[0]
         np.testing.assert_allclose(tip[[0, 2]], np.array(target)[[0, 2]], atol=2e-5)
     assert result.status is Status.OK
-
-
-@pytest.mark.parametrize(
-    "change, key, what",
-    [
-        (lambda s: s["beams"][0]["joined"][0].pop("axis"), "joined", "needs an axis"),
-        (lambda s: s["beams"][0]["joined"][0].update(axis=[0, 0, 0]), "joined", "needs an axis"),
-        (lambda s: s["beams"][0]["joined"][0].update(by="ball"), "joined", "axis is that of a hinge"),
-        (lambda s: s["beams"][0].update(joined=[{"at": "start", "to": "world"}]), "joined",
-         "given as fixed"),
-        (lambda s: s["beams"][0].update(fixed=["start"]), "beams[0].joined[0]", "alone carries"),
-        (lambda s: s["beams"][0]["joined"].append(hinge("start", axis=[1, 0, 0])),
-         "beams[0].joined[1]", "alone carries"),
-        (lambda s: s["beams"][0]["joined"][0].update(to="wrld"), "beams[0].joined[0].to", "wrld"),
-        (lambda s: s["hinge_motors"][0].update(at="end"), "hinge_motors[0].at",
-         "is not on a hinge"),
-        (lambda s: s["hinge_motors"][0].update(at=7), "hinge_motors[0].at", "points 0 to 1"),
-        (lambda s: s["hinge_motors"][0].update(beam="log"), "hinge_motors[0].beam", "log"),
-        (lambda s: s["hinge_motors"].append(motor("n")), "hinge_motors[1].at", "already"),
-        (lambda s: s["hinge_motors"][0].update(angle=[0.1, 1.0]), "angle", "at rest, 0"),
-        (lambda s: s["hinge_motors"][0].update(angle=[-3.1, 3.1]), "angle", "at most 6 rad"),
-        (lambda s: s["hinge_motors"][0].update(torque=[1.0, 2.0]), "torque", "0, must lie"),
-        (lambda s: (s["beams"].append(strip("b", [[0, 0, 0], [0.1, 0, 0]], 2,
-                                            thickness_direction=[0, 0, 1],
-                                            joined=[hinge("start", "leg")])),), "beams[1]",
-         "is on a hinge itself"),
-        (lambda s: (s["beams"][0]["joined"][0].update(by="ball"),
-                    s["beams"][0]["joined"][0].pop("axis")), "hinge_motors[0].at",
-         "ball joint, which has no axis"),
-    ],
-)  # fmt: skip
-def test_what_does_not_fit_is_refused_by_name(scene, change, key, what):
-    mapping = {"name": "x", "beams": [strip(joined=[hinge("start")])], "hinge_motors": [motor()]}
-    change(mapping)
-    with pytest.raises(SceneError) as refused:
-        Simulation(scene_from_mapping(mapping, None))
-    assert key in str(refused.value)
-    assert what in str(refused.value)

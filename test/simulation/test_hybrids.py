@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.rigid_bodies import write_frame
 from softrobot_twin.simulation import CommandSetpoints, Status
+from test.scene_changes import repeat_step
 
 STRUT = {
     "name": "strut_#", "repeat": {"names": ["a", "b"], "step": [0.0, 0.02, 0.0]},
@@ -200,8 +201,7 @@ def test_a_held_hybrid_comes_to_rest_with_its_cable_tight(hybrid):
         integration="quasi_static",
     )  # fmt: skip
     lengths = simulation.rest_setpoints - 0.002
-    for _ in range(3):
-        result = simulation.step(CommandSetpoints(lengths, 1.0))
+    result = repeat_step(simulation, CommandSetpoints(lengths, 1.0), 3)
     assert result.status is Status.OK and result.efforts[0] > 0.01
     positions = simulation.state.positions
     forces = forces_of(simulation, simulation.model.forces, positions)

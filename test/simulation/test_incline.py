@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
+from test.scene_changes import repeat_step
 
 G, FRICTION, EDGE = 9.81, 0.5, 0.04
 STEP = 0.002
@@ -78,8 +79,7 @@ def test_a_tilted_plane_and_tilted_gravity_give_the_same_slope(scene_of):
         **rigid(position=place, rotation=[0, angle, 0]),
     )  # fmt: skip
     way, _ = slide(flat, 200)
-    for _ in range(200):
-        tilted.step(Hold(STEP))
+    repeat_step(tilted, Hold(STEP), 200)
     gone = tilted.state.positions[0] - place
     np.testing.assert_allclose(
         gone, way[-1] * np.array([np.cos(angle), 0.0, -np.sin(angle)]), atol=1e-7

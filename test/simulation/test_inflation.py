@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, Status
+from test.scene_changes import repeat_step
 
 YOUNG, POISSON = 1e5, 0.3
 INNER, OUTER = 0.01, 0.015
@@ -146,7 +147,6 @@ def test_a_pressure_beyond_the_limit_point_of_a_dome_lets_it_snap_to_another_bal
     simulation = dome()
     before = simulation.step(CommandSetpoints([-90.0], 0.02))
     assert before.status is Status.OK and before.displacements[0] > -5e-6
-    for _ in range(5):
-        after = simulation.step(CommandSetpoints([-105.0], 0.02))
+    after = repeat_step(simulation, CommandSetpoints([-105.0], 0.02), 5)
     assert after.displacements[0] < -1e-5
     assert after.status is Status.OK and after.report.residual < 1e-8

@@ -16,6 +16,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.solvers import inverse_solver
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
+from test.scene_changes import changed, repeat_step
 
 AXIS = np.array([0.03, 0.08])
 RADIUS = 0.005
@@ -87,8 +88,7 @@ def circling(simulation, turns, per_turn):
 
 
 def follow(simulation, target, steps=60, time_step=0.05):
-    for _ in range(steps):
-        result = simulation.step(FollowTargets(np.atleast_2d(target), time_step))
+    result = repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
     return result
 
 
@@ -201,8 +201,7 @@ def test_friction_is_refused_by_name_in_the_inverse_and_allowed_with_given_lengt
         simulation.step(FollowTargets(target, 0.05))
     assert "command lengths or tensions" in str(refused.value)
     wound = simulation.rest_setpoints - [0.012, 0.0, 0.0, 0.0]
-    for _ in range(40):
-        result = simulation.step(CommandSetpoints(wound, 0.05))
+    result = repeat_step(simulation, CommandSetpoints(wound, 0.05), 40)
     assert len(result.contacts.forces)
     for point, force in zip(result.contacts.positions, result.contacts.forces, strict=True):
         outward = np.array([point[0] - AXIS[0], 0.0, point[2] - AXIS[1]])
@@ -212,11 +211,9 @@ def test_friction_is_refused_by_name_in_the_inverse_and_allowed_with_given_lengt
 
 
 def test_one_pair_with_friction_is_named_where_targets_are_refused(beam, rod):
-    def rods(mapping):
-        rod(mapping)
-        rod(mapping, x=-0.03, name="rough")
-        mapping["contact"]["between"][1]["friction"] = 0.2
-
+    rods = changed(rod, lambda m: rod(m, x=-0.03, name="rough"), {
+        "contact.between.1.friction": 0.2,
+    })  # fmt: skip
     simulation = beam(rods)
     with pytest.raises(CommandError, match="between beam and rough"):
         simulation.step(FollowTargets(simulation.effector_positions(), 0.05))

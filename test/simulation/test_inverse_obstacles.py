@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets
+from test.scene_changes import repeat_step
 
 
 def follow(simulation, target, steps, time_step=0.05):
-    for _ in range(steps):
-        result = simulation.step(FollowTargets(np.atleast_2d(target), time_step))
+    result = repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
     return result
 
 
@@ -86,8 +86,7 @@ def test_the_inverse_solution_is_an_equilibrium_with_its_lengths_held(beam, rod)
     inverse, direct = beam(rod), beam(rod)
     target = inverse.effector_positions()[0] + [0.02, 0.002, -0.008]
     found = follow(inverse, target, 80)
-    for _ in range(60):
-        same = direct.step(CommandSetpoints(found.setpoints, 0.05))
+    same = repeat_step(direct, CommandSetpoints(found.setpoints, 0.05), 60)
     np.testing.assert_allclose(same.state.positions, found.state.positions, atol=1e-7)
     np.testing.assert_allclose(same.efforts, found.efforts, atol=1e-3)
     np.testing.assert_allclose(

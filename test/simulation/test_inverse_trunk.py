@@ -8,6 +8,7 @@ import yaml
 
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import FollowTargets
+from test.scene_changes import LEFT_OUT, changed
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENE = written_out(yaml.safe_load((CONFIG / "scenes" / "trunk_cylinders.yaml").read_text()))
@@ -17,8 +18,7 @@ PATH = np.genfromtxt(CONFIG / "targets" / "trunk_path.csv", delimiter=",", skip_
 CYLINDERS = [entry["cylinder"] for entry in SCENE["obstacles"]]
 
 
-def without_cylinders(mapping):
-    del mapping["obstacles"], mapping["contact"]
+without_cylinders = changed({"obstacles": LEFT_OUT, "contact": LEFT_OUT})
 
 
 def gaps(simulation) -> list[float]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
+from test.scene_changes import repeat_step
 
 G = 9.81
 
@@ -27,8 +28,7 @@ def test_each_spring_of_a_hanging_chain_carries_the_weight_below_it(simulate, in
         }],
         integration=integration,
     )  # fmt: skip
-    for _ in range(60):
-        result = scene.step(Hold(0.1))
+    result = repeat_step(scene, Hold(0.1), 60)
     assert result.status is Status.OK
     term = next(term for term in scene.model.forces if term.name == "springs")
     tensions = 400.0 * (term.lengths(scene.state.positions) - 0.05)
@@ -94,8 +94,7 @@ def test_a_net_of_masses_has_the_same_equilibrium_in_statics_and_dynamics(simula
             }],
             integration=integration,
         )  # fmt: skip
-        for _ in range(400):
-            result = scene.step(Hold(time_step))
+        result = repeat_step(scene, Hold(time_step), 400)
         assert result.status is Status.OK
         found.append(result.state.positions)
     assert found[0][12, 2] < -0.002

@@ -17,6 +17,7 @@ from softrobot_twin.simulation.mesh_error import (
     MeshErrorUnknown,
     load_errors,
 )
+from test.scene_changes import repeat_step
 
 FACTOR = 1.5
 """An estimate is trusted when it is within this factor of the true error."""
@@ -134,8 +135,7 @@ def test_the_live_estimate_of_a_hanging_bar_is_right_for_both_elements(bar):
     def sag(scene):
         simulation = Simulation(scene)
         rest = simulation.effector_positions()[0, 2]
-        for _ in range(3):
-            simulation.step(Hold())
+        repeat_step(simulation, Hold(), 3)
         return rest - simulation.effector_positions()[0, 2], simulation
 
     def without_cable(*arguments):
@@ -335,8 +335,7 @@ def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_m
 def test_the_error_of_an_inflated_state_is_estimated(inflated_column, control):
     simulation = inflated_column(1, control)
     asked = 2.0e3 if control == "pressure" else 1.05 * simulation.rest_setpoints[0]
-    for _ in range(3):
-        result = simulation.step(CommandSetpoints([asked], 1.0))
+    result = repeat_step(simulation, CommandSetpoints([asked], 1.0), 3)
     assert result.status is Status.OK
     kept = discretization_error(simulation)
     by_pressure = discretization_error(simulation, forces_given=True)

@@ -3,32 +3,10 @@
 import meshio
 import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold, Status
 
-CUBE = {"name": "cube", "mass": 0.03, "box": {"size": [0.04] * 3}, "position": [0, 0, 0.02]}
 TOUCHING = {"friction": 0.5, "between": [{"pair": ["cube", "floor"]}]}
-
-
-@pytest.mark.parametrize("contact", [TOUCHING, None])
-def test_an_obstacle_whose_file_is_missing_is_named_also_where_nothing_touches_it(
-    scene_of, contact
-):
-    obstacles = [{"name": "wall", "plane": {"normal": [1, 0, 0], "point": [-1, 0, 0]}},
-                 {"name": "floor", "surface": {"file": "nowhere.stl"}}]  # fmt: skip
-    with pytest.raises(
-        SceneError, match=r"obstacles\[1\]\.surface\.file = 'nowhere\.stl': there is no such file"
-    ):
-        scene_of(
-            integration="dynamic", rigid_bodies=[CUBE], obstacles=obstacles, contact=contact
-        )
-
-
-def test_a_rigid_body_whose_file_is_missing_is_named(scene_of):
-    body = {"name": "cube", "mass": 0.03, "surface": {"file": "nowhere.stl"}}
-    with pytest.raises(SceneError, match=r"rigid_bodies\[0\]\.surface\.file .*no such file"):
-        scene_of(integration="dynamic", rigid_bodies=[body])
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
+from test.scene_changes import repeat_step
 
 TURNING = np.array([2.0, -1.0, 3.0])
 MOVING = np.array([0.1, 0.05, -0.02])
@@ -43,8 +44,7 @@ def soft(simulate, body_of, block):
 def test_a_soft_body_keeps_its_momentum_exactly(soft):
     thrown(soft, stretch=1.1)
     before, _ = momenta(soft)
-    for _ in range(20):
-        soft.step(Hold(0.005))
+    repeat_step(soft, Hold(0.005), 20)
     np.testing.assert_allclose(momenta(soft)[0], before, rtol=0, atol=1e-10 * np.abs(before).max())
 
 
@@ -54,8 +54,7 @@ def test_a_soft_body_s_angular_momentum_error_is_proportional_to_the_time_step(s
         soft.reset()
         thrown(soft)
         before = momenta(soft)[1]
-        for _ in range(count):
-            soft.step(Hold(0.08 / count))
+        repeat_step(soft, Hold(0.08 / count), count)
         errors.append(np.linalg.norm(momenta(soft)[1] - before) / np.linalg.norm(before))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert errors[-1] < 0.05
@@ -151,8 +150,7 @@ def test_viscosity_changes_angular_momentum_by_a_time_step_error_only(simulate, 
         thrown(scene, stretch=1.02)
         found = [momenta(scene)[1]]
         for _ in range(2):
-            for _ in range(count):
-                scene.step(Hold(0.06 / count))
+            repeat_step(scene, Hold(0.06 / count), count)
             found.append(momenta(scene)[1])
         for losses, before, after in ((lost, *found[:2]), (lost_later, *found[1:])):
             losses.append(np.linalg.norm(after - before) / np.linalg.norm(before))

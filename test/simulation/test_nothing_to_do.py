@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
+from test.scene_changes import repeat_step
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 FREE = {"name": "box", "box": {"size": [0.02, 0.03, 0.04]}, "mass": 0.1}
@@ -52,8 +53,7 @@ def test_a_scene_in_which_nothing_moves_by_itself_runs(simulate, integration):
     assert scene.model.nodes.free_node_count == 0
     runs(scene, 0.01)
     scene.model.guides.aim("palm", [0.0, 0.0, 0.005])
-    for _ in range(10):
-        result = scene.step(Hold(0.01))
+    result = repeat_step(scene, Hold(0.01), 10)
     np.testing.assert_allclose(result.state.positions[0], [0, 0, 0.005], atol=1e-12)
 
 

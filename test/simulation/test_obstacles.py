@@ -4,7 +4,7 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.errors import MeshError
 from softrobot_twin.simulation import Hold, Status
 
 STEP, G = 0.004, 9.81
@@ -79,32 +79,3 @@ def test_a_surface_with_a_hole_is_refused(scene_of, write_block, surface):
     entry = {"surface": {"file": surface("stl", left_out=1), "scale": 0.001}}
     with pytest.raises(MeshError, match="obstacle.stl"):
         resting_on(scene_of, write_block, entry)
-
-
-@pytest.mark.parametrize(
-    ("obstacle", "key"),
-    [
-        ({}, "obstacles"),
-        ({"sphere": {"radius": 0.0}}, "radius"),
-        ({"sphere": {"radius": 0.1}, "plane": {}}, "obstacles"),
-        ({"capsule": {"ends": [[0, 0, 0], [0, 0, 0]], "radius": 0.1}}, "capsule"),
-        ({"plane": {"normal": [0, 0, 0]}}, "plane"),
-        ({"plane": {}, "mass": 1.0}, "mass"),
-    ],
-)
-def test_an_impossible_obstacle_is_refused_by_its_key(scene_of, write_block, obstacle, key):
-    with pytest.raises(SceneError, match=key):
-        resting_on(scene_of, write_block, obstacle)
-
-
-def test_a_contact_pair_of_fixed_bodies_is_refused(scene_of, write_block):
-    with pytest.raises(SceneError, match=r"between\[0\]"):
-        scene_of(
-            integration="dynamic",
-            body={"name": "soft", "mesh": {"file": write_block((0.04, 0.04, 0.02), (2, 2, 1))},
-                  "element": "linear",
-                  "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}},
-            obstacles=[{"name": "one", "plane": {}},
-                       {"name": "two", "sphere": {"radius": 0.1}}],
-            contact={"between": [{"pair": ["one", "two"]}]},
-        )  # fmt: skip

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.schema import EffectorOrientation
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
+from test.scene_changes import repeat_step
 
 FETCH = Path(__file__).resolve().parents[2] / "config/scenes/fetch_reduced.yaml"
 TIP_PATCH = [[0.004, 0, 0.195], [0, 0.004, 0.195], [-0.004, 0, 0.195], [0, -0.004, 0.195]]
@@ -54,8 +55,7 @@ def quaternion(*degrees):
 def led(simulation, turn, shift=(0.0, 0.0, 0.0), steps=30):
     """The last step towards a turn from rest and a place beside that at rest."""
     targets = simulation.model.effectors.positions(simulation.model.nodes.rest_positions) + shift
-    for _ in range(steps):
-        result = simulation.step(FollowTargets(targets, STEP, None, turn))
+    result = repeat_step(simulation, FollowTargets(targets, STEP, None, turn), steps)
     return result
 
 
@@ -117,8 +117,7 @@ def test_an_unreachable_orientation_ends_at_the_nearest_with_a_status(posed):
             simulation.restore(state)
             lengths = state.setpoints.copy()
             lengths[cable] = min(lengths[cable] + change, simulation.rest_setpoints[cable])
-            for _ in range(8):
-                moved = simulation.step(CommandSetpoints(lengths, STEP))
+            moved = repeat_step(simulation, CommandSetpoints(lengths, STEP), 8)
             assert np.radians(angle_between(moved, wanted)) > left - 2e-4
 
 
@@ -198,23 +197,6 @@ def test_a_quaternion_that_is_no_rotation_is_refused_and_moves_nothing(posed, wr
     with pytest.raises(CommandError, match="orientations"):
         led(simulation, wrong, steps=1)
     assert simulation.state.step_count == 0
-
-
-def test_points_on_a_line_of_a_soft_body_are_refused(posed):
-    with pytest.raises(SceneError, match=r"orientation\.points.*do not lie on one line"):
-        posed(points=CORNERS[::2])
-    with pytest.raises(SceneError, match=r"effectors\[0\]\.points.*do not lie on one line"):
-        posed(points=[])
-
-
-def test_orientations_need_an_axis_that_points_somewhere(posed):
-    with pytest.raises(SceneError, match="must not be zero"):
-        posed(pointing=[0.0, 0.0, 0.0])
-
-
-def test_directions_may_be_empty_only_with_an_orientation(beam):
-    with pytest.raises(SceneError, match="directions"):
-        beam(lambda mapping: mapping["effectors"][0].update(directions=[]))
 
 
 @pytest.mark.slow

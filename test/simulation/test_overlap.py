@@ -6,6 +6,7 @@ import pytest
 
 from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold, Simulation, Status
+from test.scene_changes import repeat_step
 
 STEP, PUSH_OUT = 0.002, 0.05
 DEEP = 0.005
@@ -91,16 +92,14 @@ def test_a_plane_that_appears_pushes_no_node_faster_than_the_push_out_speed(
 @pytest.mark.parametrize("integration", ["quasi_static", "first_order", "dynamic"])
 def test_all_time_integrations_end_in_the_same_shape(scene_of, write_block, obstacle, integration):
     simulation = overlapping(scene_of, write_block, integration, **obstacle("plane"))
-    for _ in range(400):
-        result = simulation.step(Hold(STEP))
+    result = repeat_step(simulation, Hold(STEP), 400)
     sole = simulation.model.nodes.rest_positions[:, 2] < 1e-9
     np.testing.assert_allclose(result.state.positions[sole, 2], DEEP, atol=1e-7)
     # A bar between plates, squeezed by a quarter: between free sides and a glued top.
     pressed = result.contacts.forces.sum(axis=0)[2]
     assert 1.0 < pressed / (MATERIAL["young_modulus"] * 0.04**2 * 0.25) < 1.5
     reference = overlapping(scene_of, write_block, **obstacle("plane"))
-    for _ in range(400):
-        expected = reference.step(Hold(STEP))
+    expected = repeat_step(reference, Hold(STEP), 400)
     assert pressed == pytest.approx(expected.contacts.forces.sum(axis=0)[2], rel=1e-4)
 
 

@@ -11,6 +11,7 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.step_report import NEAR_BALANCE
+from test.scene_changes import repeat_step
 
 BUDGET = 1.0e-6
 PERIOD = 0.01
@@ -157,8 +158,7 @@ def test_a_slowly_converging_factor_is_replaced_in_the_next_step_although_late(d
 def test_at_an_unchanged_target_a_stale_factor_is_never_replaced(diamond, overloaded):
     simulation = overloaded(diamond())
     command = FollowTargets(simulation.effector_positions(), PERIOD)
-    for _ in range(30):
-        simulation.step(command, budget=BUDGET)
+    repeat_step(simulation, command, 30, budget=BUDGET)
     ages = [simulation.step(command, budget=BUDGET).report.factor_age for _ in range(50)]
     assert ages == list(range(ages[0], ages[0] + 50)) and ages[0] > 0
 
@@ -192,7 +192,6 @@ def test_a_step_on_time_is_not_reported_as_late(diamond):
 
 def test_in_dynamics_a_factor_of_another_time_step_is_not_used(diamond, overloaded):
     simulation = overloaded(diamond(lambda m: m.update(integration="dynamic")))
-    for _ in range(5):
-        simulation.step(Hold(PERIOD), budget=BUDGET)
+    repeat_step(simulation, Hold(PERIOD), 5, budget=BUDGET)
     assert simulation.step(Hold(PERIOD), budget=BUDGET).report.factor_age > 0
     assert simulation.step(Hold(0.5 * PERIOD), budget=BUDGET).report.is_late

@@ -21,6 +21,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.study.direct_run import run_commands
+from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = CONFIG / "scenes"
@@ -49,9 +50,7 @@ def settled(simulation, setpoints, steps=60, time_step=1.0):
 # --- Springy -------------------------------------------------------------------------------------
 
 
-def quadratic(mapping):
-    mapping["body"]["mesh"]["file"] = "../../meshes/springy_400.msh"
-    mapping["body"]["element"] = "quadratic"
+quadratic = changed({"body.mesh.file": "../../meshes/springy_400.msh", "body.element": "quadratic"})
 
 
 @pytest.mark.parametrize("change", [None, quadratic], ids=["smoothed_964", "quadratic_400"])
@@ -114,9 +113,7 @@ def about_z(points, turn):
     return Rotation.from_rotvec([0.0, 0.0, turn]).apply(points)
 
 
-def symmetric(mapping):
-    for body in mapping["bodies"]:
-        body["volume"] = "per_element"
+symmetric = changed({"bodies.*.volume": "per_element"})
 
 
 @pytest.mark.parametrize("change, aside", [(symmetric, 1e-7), (None, 1e-3)],
@@ -145,10 +142,6 @@ def test_a_finger_moves_by_its_own_pressure_alone():
 
 
 def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():
-    def without(mapping):
-        for body in mapping["bodies"]:
-            del body["materials"]
-
     def stretch(change):
         """Share by which the middle line of a finger's inner side grows."""
         hand = robot("pneunet_inverse", change)
@@ -163,7 +156,7 @@ def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():
         ]  # fmt: skip
         return lengths[1] / lengths[0] - 1.0
 
-    with_layer, without_layer = stretch(None), stretch(without)
+    with_layer, without_layer = stretch(None), stretch(changed({"bodies.*.materials": LEFT_OUT}))
     assert 0.0 < with_layer < 0.6 * without_layer
 
 
@@ -174,8 +167,7 @@ def test_tips_follow_targets_on_their_curves():
     table = read_targets(CONFIG / "targets" / "pneunet_tips.csv", hand)
     times = np.arange(0.0, table.times[-1] + 1e-9, 0.02)
     path = make_interp_spline(table.times, table.values, k=1)(times)
-    for _ in range(20):
-        hand.step(Hold())
+    repeat_step(hand, Hold(), 20)
     errors = []
     for targets in path:
         result = hand.step(FollowTargets(targets, 0.02))
@@ -229,9 +221,7 @@ def test_all_chambers_lengthen_the_segment_and_keep_it_straight():
 
 
 def test_hoops_nearly_double_the_bending_and_keep_the_wall_from_bulging():
-    def bare(mapping):
-        del mapping["fibres"]
-
+    bare = changed({"fibres": LEFT_OUT})
     tips, growths = [], []
     for change in (None, bare):
         segment = robot("segment", change)

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics import elements
 from softrobot_twin.mechanics.element_assembly import deform_all
 from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO, UNFITTED
+from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO
 from softrobot_twin.simulation import Hold
 
 
@@ -55,26 +54,6 @@ def test_density_mass_poisson_ratio_and_range_may_be_given_beside_a_preset(tmp_p
     assert weighed.density is None and weighed.total_mass == 0.1
     bulky = scene_of(tmp_path, preset="ecoflex_00_30", bulk_modulus=1e6).body.material
     assert bulky.poisson_ratio is None and bulky.bulk_modulus == 1e6
-
-
-@pytest.mark.parametrize(
-    ("material", "key", "reason"),
-    [
-        *(({"preset": name}, "preset", "no published tensile curve") for name in UNFITTED),
-        ({"preset": "ecoflex"}, "preset", "is ecoflex_00_30 or ecoflex_00_50 meant?"),
-        ({"preset": "Dragon Skin 10"}, "preset", "is dragon_skin_10 meant?"),
-        ("ecoflex", "preset", "is ecoflex_00_30 or ecoflex_00_50 meant?"),
-        ({"preset": "dragonskin"}, "preset", "dragon_skin_30"),
-        ({"preset": "tpu_85a", "law": "corotational"}, "law", "tpu_85a"),
-        ({"preset": "tpu_85a", "young_modulus": 1e6}, "young_modulus", "tpu_85a"),
-        ({"preset": "tpu_85a", "constants": {"c10": 1.0, "c01": 2.0}}, "constants", "tpu_85a"),
-        ({"preset": "tpu_85a", "strain_range": [0.1, 0.5]}, "strain_range", "between -1 and 0"),
-    ],
-)
-def test_what_a_preset_does_not_allow_is_refused_by_name(tmp_path, material, key, reason):
-    with pytest.raises(SceneError) as refused:
-        scene_of(tmp_path, **material) if isinstance(material, dict) else scene_of(tmp_path, material)
-    assert refused.value.key == f"body.material.{key}" and reason in str(refused.value)
 
 
 def test_strain_outside_of_the_range_is_told_after_the_step(hung):

@@ -16,6 +16,7 @@ from softrobot_twin.simulation.building.reduced_body import (
     reduction_fingerprints,
     write_body_reduction,
 )
+from test.scene_changes import changed
 
 STEP = 0.02
 BLOCK = {"size": (0.03, 0.03, 0.03), "cells": (3, 3, 3), "hole": ((1, 2), (1, 2), (1, 2))}
@@ -54,8 +55,7 @@ def pair(inflatable, tmp_path):
     return make
 
 
-def turned(mapping):
-    mapping["body"]["mesh"].update(rotation=[0.0, 0.0, 0.7], translation=[0.2, -0.1, 0.0])
+turned = changed({"body.mesh.rotation": [0.0, 0.0, 0.7], "body.mesh.translation": [0.2, -0.1, 0.0]})
 
 
 def walls_of(simulation):
@@ -99,12 +99,8 @@ def test_a_cavity_whose_walls_are_all_fixed_is_refused(inflatable, tmp_path):
     held = {**BLOCK, "fixed": low}
     body = inflatable(lambda mapping: mapping.pop("cavities"), body=held).model.bodies[0]
     save_whole_basis(tmp_path / "held.npz", body)
-
-    def reduce(mapping):
-        mapping["body"]["reduced"] = {"file": str(tmp_path / "held.npz")}
-
     with pytest.raises(SceneError, match=r"cavities\[0\]\.walls.*nothing changes its volume"):
-        inflatable(reduce, body=held)
+        inflatable({"body.reduced": {"file": str(tmp_path / "held.npz")}}, body=held)
 
 
 @pytest.fixture
@@ -162,8 +158,7 @@ def scene_of(tmp_path, change):
     return scene_from_mapping(mapping, tmp_path / "scene.yaml")
 
 
-def with_liquid(mapping):
-    mapping["cavities"][0]["liquid_density"] = 1000.0
+with_liquid = changed({"cavities.0.liquid_density": 1000.0})
 
 
 def with_a_wall_elsewhere(mapping):
@@ -176,8 +171,7 @@ def with_a_cavity_elsewhere(mapping):
     )
 
 
-def with_a_wall_of_both(mapping):
-    mapping["cavities"][0]["walls"][0]["also_on"] = ["other"]
+with_a_wall_of_both = changed({"cavities.0.walls.0.also_on": ["other"]})
 
 
 def with_a_wall_of_the_other_and_it(mapping):
@@ -188,15 +182,14 @@ def with_sealed_gas(mapping):
     mapping["sealed_cavities"] = mapping.pop("cavities")
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [(with_liquid, r"cavities\[0\]\.liquid_density = 1000\.0 kg/m³.*reduced body is not built"),
-     (with_a_wall_elsewhere, r"cavities\[0\]\.walls = 'air'.*lies on other, which is not reduced"),
-     (with_a_cavity_elsewhere, r"cavities\[0\]\.walls = 'oil'.*lies on other, which is not"),
-     (with_a_wall_of_both, r"cavities\[0\]\.walls\[0\]\.also_on.*soft is reduced"),
-     (with_a_wall_of_the_other_and_it, r"cavities\[0\]\.walls\[0\]\.also_on.*soft is reduced"),
-     (with_sealed_gas, r"sealed_cavities\[0\]\.walls = 'air'.*gas sealed there is not built")],
-)  # fmt: skip
+@pytest.mark.parametrize("change, says", [
+    (with_liquid, r"cavities\[0\]\.liquid_density = 1000\.0 kg/m³.*reduced body is not built"),
+    (with_a_wall_elsewhere, r"cavities\[0\]\.walls = 'air'.*lies on other, which is not reduced"),
+    (with_a_cavity_elsewhere, r"cavities\[0\]\.walls = 'oil'.*lies on other, which is not"),
+    (with_a_wall_of_both, r"cavities\[0\]\.walls\[0\]\.also_on.*soft is reduced"),
+    (with_a_wall_of_the_other_and_it, r"cavities\[0\]\.walls\[0\]\.also_on.*soft is reduced"),
+    (with_sealed_gas, r"sealed_cavities\[0\]\.walls = 'air'.*gas sealed there is not built"),
+])  # fmt: skip
 def test_what_is_not_built_on_reduced_bodies_is_refused_by_name(tmp_path, change, says):
     check_walls_of_reduced(scene_of(tmp_path, lambda mapping: None))
     with pytest.raises(SceneError, match=says):

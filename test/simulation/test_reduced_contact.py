@@ -17,6 +17,7 @@ from softrobot_twin.simulation.effects.reduction_error import FullModelError
 
 from .building.test_reduced_body import every_point, spanning_basis
 from .test_slides import CART, FOOT, SLIDE
+from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 
 def saved_beside(simulation, basis, path) -> Simulation:
@@ -35,11 +36,7 @@ def spanned(beam, tmp_path):
     """Makes a beam, and the same reduced to a basis that spans everything."""
 
     def make(change):
-        def exact(mapping):
-            mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-9}
-            change(mapping)
-
-        full = beam(exact)
+        full = beam({"solver": {"newton_iterations": 30, "residual_tolerance": 1e-9}}, change)
         basis = spanning_basis(full.model.bodies[0])
         return full, saved_beside(full, basis, tmp_path / "reduced.npz")
 
@@ -200,10 +197,7 @@ def test_a_spanning_basis_presses_on_a_rod_as_the_full_model_does(spanned, rod):
 
 
 def test_a_spanning_basis_sticks_and_slips_as_the_full_model_does(spanned, rod):
-    def rubbing(mapping):
-        rod(mapping, friction=0.4)
-
-    full, reduced = spanned(rubbing)
+    full, reduced = spanned(lambda m: rod(m, friction=0.4))
     assert full.model.contacts.rubs
     for east, north in ((0.006, 0.0), (0.01, 0.0), (0.01, 0.004), (0.01, 0.008)):
         command = CommandSetpoints(wound(full, east, north), 1.0)
@@ -211,20 +205,14 @@ def test_a_spanning_basis_sticks_and_slips_as_the_full_model_does(spanned, rod):
     assert pressing(second).sum() > 0.05
 
 
-def on_a_cart(mapping):
-    del mapping["body"]["fixed"]
-    mapping["body"]["attached"] = [{"to": "cart", "box": FOOT}]
-    mapping["rigid_bodies"], mapping["slides"] = [CART.copy()], [SLIDE.copy()]
-    for cable in mapping["cables"]:
-        cable["pull_point_on"] = "cart"
+on_a_cart = changed({
+    "body.fixed": LEFT_OUT, "body.attached": [{"to": "cart", "box": FOOT}],
+    "rigid_bodies": [CART.copy()], "slides": [SLIDE.copy()], "cables.*.pull_point_on": "cart",
+})  # fmt: skip
 
 
 def test_a_spanning_basis_rides_on_a_slide_as_the_full_model_does(spanned, rod):
-    def change(mapping):
-        on_a_cart(mapping)
-        rod(mapping)
-
-    full, reduced = spanned(change)
+    full, reduced = spanned(changed(on_a_cart, rod))
     setpoints = wound(full, 0.006)
     assert_same(full, reduced, CommandSetpoints(setpoints, 1.0), 4)
     for setpoints[-1] in (0.002, 0.004, 0.006):
@@ -244,8 +232,7 @@ def test_the_full_model_judges_a_body_where_its_slide_has_brought_it(spanned):
     setpoints = wound(full, 0.006)
     setpoints[-1] = 0.006
     for simulation in (full, reduced):
-        for _ in range(8):
-            simulation.step(CommandSetpoints(setpoints, 1.0))
+        repeat_step(simulation, CommandSetpoints(setpoints, 1.0), 8)
     judge = FullModelError(reduced)
     lifted = judge.lifted(reduced.state)
     np.testing.assert_allclose(lifted.positions, full.state.positions, atol=1e-8)

@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold
+from test.scene_changes import repeat_step
 
 G, STEP = 9.81, 0.004
 MASS, EDGE = 0.03, 0.04
@@ -47,8 +48,7 @@ def test_the_contact_forces_on_a_resting_body_equal_its_weight_and_it_stays(
         bodies = {"body": soft(write_block, translation=[0, 0, 0.01])}
         weight, settling = 0.04 * 0.04 * 0.02 * 1000.0 * G, 300
     simulation = lying(scene_of, friction, **bodies)
-    for _ in range(settling):
-        simulation.step(Hold(STEP))
+    repeat_step(simulation, Hold(STEP), settling)
     start = simulation.state.positions
     for _ in range(1000):
         result = simulation.step(Hold(STEP))
@@ -134,6 +134,5 @@ def test_a_cube_with_its_centre_beyond_the_edge_falls_off(scene_of):
         obstacles=[{"name": "table", "box": {"centre": [0, 0, -0.02], "size": [EDGE] * 3}}],
         contact={"friction": 0.5, "between": [{"pair": ["high", "table"]}]},
     )  # fmt: skip
-    for _ in range(100):
-        result = simulation.step(Hold(STEP))
+    result = repeat_step(simulation, Hold(STEP), 100)
     assert result.state.positions[0, 2] < -0.04

@@ -5,10 +5,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
-from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold
 
 SHARE, TIME = 0.3, 0.5
@@ -129,37 +127,6 @@ def test_scenes_without_memory_have_no_history_and_plain_elements(bar):
     assert not any(isinstance(term, RememberingElements) for term in simulation.model.forces)
     assert simulation.model.beginners == ()
     assert {term.name for term in simulation.model.forces} == {"neo_hookean elements", "gravity"}
-
-
-@pytest.mark.parametrize(
-    ("material", "scene", "key", "reason"),
-    [
-        ({"law": "corotational", "viscosity": VISCOSITY}, {}, "body.material.viscosity",
-         "corotational"),
-        ({"law": "linear", "softening": SOFTENING}, {}, "body.material.softening", "linear"),
-        ({"viscosity": [{"share": 0.6, "time": 1.0}, {"share": 0.4, "time": 2.0}]}, {},
-         "body.material.viscosity", "less than 1"),
-        ({"viscosity": [{"share": 0.6, "time": -1.0}]}, {}, "body.material.viscosity[0].time", "s"),
-        ({"softening": {"r": 0.5, "m": 10.0}}, {}, "body.material.softening.r", "above 1"),
-        ({"viscosity": VISCOSITY}, {"integration": "dynamic", "time_scheme": "generalized_alpha"},
-         "time_scheme", "viscous"),
-    ],
-)  # fmt: skip
-def test_what_is_not_built_is_refused_by_name(tmp_path, material, scene, key, reason):
-    body = {"mesh": "none.vtk", "material": RUBBER | material,
-            "fixed": [{"nodes": [0]}]}  # fmt: skip
-    with pytest.raises(SceneError) as refused:
-        scene_from_mapping({"name": "scene", "body": body, **scene}, tmp_path / "scene.yaml")
-    assert refused.value.key == key and reason in str(refused.value)
-
-
-def test_vertebrae_of_a_viscous_body_are_refused(tmp_path):
-    box = {"minimum": [0, 0, 0], "maximum": [1, 1, 1]}
-    rigid = [{"name": "a", "box": box}, {"name": "b", "box": box}]
-    material = RUBBER | {"viscosity": VISCOSITY}
-    body = {"mesh": "none.vtk", "material": material, "vertebrae": {"rigid": rigid}}
-    with pytest.raises(SceneError, match="vertebrae"):
-        scene_from_mapping({"name": "scene", "body": body}, tmp_path / "scene.yaml")
 
 
 def test_a_part_may_be_viscous_alone_or_be_left_out(simulate, write_block):

@@ -10,6 +10,7 @@ from softrobot_twin.simulation.scene_warnings import (
     expected_sag,
     linear_sag,
 )
+from test.scene_changes import repeat_step
 
 LENGTH, SIDE, DENSITY = 0.2, 0.02, 1000.0
 
@@ -92,8 +93,7 @@ def test_an_unheld_body_has_no_sag_and_a_weightless_one_has_zero_sag(cantilever)
 def test_the_sag_of_a_dynamic_scene_is_the_static_one(cantilever):
     moving = cantilever(3e5, integration="dynamic")
     static = expected_sag(cantilever(3e5).model)
-    for _ in range(3):
-        moving.step(Hold(0.01))
+    repeat_step(moving, Hold(0.01), 3)
     before = moving.state
     assert expected_sag(moving.model) == pytest.approx(static, rel=1e-9)
     # The prediction does not change the simulation.

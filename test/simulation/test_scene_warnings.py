@@ -11,6 +11,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Simulation
+from test.scene_changes import repeat_step
 
 SIZE = (0.02, 0.02, 0.1)
 
@@ -51,8 +52,7 @@ def test_a_mesh_with_duplicate_nodes_is_joined_reported_and_bends_as_one_body(co
     joined, whole = column(*cut_at_half_height(column.mesh)), column()
     assert any("Merged 12 nodes" in note and "column.vtk" in note for note in joined.notes)
     for simulation in (joined, whole):
-        for _ in range(10):
-            result = simulation.step(CommandEfforts(np.array([1.0]), 0.02))
+        result = repeat_step(simulation, CommandEfforts(np.array([1.0]), 0.02), 10)
         assert result.report.residual < 1e-4
     np.testing.assert_allclose(joined.effector_positions(), whole.effector_positions(), atol=1e-9)
 
@@ -143,8 +143,7 @@ def test_a_file_of_ten_node_tetrahedra_is_quadratic(column, suffix):
     asked = column(body={"element": "quadratic"})
     assert of_file.notes == () and of_file.model.bodies[0].entry.element == "quadratic"
     for simulation in (of_file, asked):
-        for _ in range(10):
-            simulation.step(CommandEfforts(np.array([0.5]), 0.02))
+        repeat_step(simulation, CommandEfforts(np.array([0.5]), 0.02), 10)
     np.testing.assert_allclose(of_file.effector_positions(), asked.effector_positions(), atol=1e-9)
 
 
@@ -181,8 +180,7 @@ def test_without_limits_the_tip_goes_where_it_goes_with_wide_limits(beam, qp_sol
         simulation.warm_up()
         assert np.isinf(simulation.limits.effort_max).all() == (tension is None)
         target = simulation.effector_positions() + [[0.006, 0.003, -0.004]]
-        for _ in range(12):
-            result = simulation.step(FollowTargets(target, 0.02))
+        result = repeat_step(simulation, FollowTargets(target, 0.02), 12)
         assert np.isfinite(result.setpoints).all() and (result.setpoints > 0.0).all()
         reached.append(result.effector_positions[0])
     np.testing.assert_allclose(reached[1:], [reached[0]] * 2, atol=1e-6)
@@ -211,8 +209,7 @@ def test_without_limits_the_tip_between_cylinders_goes_where_it_goes_with_wide_l
         simulation = coarse_trunk(change)
         simulation.warm_up()
         target = simulation.effector_positions() + [[0.015, 0.002, -0.003]]
-        for _ in range(15):
-            result = simulation.step(FollowTargets(target, 0.02))
+        result = repeat_step(simulation, FollowTargets(target, 0.02), 15)
         assert np.isfinite(result.setpoints).all() and np.isfinite(result.efforts).all()
         reached.append(result.effector_positions[0])
     np.testing.assert_allclose(reached[1], reached[0], atol=1e-5)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Simulation
+from test.scene_changes import repeat_step
 
 STEP, OPENING, RADIUS, ANGLE = 0.01, 0.0, 0.03, 5.9
 
@@ -35,8 +36,7 @@ def clasp(scene_of, write_block):
 
 
 def settle(simulation):
-    for _ in range(60):
-        result = simulation.step(Hold(STEP))
+    result = repeat_step(simulation, Hold(STEP), 60)
     return result
 
 

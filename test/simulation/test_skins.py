@@ -107,11 +107,6 @@ def test_a_surface_in_the_wrong_unit_is_refused_by_its_key(fine_surface, dressed
         dressed(fine_surface(), scale=1000.0)
 
 
-def test_a_missing_surface_file_is_refused(dressed, tmp_path):
-    with pytest.raises(SceneError, match=r"body\.visual\.file.*no such file"):
-        dressed(tmp_path / "none.stl")
-
-
 def test_each_body_is_drawn_by_its_own_surface_at_its_position(grasper):
     grasper.reset()
     assert [skin.name for skin in grasper.skins] == ["finger_0", "finger_1", "finger_2"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import softrobot_twin as st
+from test.scene_changes import repeat_step
 
 LENGTH, WIDTH = 0.1, 0.02
 LIMITED, RATE = 0.002, 0.01
@@ -125,8 +126,7 @@ def test_a_nearer_place_with_a_cable_slack_is_found_where_it_rests_taut_at_its_l
 
     def missed(command):
         robot.reset()
-        for _ in range(150):
-            result = robot.step(command)
+        result = repeat_step(robot, command, 150)
         return np.linalg.norm((result.tip - goal)[1:]), tensions(result)
 
     own, pulling = missed(st.targets(tip=goal.tolist()))

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
 from softrobot_twin.simulation.step.time_budget import StageClock
+from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 AXIS = np.array([0.6, 0.0, 0.8])
 SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
@@ -43,8 +43,7 @@ def sliding(beam):
 def slid_to(simulation, position, steps=20, time_step=1.0):
     lengths = simulation.state.setpoints.copy()
     lengths[-1] = position
-    for _ in range(steps):
-        result = simulation.step(CommandSetpoints(lengths, time_step))
+    result = repeat_step(simulation, CommandSetpoints(lengths, time_step), steps)
     return result
 
 
@@ -120,8 +119,7 @@ def test_its_travel_and_rate_limits_are_kept_and_reported(sliding):
 def test_a_target_that_the_slide_reaches_needs_no_cable(sliding):
     simulation = sliding()
     target = simulation.effector_positions() + 0.015 * AXIS
-    for _ in range(60):
-        result = simulation.step(FollowTargets(target, 0.05))
+    result = repeat_step(simulation, FollowTargets(target, 0.05), 60)
     assert result.status is Status.OK
     assert result.setpoints[-1] == pytest.approx(0.015, abs=2e-4)
     assert result.efforts[:4].max() < 0.2
@@ -141,21 +139,15 @@ def test_given_tensions_do_not_move_it(sliding):
     simulation = sliding()
     slid_to(simulation, 0.01)
     tensions = np.array([1.0, 0.5, 0.0, 0.0, np.nan])
-    for _ in range(20):
-        result = simulation.step(CommandEfforts(tensions, 1.0))
+    result = repeat_step(simulation, CommandEfforts(tensions, 1.0), 20)
     assert result.setpoints[-1] == pytest.approx(0.01, abs=1e-12)
     np.testing.assert_allclose(result.efforts[:4], tensions[:4], atol=1e-6)
 
 
 def test_its_load_is_the_weight_and_contact_force_along_it(sliding, rod):
-    def heavy(mapping):
-        mapping["gravity"] = [1.0, 0.0, -9.81]
-        in_way(mapping, rod)
-
-    simulation = sliding(heavy)
+    simulation = sliding(changed({"gravity": [1.0, 0.0, -9.81]}, lambda m: in_way(m, rod)))
     target = simulation.effector_positions() + [0.03, 0.0, 0.0]
-    for _ in range(60):
-        result = simulation.step(FollowTargets(target, 0.05))
+    result = repeat_step(simulation, FollowTargets(target, 0.05), 60)
     assert len(result.contacts.forces)
     weight = 1000.0 * 0.02 * 0.02 * 0.1 * np.array([1.0, 0.0, -9.81])
     outer = weight + result.contacts.forces.sum(axis=0)
@@ -166,8 +158,7 @@ def test_a_slide_without_a_binding_limit_has_no_load(sliding, rod):
     """The least error is where the force along the axis does no work: nothing binds it."""
     simulation = sliding(lambda m: in_way(m, rod))
     target = simulation.effector_positions() + [0.004, 0.0, -0.001]
-    for _ in range(60):
-        result = simulation.step(FollowTargets(target, 0.05))
+    result = repeat_step(simulation, FollowTargets(target, 0.05), 60)
     assert result.effector_errors[0] < 1e-4
     assert abs(result.efforts[-1]) < 1e-6
 
@@ -181,8 +172,7 @@ def test_it_may_be_commanded_while_the_cables_are_optimised(sliding, rod):
         result = simulation.step(FollowTargets(target, 0.05, commanded))
         assert result.setpoints[-1] == pytest.approx(position, abs=1e-12)
         assert "lift.rate" not in result.report.active_limits
-    for _ in range(20):
-        result = simulation.step(FollowTargets(target, 0.05, commanded))
+    result = repeat_step(simulation, FollowTargets(target, 0.05, commanded), 20)
     assert result.effector_errors[0] < 5e-3
 
 
@@ -206,16 +196,13 @@ def test_reset_and_restore_give_the_same_run_to_the_bit(sliding, rod):
     assert simulation.state.setpoints[-1] == 0.0
 
 
-def far_and_fast(mapping):
-    mapping["slides"][0].update(travel=[-0.1, 0.1])
-    del mapping["slides"][0]["rate"]
+far_and_fast = changed({"slides.0.travel": [-0.1, 0.1], "slides.0.rate": LEFT_OUT})
 
 
-def without_cables(mapping):
-    far_and_fast(mapping)
-    del mapping["cables"], mapping["effectors"]
-    mapping["gravity"] = [3.0, -2.0, -9.81]
-    mapping["solver"]["newton_iterations"] = 1
+without_cables = changed(far_and_fast, {
+    "cables": LEFT_OUT, "effectors": LEFT_OUT, "gravity": [3.0, -2.0, -9.81],
+    "solver.newton_iterations": 1,
+})  # fmt: skip
 
 
 def curled(simulation, radius):
@@ -270,10 +257,7 @@ def test_a_jump_of_the_slide_changes_nothing_seen_from_it(sliding, jump):
 
 
 def test_a_jump_of_the_slide_against_a_rod_settles_where_small_steps_lead(sliding, rod):
-    def change(mapping):
-        far_and_fast(mapping)
-        rod(mapping, x=0.065, z=0.08)
-
+    change = changed(far_and_fast, lambda m: rod(m, x=0.065, z=0.08))
     fast, slow = sliding(change), sliding(change)
     result = slid_to(fast, 0.069, 40)
     assert result.status is Status.OK and result.report.contact_count > 0
@@ -286,11 +270,7 @@ def test_a_jump_of_the_slide_against_a_rod_settles_where_small_steps_lead(slidin
 def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(
     sliding, rod, energies
 ):
-    def one_linearization(mapping):
-        in_way(mapping, rod)
-        mapping["solver"]["newton_iterations"] = 1
-
-    simulation = sliding(one_linearization)
+    simulation = sliding(changed(lambda m: in_way(m, rod), {"solver.newton_iterations": 1}))
     for position in np.linspace(0.0, 0.02, 21):
         result = slid_to(simulation, position, 1)
     assert result.report.contact_count > 0
@@ -315,42 +295,3 @@ def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(
     newton.gather_forces(at)
     penalties = merit.penalty(at) - begin.penalty
     assert change - penalties == pytest.approx(energy(1.0) - energy(0.0), rel=1e-3)
-
-
-def held_by_its_foot(mapping):
-    mapping["body"]["fixed"] = [{"box": {"minimum": [-1, -1, 0.099], "maximum": [1, 1, 1]}}]
-
-
-def held_by_a_cable(mapping):
-    mapping["cables"][1]["pull_point_on"] = "world"
-
-
-def held_by_a_spring(mapping):
-    ends = [{"on": "beam", "point": [0.01, 0.01, 0.1]}, {"point": [0.01, 0.01, 0.2]}]
-    mapping["springs"] = [{"name": "tether", "ends": ends, "stiffness": 10.0}]
-
-
-@pytest.mark.parametrize(
-    ("change", "by"),
-    [(held_by_its_foot, "fixed"), (held_by_a_cable, "north"), (held_by_a_spring, "tether")],
-)
-def test_a_body_held_twice_is_refused_by_name(sliding, change, by):
-    with pytest.raises(SceneError, match="lift") as refused:
-        sliding(change)
-    assert by in str(refused.value)
-
-
-@pytest.mark.parametrize("integration", ["first_order", "dynamic"])
-def test_slides_are_refused_in_a_dynamic_scene(sliding, integration):
-    def moving(mapping):
-        mapping["integration"] = integration
-        mapping["body"]["damping"] = {"mass": 10.0}
-
-    with pytest.raises(SceneError, match="quasi_static"):
-        sliding(moving)
-
-
-@pytest.mark.parametrize("travel", [[0.01, -0.01], [0.01, 0.02]])
-def test_a_travel_that_is_reversed_or_without_rest_is_refused(sliding, travel):
-    with pytest.raises(SceneError, match="travel"):
-        sliding(lambda m: m["slides"][0].update(travel=travel))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.patch_volumes import PatchVolumes
 from softrobot_twin.simulation import Hold, Status
@@ -92,22 +91,6 @@ def test_two_materials_share_no_ring(beam):
     edges = [{tuple(sorted(set(ring))) for ring in term._mesh.cells} for term in terms]
     assert len(terms) == 2 and not edges[0] & edges[1]
     assert 0.0 < sag(simulation) < 0.3 * sag(beam())
-
-
-def test_patches_of_a_reduced_body_are_refused_by_name(beam):
-    with pytest.raises(SceneError, match="body.volume.*name volume: per_element"):
-        beam(body={"reduced": {"file": "none.npz"}})
-
-
-@pytest.mark.parametrize("memory", ["viscosity", "softening"])
-def test_memory_of_a_body_with_vertebrae_is_refused_by_name(beam, memory):
-    boxes = [{"name": name, "box": {"minimum": [low, -1, -1], "maximum": [low + 0.02, 1, 1]}}
-             for name, low in (("foot", -0.001), ("head", 0.081))]  # fmt: skip
-    asked = {"viscosity": [{"share": 0.1, "time": 1.0}], "softening": {"r": 1.5, "m": 1e4, "beta": 0.1}}
-    material = {"law": "neo_hookean", "young_modulus": 1e5, "poisson_ratio": 0.45, "density": 1e3,
-                memory: asked[memory]}  # fmt: skip
-    with pytest.raises(SceneError, match=f"material.{memory}.*not built for bodies with vertebrae"):
-        beam(body={"vertebrae": {"rigid": boxes}, "material": material})
 
 
 def test_a_note_tells_that_smoothed_elements_lock_without_patches(beam):

@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.simulation import Hold, Status
 from softrobot_twin.solvers.compliance import Compliance
+from test.scene_changes import repeat_step
 
 G, STEP, EDGE = 9.81, 0.004, 0.04
 EQUAL = (0.03, 0.03, 0.03)
@@ -157,8 +158,7 @@ def test_the_compliance_of_rigid_bodies_contacts_is_never_formed(scene_of, monke
 def test_a_restored_stack_continues_as_before(scene_of):
     masses = (0.03, 0.3, 3.0)
     simulation = pile(scene_of, stack(masses, ((0, 0), (0.002, 0.001), (0, 0.002))), slope=0.15)
-    for _ in range(20):
-        simulation.step(Hold(STEP))
+    repeat_step(simulation, Hold(STEP), 20)
     saved = simulation.state
     runs = []
     for _ in range(2):
@@ -166,8 +166,7 @@ def test_a_restored_stack_continues_as_before(scene_of):
         runs.append([simulation.step(Hold(STEP)).state.positions.copy() for _ in range(20)])
     np.testing.assert_array_equal(*runs)
     gone_on = pile(scene_of, stack(masses, ((0, 0), (0.002, 0.001), (0, 0.002))), slope=0.15)
-    for _ in range(20):
-        gone_on.step(Hold(STEP))
+    repeat_step(gone_on, Hold(STEP), 20)
     straight = [gone_on.step(Hold(STEP)).state.positions.copy() for _ in range(20)]
     # Which of many equal shares of a load is found depends on the guess, where bodies go does not.
     np.testing.assert_allclose(straight, runs[0], atol=1e-8)

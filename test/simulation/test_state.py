@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, State, Status
+from test.scene_changes import LEFT_OUT
 
 
 def run(simulation, targets):
@@ -102,10 +103,7 @@ def test_a_scene_with_nothing_to_do_runs(diamond):
 
 
 def test_a_scene_without_effectors_runs_in_direct_mode(diamond):
-    def direct(mapping):
-        mapping.pop("effectors")
-
-    simulation = diamond(direct)
+    simulation = diamond({"effectors": LEFT_OUT})
     simulation.warm_up()
     assert simulation.step(CommandSetpoints(simulation.rest_setpoints, 1.0)).status.is_success
 

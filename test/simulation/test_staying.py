@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.command import are_same
+from test.scene_changes import repeat_step
 
 STEP = 0.01
 
@@ -138,8 +139,7 @@ def test_a_kept_state_is_in_balance_to_round_off(diamond):
     command = CommandSetpoints(simulation.rest_setpoints - [0.008, 0.001, 0.0, 0.004], STEP)
     kept = rests(simulation, command).state
     simulation.may_rest = False
-    for _ in range(100):
-        simulation.step(command)
+    repeat_step(simulation, command, 100)
     apart = np.abs(simulation.state.positions - kept.positions).max()
     assert apart < 1e-11 * simulation.model.nodes.size
 

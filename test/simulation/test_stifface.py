@@ -17,6 +17,7 @@ from softrobot_twin.simulation import (
     Touched,
 )
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from test.scene_changes import repeat_step
 
 SCENES = Path(__file__).resolve().parents[2] / "config/scenes"
 STEP = 0.02
@@ -174,6 +175,5 @@ def test_a_press_on_the_device_finds_the_stiffness_of_the_twin(pad):
     for wanted in (180.0, 300.0, 480.0):
         result = follow(pad, wanted, 60)
         lengths = device.rest_setpoints - result.displacements
-        for _ in range(8):
-            device.step(CommandSetpoints(lengths, 1.0))
+        repeat_step(device, CommandSetpoints(lengths, 1.0), 8)
         assert felt(device) == pytest.approx(wanted, rel=0.1)

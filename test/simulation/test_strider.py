@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
+from test.scene_changes import repeat_step
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 G = 9.81
@@ -15,14 +16,12 @@ G = 9.81
 @pytest.fixture
 def strider():
     simulation = Simulation(load_scene(SCENES / "strider.yaml"))
-    for _ in range(5):
-        simulation.step(Hold(0.02))
+    repeat_step(simulation, Hold(0.02), 5)
     return simulation
 
 
 def reach(simulation, target, steps=60):
-    for _ in range(steps):
-        result = simulation.step(FollowTargets(np.array([target]), 0.02))
+    result = repeat_step(simulation, FollowTargets(np.array([target]), 0.02), steps)
     return result
 
 
@@ -39,14 +38,12 @@ def test_it_hangs_level_and_its_motors_bear_it_alike(strider):
 
 def test_motors_that_turn_alike_lift_the_platform_and_opposite_ones_move_it_aside(strider):
     rest = strider.effector_positions()[0]
-    for _ in range(30):
-        result = strider.step(CommandSetpoints(np.full(4, 0.5), 0.02))
+    result = repeat_step(strider, CommandSetpoints(np.full(4, 0.5), 0.02), 30)
     lifted = strider.effector_positions()[0]
     assert result.status is Status.OK
     np.testing.assert_allclose(lifted[:2], 0.0, atol=1e-9)
     assert lifted[2] > rest[2] + 0.015
-    for _ in range(60):
-        result = strider.step(CommandSetpoints(np.array([0.5, 0.0, -0.5, 0.0]), 0.02))
+    result = repeat_step(strider, CommandSetpoints(np.array([0.5, 0.0, -0.5, 0.0]), 0.02), 60)
     aside = strider.effector_positions()[0]
     assert result.status is Status.OK
     assert aside[0] > 0.02 and abs(aside[1]) < 1e-9

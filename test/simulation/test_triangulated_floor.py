@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold
+from test.scene_changes import repeat_step
 
 G, STEP, SIZE, SLOPE = 9.81, 0.004, 0.04, np.arctan(0.55)
 KINDS = ["coarse", "fine", "irregular", "sliver"]
@@ -138,8 +139,7 @@ def test_a_body_slides_down_a_slope_as_on_the_analytic_plane(
     def way_on(shape):
         simulation, step = laid(name, shape, 1.0, 0.4, tilt=SLOPE)
         before = simulation.state.positions[0].copy()
-        for _ in range(60):
-            simulation.step(Hold(step))
+        repeat_step(simulation, Hold(step), 60)
         way = simulation.state.positions[0] - before
         assert abs(way @ [np.sin(SLOPE), 0.0, np.cos(SLOPE)]) < 1e-5
         return way @ [np.cos(SLOPE), 0.0, -np.sin(SLOPE)]
@@ -162,9 +162,7 @@ def test_a_cube_that_begins_on_a_slope_touches_it_in_the_first_step(laid, tmp_pa
     np.testing.assert_allclose(simulation.state.velocities[0], 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "share"), [
-    ("sphere", 2 / 5), ("lying cylinder", 1 / 2),
-])  # fmt: skip
+@pytest.mark.parametrize("name, share", [("sphere", 2 / 5), ("lying cylinder", 1 / 2)])
 @pytest.mark.parametrize("kind", ["plane", "irregular"])
 def test_round_bodies_roll_down_with_the_acceleration_of_their_inertia(
     laid, tmp_path, name, share, kind
@@ -173,8 +171,7 @@ def test_round_bodies_roll_down_with_the_acceleration_of_their_inertia(
     if kind != "plane":
         floor = {"surface": {"file": write_slab(tmp_path / "floor.stl", kind, 5)}}
     simulation, step = laid(name, floor, 1.0, 0.5, tilt=SLOPE)
-    for _ in range(100):
-        simulation.step(Hold(step))
+    repeat_step(simulation, Hold(step), 100)
     speed = np.linalg.norm(simulation.state.velocities[0])
     assert speed == pytest.approx(G * np.sin(SLOPE) / (1 + share) * 100 * step, rel=0.01)
 
@@ -195,8 +192,7 @@ def test_a_soft_block_slides_as_on_the_analytic_plane(scene_of, write_block, tmp
             contact={"friction": 0.3, "between": [{"pair": ["block", "floor"]}]},
             solver={"newton_iterations": 3, "residual_tolerance": 1e-6},
         )  # fmt: skip
-        for _ in range(50):
-            simulation.step(Hold(STEP))
+        repeat_step(simulation, Hold(STEP), 50)
         ends.append(simulation.state.positions.mean(axis=0))
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-5)
     assert ends[0][0] > 0.02
@@ -223,8 +219,7 @@ def test_a_cube_glides_over_a_soft_slab(scene_of, write_block, tmp_path, name, y
         contact={"friction": 0.0, "between": [{"pair": ["cube", "slab"]}]},
         solver={"newton_iterations": 3, "residual_tolerance": 1e-5},
     )  # fmt: skip
-    for _ in range(60):
-        simulation.step(Hold(STEP))
+    repeat_step(simulation, Hold(STEP), 60)
     np.testing.assert_allclose(simulation.state.velocities[-2], [1.0, 0, 0], atol=2e-3)
 
 
@@ -252,6 +247,5 @@ def test_a_soft_block_glides_over_the_end_of_a_table(scene_of, write_block, tmp_
     velocities = np.zeros_like(simulation.state.velocities)
     velocities[:, 0] = 0.5
     simulation.restore(replace(simulation.state, velocities=velocities))
-    for _ in range(20):
-        simulation.step(Hold(0.002))
+    repeat_step(simulation, Hold(0.002), 20)
     assert simulation.state.velocities[:, 0].mean() == pytest.approx(0.5, rel=0.01)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.mechanics.material import INCOMPRESSIBLE
 from softrobot_twin.mechanics.patch_volumes import PatchVolumes
@@ -72,25 +71,6 @@ def test_volume_patches_hold_the_volume_of_the_body(bar):
     error = np.abs(term.volume_ratios(simulation.state.positions) - 1.0).max()
     shear = 1e5 / 3.0
     assert 0.0 < error < 1.01 * pressures / (INCOMPRESSIBLE * shear) + 1e-12 < 1e-4
-
-
-def test_patches_of_a_law_of_small_displacements_are_refused(bar):
-    with pytest.raises(SceneError, match="body.volume") as refused:
-        bar(0.45, law="linear", body={"volume": "patches"})
-    assert refused.value.value == "patches" and "linear" in str(refused.value)
-
-
-def test_an_incompressible_material_of_a_law_for_compressible_ones_is_refused(bar):
-    with pytest.raises(SceneError, match="body.material.poisson_ratio") as refused:
-        bar(0.5, law="corotational")
-    assert refused.value.value == 0.5
-
-
-def test_vertebrae_of_a_body_with_patches_are_refused(bar):
-    boxes = [{"name": name, "box": {"minimum": [low, -1, -1], "maximum": [low + 0.01, 1, 1]}}
-             for name, low in (("foot", -0.001), ("head", 0.049))]  # fmt: skip
-    with pytest.raises(SceneError, match="body.volume"):
-        bar(0.45, body={"volume": "patches", "vertebrae": {"rigid": boxes}})
 
 
 def test_a_scene_tells_what_incompressible_means_and_warns_of_locking(bar):

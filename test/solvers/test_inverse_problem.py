@@ -153,16 +153,13 @@ def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robo
     assert answer.force_excess.max() == 0.0
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("lower", np.full(13, 11.0), "above its upper"),
-        ("row_lower", np.full(9, 1.0), "above its upper"),
-        ("force_max", np.full(4, -1.0), "starts at zero"),
-        ("d", np.zeros(5), "shape"),
-        ("P", np.eye(3), "shape"),
-    ],
-)
+@pytest.mark.parametrize("field, value, message", [
+    ("lower", np.full(13, 11.0), "above its upper"),
+    ("row_lower", np.full(9, 1.0), "above its upper"),
+    ("force_max", np.full(4, -1.0), "starts at zero"),
+    ("d", np.zeros(5), "shape"),
+    ("P", np.eye(3), "shape"),
+])  # fmt: skip
 def test_an_inconsistent_problem_is_refused(robot_in_contact, field, value, message):
     problem = build(robot_in_contact(0, contacts=4, moves=1), **{field: value})
     with pytest.raises(ValueError, match=message):

@@ -8,6 +8,7 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.reduced_body import read_body_reduction
 from softrobot_twin.study import body_training, sample_workers
 from softrobot_twin.study.sample_workers import LocalWorkers
+from test.scene_changes import repeat_step
 
 RANGE = ("--range", *(f"{name}_shortening_m=0:0.008" for name in "abcd"))
 SMALL = ("--snapshots", 48, "--modes", 17, "--spare-modes", 6, "--states", 8, *RANGE)
@@ -62,8 +63,7 @@ def test_a_scene_with_the_file_moves_as_the_full_one(trained, column):
     for share in np.linspace(0.1, 1.0, 20):
         wanted = full.rest_setpoints + share * (setpoints - full.rest_setpoints)
         for simulation in (full, small):
-            for _ in range(3):
-                simulation.step(CommandSetpoints(wanted, 1e6))
+            repeat_step(simulation, CommandSetpoints(wanted, 1e6), 3)
         truth = full.effector_positions()
         error = np.linalg.norm(small.effector_positions() - truth)
         assert error < 0.02 * np.linalg.norm(truth - rest)

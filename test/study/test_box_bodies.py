@@ -31,6 +31,7 @@ from softrobot_twin.study.body_training import output_path
 from softrobot_twin.study.explain import describe_mesh
 from softrobot_twin.study.reduced_models import every_level, reduced_models
 from softrobot_twin.study.training_options import TrainingOptions
+from test.scene_changes import repeat_step
 
 SCENE = {
     "name": "bar",
@@ -53,8 +54,7 @@ def path(tmp_path):
 
 def sagged(scene) -> np.ndarray:
     simulation = Simulation(scene)
-    for _ in range(3):
-        simulation.step(Hold(0.02))
+    repeat_step(simulation, Hold(0.02), 3)
     return simulation.state.positions
 
 

@@ -81,14 +81,11 @@ def test_a_too_small_energy_weight_is_reported_with_the_used_one(
     assert "1e-06 in the inverse" in told[1e-6] and "the least" not in told[1e-6]
 
 
-@pytest.mark.parametrize(
-    ("entry", "words"),
-    [
-        ({"orientation": {}}, ("orientation", "the robot's size per radian")),
-        ({"orientation": {"pointing": [0, 0, 1], "length_per_radian": 0.05}, "directions": []},
-         ("axis [0, 0, 1] pointing", "50 mm per radian")),
-    ],
-)
+@pytest.mark.parametrize("entry, words", [
+    ({"orientation": {}}, ("orientation", "the robot's size per radian")),
+    ({"orientation": {"pointing": [0, 0, 1], "length_per_radian": 0.05}, "directions": []},
+     ("axis [0, 0, 1] pointing", "50 mm per radian")),
+])  # fmt: skip
 def test_explain_tells_what_an_orientation_asks_for(entry, words):
     told = describe_effector(Effector(name="tip", points=[[0, 0, 0]], **entry))
     for word in words:

@@ -22,6 +22,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import CommandSetpoints, Hold
 from softrobot_twin.study.first_scene import robot_name
 from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
+from test.scene_changes import repeat_step
 
 MM = 1e-3
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
@@ -68,11 +69,9 @@ def test_the_flat_end_face_is_fixed_and_nothing_else(scene):
 def test_the_scene_steps_without_change_and_inflates(scene):
     simulation = Simulation(scene)
     assert not simulation.notes
-    for _ in range(5):
-        simulation.step(Hold(0.02))
+    repeat_step(simulation, Hold(0.02), 5)
     before = simulation.effector_positions()[0].copy()
-    for _ in range(4):
-        result = simulation.step(CommandSetpoints(np.array([15.0e3]), 1.0))
+    result = repeat_step(simulation, CommandSetpoints(np.array([15.0e3]), 1.0), 4)
     assert result.efforts[0] == pytest.approx(15.0e3, rel=1e-6)
     # The chamber lies above the middle: gas stretches the finger and bends it downwards.
     moved = simulation.effector_positions()[0] - before
@@ -272,14 +271,11 @@ def test_a_cad_file_is_meshed_by_its_scene(tmp_path, monkeypatch):
     simulation.step(Hold(0.02))
 
 
-@pytest.mark.parametrize(
-    "arguments, word",
-    [
-        (["bar.msh", "--size", "6mm"], "has tetrahedra already"),
-        (["bar.msh", "--output", "bar.txt"], ".yaml"),
-        (["none.msh"], "no such file"),
-    ],
-)
+@pytest.mark.parametrize("arguments, word", [
+    (["bar.msh", "--size", "6mm"], "has tetrahedra already"),
+    (["bar.msh", "--output", "bar.txt"], ".yaml"),
+    (["none.msh"], "no such file"),
+])  # fmt: skip
 def test_what_cannot_be_done_is_one_error_and_writes_nothing(
     tmp_path, monkeypatch, capsys, arguments, word
 ):
@@ -291,9 +287,8 @@ def test_what_cannot_be_done_is_one_error_and_writes_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["bar.msh"]
 
 
-@pytest.mark.parametrize(
-    "stem, name",
-    [("finger", "finger"), ("My part-2", "My_part_2"), ("3d", "robot_3d"), ("é", "robot")],
-)  # fmt: skip
+@pytest.mark.parametrize("stem, name", [
+    ("finger", "finger"), ("My part-2", "My_part_2"), ("3d", "robot_3d"), ("é", "robot"),
+])  # fmt: skip
 def test_the_name_of_a_robot_is_that_of_its_file_in_letters_of_topics(stem, name):
     assert robot_name(stem) == name

@@ -16,11 +16,10 @@ from softrobot_twin.study.meshing import MeshingError, StepTime, scene_command, 
 from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
 
 
-@pytest.mark.parametrize(
-    "text, value",
-    [("6mm", 6e-3), ("0.006m", 6e-3), ("6e-3", 6e-3), ("0.6 cm", 6e-3), ("6000um", 6e-3),
-     ("1in", 0.0254)],
-)  # fmt: skip
+@pytest.mark.parametrize("text, value", [
+    ("6mm", 6e-3), ("0.006m", 6e-3), ("6e-3", 6e-3), ("0.6 cm", 6e-3), ("6000um", 6e-3),
+    ("1in", 0.0254),
+])  # fmt: skip
 def test_a_length_has_its_unit(text, value):
     assert length(text) == pytest.approx(value, rel=1e-12)
 
@@ -133,18 +132,15 @@ def test_a_scene_of_a_part_of_metres_is_made_by_the_printed_command(tmp_path):
         assert words[3:] == unit
 
 
-@pytest.mark.parametrize(
-    "arguments, word",
-    [
-        (["folder", "--size", "5mm"], "folder: is a folder"),
-        (["open.stl", "--size", "5mm"], "is open"),
-        (["cube.stl", "--size", "1m"], "larger than the part"),
-        (["cube.stl", "--size", "1um"], "more than 1000000"),
-        (["none.stl", "--size", "5mm"], "no such file"),
-        (["cube.step", "--size", "5mm", "--unit", "mm"], "states its unit"),
-        (["cube.stl", "--size", "5mm", "--output", "cube.vtk"], ".msh"),
-    ],
-)
+@pytest.mark.parametrize("arguments, word", [
+    (["folder", "--size", "5mm"], "folder: is a folder"),
+    (["open.stl", "--size", "5mm"], "is open"),
+    (["cube.stl", "--size", "1m"], "larger than the part"),
+    (["cube.stl", "--size", "1um"], "more than 1000000"),
+    (["none.stl", "--size", "5mm"], "no such file"),
+    (["cube.step", "--size", "5mm", "--unit", "mm"], "states its unit"),
+    (["cube.stl", "--size", "5mm", "--output", "cube.vtk"], ".msh"),
+])  # fmt: skip
 def test_a_part_that_cannot_be_meshed_is_one_error_and_leaves_its_output(
     tmp_path, monkeypatch, capsys, arguments, word
 ):

@@ -15,6 +15,7 @@ from softrobot_twin.study.reduction_states import (
     samples_along,
     training_scene,
 )
+from test.scene_changes import repeat_step
 
 # The tip leans towards the rod beside the column and goes on along it.
 CORNERS = np.array([
@@ -104,12 +105,10 @@ def test_a_body_trained_along_a_path_keeps_its_gap_and_presses_as_the_full_one(
     full, small = (Simulation.from_scene_file(file) for file in (scene, tmp_path / "reduced.yaml"))
     pressed = []
     for target in np.loadtxt(path, delimiter=",", skiprows=1)[:, 1:]:
-        for _ in range(3):
-            full.step(FollowTargets(target[None], 1e6))
+        repeat_step(full, FollowTargets(target[None], 1e6), 3)
         found = []
         for simulation in (full, small):
-            for _ in range(3):
-                result = simulation.step(CommandSetpoints(full.state.setpoints, 1e6))
+            result = repeat_step(simulation, CommandSetpoints(full.state.setpoints, 1e6), 3)
             found.append(np.linalg.norm(result.contacts.forces, axis=1).sum())
         pressed.append(found)
         assert small.model.contacts.deepest_overlaps(small.state.positions)[0] < 1e-5
@@ -120,13 +119,12 @@ def test_a_body_trained_along_a_path_keeps_its_gap_and_presses_as_the_full_one(
     np.testing.assert_allclose(pressed[:, 1], pressed[:, 0], atol=0.05 * pressed.max())
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [(("--around", 0.01), "--around: requires --along"),
-     (("--along", "PATH", "--loads", 0.1), "--loads: has no effect with --along"),
-     (("--along", "PATH", "--targets", "tip=0:1,0:1,0:1"), "--targets: has no effect"),
-     (("--along", "PATH", "--error", "1%"), "--error: has no effect with --along")],
-)  # fmt: skip
+@pytest.mark.parametrize("options, told", [
+    (("--around", 0.01), "--around: requires --along"),
+    (("--along", "PATH", "--loads", 0.1), "--loads: has no effect with --along"),
+    (("--along", "PATH", "--targets", "tip=0:1,0:1,0:1"), "--targets: has no effect"),
+    (("--along", "PATH", "--error", "1%"), "--error: has no effect with --along"),
+])  # fmt: skip
 def test_options_without_effect_are_refused_by_name(beside_a_rod, call, options, told):
     scene, path = beside_a_rod
     done = call("reduce", scene, *(path if option == "PATH" else option for option in options))

@@ -30,6 +30,7 @@ from softrobot_twin.study.reduction_states import (
 )
 from softrobot_twin.study.sample_workers import Job, RunError, SampleOutcome, scene_fingerprint
 from softrobot_twin.study.workspace import sampled_axes
+from test.scene_changes import repeat_step
 
 TIP = (0.01, 0.01, 0.10)
 SAMPLING = Sampling("body", 0.05, ((TIP,), ((0.0, 0.0, 0.06),)), math.radians(30.0))
@@ -122,8 +123,7 @@ def test_a_state_is_an_equilibrium_of_the_scene(column):
     states = found(drawn)
     assert states.is_found.all() and states.iterations.min() >= 1
     simulation = Simulation.from_scene_file(column)
-    for _ in range(40):
-        result = simulation.step(CommandSetpoints(states.setpoints[3], 1e6))
+    result = repeat_step(simulation, CommandSetpoints(states.setpoints[3], 1e6), 40)
     assert result.report.residual < 1e-6
     shift = simulation.state.positions - simulation.model.nodes.rest_positions
     np.testing.assert_allclose(states.displacements[3], shift, atol=1e-8)

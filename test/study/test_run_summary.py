@@ -95,14 +95,11 @@ def test_what_a_run_had_is_told_and_nothing_else(simulation, rows, printed):
     assert "\n".join(f"{name}: {text}" for name, text in summary.lines()) == printed
 
 
-@pytest.mark.parametrize(
-    ("statuses", "code"),
-    [
-        (["ok"], 0), (["not_converged", "ok"], 0), (["ok", "rate_limited"], 0),
-        (["ok", "unreachable"], 0), (["ok", "not_converged"], 3), (["ok", "inverted"], 3),
-        (["refused", "ok"], 1), (["ok", "refused", "not_converged"], 1),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("statuses, code", [
+    (["ok"], 0), (["not_converged", "ok"], 0), (["ok", "rate_limited"], 0),
+    (["ok", "unreachable"], 0), (["ok", "not_converged"], 3), (["ok", "inverted"], 3),
+    (["refused", "ok"], 1), (["ok", "refused", "not_converged"], 1),
+])  # fmt: skip
 def test_the_exit_code_tells_rows_without_solution_and_a_last_row_that_is_not_good(statuses, code):
     simulation = scene_of()
     summary = RunSummary(simulation)

@@ -17,6 +17,7 @@ from softrobot_twin.study.scene_picture import (
     figure_of,
     take_snapshot,
 )
+from test.scene_changes import repeat_step
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 CUBE = Box(np.zeros(3), np.array([0.03, 0.03, 0.03]), np.eye(3))
@@ -32,8 +33,7 @@ def test_a_box_has_twelve_creases_and_no_diagonals():
 def test_a_snapshot_shows_every_body_at_its_position(stamp):
     simulation = Simulation.from_scene_file(stamp)
     simulation.model.guides.aim("press", [0.0, 0.0, -0.002])
-    for _ in range(4):
-        result = simulation.step(Hold(0.01))
+    result = repeat_step(simulation, Hold(0.01), 4)
     shot = take_snapshot(simulation, result.contacts, "pressed")
 
     def height(colour):

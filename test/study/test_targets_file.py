@@ -159,17 +159,14 @@ def test_a_targets_file_without_quaternions_gives_no_orientation(tmp_path):
     assert table.orientations is None and table.command(0).orientations is None
 
 
-@pytest.mark.parametrize(
-    ("text", "oriented", "reason"),
-    [
-        (f"{POSED}\n0,1,2,3,0,0,0,1\n", (False, True), "no orientation in the scene"),
-        (f"{POSED}\n0,1,2,3,0,0,0,1\n", (), "no orientation in the scene"),
-        (f"{POSED}\n0,1,2,3,0,0,0,2\n", (True, False), "not of unit length"),
-        (f"{POSED}\n0,1,2,3,0,0,0,0\n", (True, False), "not of unit length"),
-        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx\n0,1,2,3,0\n", (True, False), "lacks this column"),
-        ("time_s,tip_qx,tip_qy,tip_qz,tip_qw\n0,0,0,0,1\n", (True, False), "lacks this column"),
-    ],
-)
+@pytest.mark.parametrize("text, oriented, reason", [
+    (f"{POSED}\n0,1,2,3,0,0,0,1\n", (False, True), "no orientation in the scene"),
+    (f"{POSED}\n0,1,2,3,0,0,0,1\n", (), "no orientation in the scene"),
+    (f"{POSED}\n0,1,2,3,0,0,0,2\n", (True, False), "not of unit length"),
+    (f"{POSED}\n0,1,2,3,0,0,0,0\n", (True, False), "not of unit length"),
+    ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx\n0,1,2,3,0\n", (True, False), "lacks this column"),
+    ("time_s,tip_qx,tip_qy,tip_qz,tip_qw\n0,0,0,0,1\n", (True, False), "lacks this column"),
+])  # fmt: skip
 def test_wrong_orientations_of_a_targets_file_are_refused(tmp_path, text, oriented, reason):
     with pytest.raises(TableFileError, match=reason):
         read_posed(tmp_path, text, oriented)
@@ -192,16 +189,13 @@ def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
     assert plain.stiffness is None and plain.command(0).stiffness is None
 
 
-@pytest.mark.parametrize(
-    ("text", "stiff", "reason"),
-    [
-        (f"{STIFF}\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
-        (f"{STIFF}\n0,1,2,3,0\n", (True, False), "tip_kz_N_per_m.*0.*N/m.*positive"),
-        (f"{STIFF}\n0,1,2,3,-5\n", (True, False), "tip_kz_N_per_m.*-5.*N/m.*positive"),
-        (f"{STIFF}\n0,1,2,3,nan\n", (True, False), "tip_kz_N_per_m"),
-        ("time_s,tip_kz_N_per_m\n0,300\n", (True, False), "lacks this column"),
-    ],
-)
+@pytest.mark.parametrize("text, stiff, reason", [
+    (f"{STIFF}\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
+    (f"{STIFF}\n0,1,2,3,0\n", (True, False), "tip_kz_N_per_m.*0.*N/m.*positive"),
+    (f"{STIFF}\n0,1,2,3,-5\n", (True, False), "tip_kz_N_per_m.*-5.*N/m.*positive"),
+    (f"{STIFF}\n0,1,2,3,nan\n", (True, False), "tip_kz_N_per_m"),
+    ("time_s,tip_kz_N_per_m\n0,300\n", (True, False), "lacks this column"),
+])  # fmt: skip
 def test_wrong_stiffnesses_of_a_targets_file_are_refused(tmp_path, text, stiff, reason):
     with pytest.raises(TableFileError, match=reason):
         read_stiff(tmp_path, text, stiff)

@@ -73,13 +73,10 @@ def test_the_output_has_force_and_displacement(simulation, tmp_path):
     assert float(last["finger_displacement_y_m"]) > 1e-4
 
 
-@pytest.mark.parametrize(
-    ("columns", "cells", "reason"),
-    [
-        ("finger_force_y_N,finger_displacement_y_m", "0,0", "by forces or by displacements"),
-        ("thumb_force_y_N", "0", "is not a valid column.*<touch>_force_x_N"),
-    ],
-)
+@pytest.mark.parametrize("columns, cells, reason", [
+    ("finger_force_y_N,finger_displacement_y_m", "0,0", "by forces or by displacements"),
+    ("thumb_force_y_N", "0", "is not a valid column.*<touch>_force_x_N"),
+])  # fmt: skip
 def test_columns_that_cannot_be_used_are_refused(simulation, tmp_path, columns, cells, reason):
     path = table(tmp_path, columns, (0.0, cells), (1.0, cells))
     with pytest.raises(TableFileError, match=reason):

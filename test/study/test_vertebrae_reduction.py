@@ -34,6 +34,7 @@ from softrobot_twin.study.superelement_fit import (
 from softrobot_twin.study.vertebrae_reduction import accuracy_of, brought_to, divisions
 
 from .conftest import ROOT
+from test.scene_changes import repeat_step
 
 SCENE_FILE = ROOT / "config" / "scenes" / "fetch_reduced.yaml"
 SEED = 5
@@ -290,8 +291,7 @@ def test_pressure_and_volume_control_reach_the_same_state(reduced):
 
     by_pressure = reduced(unrated)
     pressures = np.array([3e3, 500.0, 1e3, 0.0, 2e3, 800.0])
-    for _ in range(3):
-        first = by_pressure.step(CommandSetpoints(pressures, 0.02))
+    first = repeat_step(by_pressure, CommandSetpoints(pressures, 0.02), 3)
 
     def by_volume_too(mapping):
         unrated(mapping)
@@ -337,8 +337,7 @@ def test_targets_are_reached_by_pressures(reduced):
     for _ in range(3):
         start = simulation.step(Hold()).effector_positions
     target = start + [0.004, -0.003, -0.005]
-    for _ in range(40):
-        result = simulation.step(FollowTargets(target, 0.02))
+    result = repeat_step(simulation, FollowTargets(target, 0.02), 40)
     assert result.status is Status.OK
     assert result.effector_errors[0] < 1e-6
     full = Simulation(without_vertebrae(full_scene(simulation.scene)), with_warnings=False)
@@ -353,10 +352,8 @@ def test_motion_comes_to_rest_at_the_equilibrium(reduced):
         mapping["body"]["damping"] = {"mass": 20.0}
 
     simulation, still = reduced(moving), reduced()
-    for _ in range(400):
-        result = simulation.step(Hold(0.01))
-    for _ in range(3):
-        rest = still.step(Hold())
+    result = repeat_step(simulation, Hold(0.01), 400)
+    rest = repeat_step(still, Hold(), 3)
     assert result.effector_positions == pytest.approx(rest.effector_positions, abs=1e-6)
 
 
@@ -386,8 +383,7 @@ def test_a_state_outside_of_the_sampled_range_is_told(reduced):
     near = simulation.reduction_state()["fetch"]
     assert 0.0 < inside.report.sampled_range <= 1.0
     assert not any(SAMPLED in limit for limit in inside.report.active_limits)
-    for _ in range(4):
-        outside = simulation.step(CommandSetpoints(np.full(6, 8e3), 0.02))
+    outside = repeat_step(simulation, CommandSetpoints(np.full(6, 8e3), 0.02), 4)
     far = simulation.reduction_state()["fetch"]
     assert outside.report.sampled_range > 1.0
     assert f"fetch.{SAMPLED}" in outside.report.active_limits

@@ -25,6 +25,7 @@ from softrobot_twin.study.workspace import (
     sampled_setpoints,
     views_of,
 )
+from test.scene_changes import repeat_step
 
 
 def rows_of(path):
@@ -52,8 +53,7 @@ def test_each_row_is_an_equilibrium_with_its_stiffness(sampled, column):
         assert row["status"] == "ok" and float(row["residual_N"]) < 1e-4
     row = rows[4]
     lengths = np.array([float(row[f"{name}_length_m"]) for name in names])
-    for _ in range(40):
-        result = simulation.step(CommandSetpoints(lengths, 1e6))
+    result = repeat_step(simulation, CommandSetpoints(lengths, 1e6), 40)
     place = [float(row[f"tip_{axis}_m"]) for axis in "xyz"]
     np.testing.assert_allclose(result.effector_positions[0], place, atol=1e-8)
     tensions = [float(row[f"{name}_tension_N"]) for name in names]

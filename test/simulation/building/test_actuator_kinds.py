@@ -34,6 +34,7 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_com
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import take_snapshot
+from test.scene_changes import changed, repeat_step
 
 STEP = 0.02
 
@@ -209,9 +210,7 @@ def test_a_section_name_in_use_is_refused():
 
 
 def test_a_scene_names_a_kind_only_while_it_is_registered(beam):
-    def add(mapping):
-        mapping["chambers"] = [chamber("left", 0.0)]
-
+    add = changed({"chambers": [chamber("left", 0.0)]})
     kind = ChamberActuator()
     register_actuator(kind)
     try:
@@ -225,19 +224,12 @@ def test_a_scene_names_a_kind_only_while_it_is_registered(beam):
 def test_its_entries_are_checked_as_those_of_other_kinds(inflated):
     def spelt_wrong(mapping):
         mapping["chambers"][0]["presure"] = mapping["chambers"][0].pop("pressure")
-
-    def named_twice(mapping):
-        mapping["chambers"][1]["name"] = "east"
-
-    def on_nothing(mapping):
-        mapping["chambers"][1]["body"] = "bean"
-
     with pytest.raises(SceneError, match="presure.*is pressure meant"):
         inflated(spelt_wrong)
     with pytest.raises(SceneError, match="chamber or motor east is given more than once"):
-        inflated(named_twice)
+        inflated(changed({"chambers.1.name": "east"}))
     with pytest.raises(SceneError, match="is beam meant"):
-        inflated(on_nothing)
+        inflated(changed({"chambers.1.body": "bean"}))
 
 
 def test_it_stands_among_the_actuators_with_its_units(inflated):
@@ -332,8 +324,7 @@ def test_work_of_its_pressure_is_the_energy_of_the_beam(inflated, settle, energi
 def test_it_brings_an_effector_to_its_target_together_with_cables(inflated):
     simulation = inflated()
     target = simulation.effector_positions() + [0.006, 0.001, -0.001]
-    for _ in range(60):
-        result = simulation.step(FollowTargets(target, STEP))
+    result = repeat_step(simulation, FollowTargets(target, STEP), 60)
     assert result.status is Status.OK
     assert result.effector_errors[0] < 1e-4
     assert np.abs(result.efforts[4:]).max() > 1.0
@@ -344,8 +335,7 @@ def test_a_two_sided_actuator_commanded_beside_targets_reaches_its_command(infla
     target = simulation.effector_positions() + [0.004, 0.0, -0.001]
     commanded = np.full(6, np.nan)
     commanded[4] = simulation.rest_setpoints[4] + 8.0e-7
-    for _ in range(60):
-        result = simulation.step(FollowTargets(target, STEP, commanded))
+    result = repeat_step(simulation, FollowTargets(target, STEP, commanded), 60)
     volumes = simulation.actuators.terms[1].volumes(result.state.positions)
     assert result.setpoints[4] == pytest.approx(commanded[4], rel=1e-9)
     assert volumes[0] == pytest.approx(commanded[4], rel=1e-6)
@@ -373,14 +363,12 @@ def test_a_chamber_pushes_a_beam_against_a_rod(inflated, rod):
     volumes = simulation.rest_setpoints.copy()
     volumes[4] += 1.5e-6
     volumes[5] -= 1.0e-6
-    for _ in range(20):
-        result = simulation.step(CommandSetpoints(volumes, STEP))
+    result = repeat_step(simulation, CommandSetpoints(volumes, STEP), 20)
     assert result.report.contact_count > 0
     np.testing.assert_allclose(result.setpoints, volumes, rtol=1e-6)
     simulation.reset()
     target = simulation.effector_positions() + [0.004, 0.0, -0.001]
-    for _ in range(30):
-        result = simulation.step(FollowTargets(target, STEP))
+    result = repeat_step(simulation, FollowTargets(target, STEP), 30)
     assert result.report.contact_count > 0 and np.abs(result.efforts[4:]).max() > 1.0
 
 

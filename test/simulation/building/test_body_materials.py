@@ -9,6 +9,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 from softrobot_twin.study.explain import effects
+from test.scene_changes import repeat_step
 
 FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]
 LENGTH, SIDE = 0.2, 0.01
@@ -42,8 +43,7 @@ def tip(simulation) -> np.ndarray:
 
 
 def settled(simulation, steps=3, residual=1e-8):
-    for _ in range(steps):
-        result = simulation.step(Hold(0.05))
+    result = repeat_step(simulation, Hold(0.05), steps)
     assert result.report.residual < residual
     return simulation
 
@@ -84,8 +84,7 @@ def test_equal_materials_of_all_parts_are_one_material(element, mass, simulate, 
         entry = beam_entry((6, 1, 2), element, materials=materials, mass=mass,
                            damping={"mass": 2.0, "stiffness": 0.002})  # fmt: skip
         simulation = simulate(body=entry, integration="dynamic")
-        for _ in range(5):
-            simulation.step(Hold(0.01))
+        repeat_step(simulation, Hold(0.01), 5)
         moved.append(simulation.state.positions - simulation.model.nodes.rest_positions)
     assert np.abs(moved[0]).max() > 1e-3
     np.testing.assert_allclose(moved[1], moved[0], atol=1e-12 * LENGTH, rtol=0)
@@ -180,21 +179,18 @@ def test_the_error_of_the_mesh_knows_each_material(beam_entry, tmp_path):
     assert abs(stiff[2].gravity[2]) < 0.02 * abs(one[2].gravity[2])
 
 
-@pytest.mark.parametrize(
-    ("materials", "key", "told"),
-    [
-        ([{"region": "side"}], "body.materials[0].region",
-         "beam.inp has no volume region named side; of this kind it names above, below"),
-        ([{"box": {"minimum": [1, 1, 1], "maximum": [2, 2, 2]}}], "body.materials[0].box",
-         "holds the centre of no cell of the body, which reaches from [0.0, 0.0, 0.0] to "),
-        ([{"region": "above"}, {"region": "below"}, {"box": BELOW}], "body.materials[2].box",
-         "that body.materials[1] claims too"),
-        ([{"region": "above"}, {"region": "above"}], "body.materials[1].region",
-         "that body.materials[0] claims too"),
-        ([{"region": "above", "box": BELOW}], "body.materials[0]", "exactly one of region, box"),
-        ([{}], "body.materials[0]", "exactly one of region, box"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("materials, key, told", [
+    ([{"region": "side"}], "body.materials[0].region",
+     "beam.inp has no volume region named side; of this kind it names above, below"),
+    ([{"box": {"minimum": [1, 1, 1], "maximum": [2, 2, 2]}}], "body.materials[0].box",
+     "holds the centre of no cell of the body, which reaches from [0.0, 0.0, 0.0] to "),
+    ([{"region": "above"}, {"region": "below"}, {"box": BELOW}], "body.materials[2].box",
+     "that body.materials[1] claims too"),
+    ([{"region": "above"}, {"region": "above"}], "body.materials[1].region",
+     "that body.materials[0] claims too"),
+    ([{"region": "above", "box": BELOW}], "body.materials[0]", "exactly one of region, box"),
+    ([{}], "body.materials[0]", "exactly one of region, box"),
+])  # fmt: skip
 def test_an_entry_that_cannot_be_used_is_refused(materials, key, told, simulate, beam_entry):
     entries = [{"young_modulus": 1e5, **entry} for entry in materials]
     with pytest.raises(SceneError) as caught:

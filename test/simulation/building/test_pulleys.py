@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
+from test.scene_changes import repeat_step
 
 RADIUS = 0.0083
 
@@ -84,8 +84,7 @@ def test_the_narrower_limit_of_length_and_angle_holds(beam):
 def test_a_target_beyond_an_angle_limit_names_it(beam, winds, end, name):
     simulation = beam(wound({"winds": winds, "angle": end}))
     # Far to the side to which east bends the beam.
-    for _ in range(30):
-        result = simulation.step(FollowTargets(np.array([[0.06, 0.01, 0.09]]), 1.0))
+    result = repeat_step(simulation, FollowTargets(np.array([[0.06, 0.01, 0.09]]), 1.0), 30)
     assert result.status is Status.SATURATED
     assert name in result.report.active_limits
     assert abs(simulation.pulleys.angles(result.setpoints)[0]) == pytest.approx(0.4, abs=1e-6)
@@ -96,25 +95,6 @@ def test_a_command_beyond_an_angle_limit_stops_there(beam):
     result = step(simulation, 0.015, 0.0, 0.0, 0.0)
     assert simulation.pulleys.angles(result.setpoints)[0] == pytest.approx(0.4, abs=1e-9)
     assert "east.angle_max" in result.report.active_limits
-
-
-@pytest.mark.parametrize("pulley, words", [
-    ({"radius": 0.0}, r"cables\[0\].pulley.radius.* m"),
-    ({"radius": float("inf")}, r"cables\[0\].pulley.radius"),
-    ({"angle": [0.1, 0.5]}, r"cables\[0\].pulley.angle.*0, must lie within"),
-    ({"angle": [0.5, -0.5]}, r"cables\[0\].pulley.angle.*lower limit"),
-    ({"rate": -1.0}, r"cables\[0\].pulley.rate.*rad/s"),
-    ({"winds": "left"}, r"cables\[0\].pulley.winds"),
-    ({"diameter": 0.1}, r"cables\[0\].pulley.*diameter"),
-])  # fmt: skip
-def test_an_impossible_pulley_is_named(beam, pulley, words):
-    with pytest.raises(SceneError, match=words):
-        beam(wound(pulley))
-
-
-def test_a_cable_on_two_pulleys_is_refused(beam):
-    with pytest.raises(SceneError, match=r"motors\[0\].pulley.*west.*cables\[2\].pulley"):
-        beam(wound({}, {}, {}, winds="positive"))
 
 
 def test_scenes_without_pulleys_have_none(beam):

@@ -27,6 +27,7 @@ from softrobot_twin.simulation.step.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 from ..conftest import MAPPING, SCENE_FILE
+from test.scene_changes import repeat_step
 
 
 def spanning_basis(body):
@@ -96,12 +97,11 @@ def assert_same(full, reduced, command, steps=3):
     np.testing.assert_allclose(markers[1], markers[0], atol=1e-9 * full.model.nodes.size)
 
 
-@pytest.mark.parametrize(
-    "body",
-    [{}, {"material": {"law": "neo_hookean", "young_modulus": 180.0e3, "poisson_ratio": 0.4,
-                       "density": 1070.0}}],
-    ids=["corotational", "neo_hookean"],
-)  # fmt: skip
+@pytest.mark.parametrize("body", [
+    {},
+    {"material": {"law": "neo_hookean", "young_modulus": 180.0e3, "poisson_ratio": 0.4,
+                  "density": 1070.0}},
+], ids=["corotational", "neo_hookean"])  # fmt: skip
 def test_a_basis_that_spans_everything_gives_the_full_model(pair, body):
     full, reduced = pair(coarse(**body))
     rest = full.rest_setpoints
@@ -166,8 +166,7 @@ def test_nothing_of_the_mesh_is_placed_but_what_terms_ask_for(small):
 def test_points_follow_from_the_coordinates_alone(small):
     simulation = Simulation(scene_from_mapping(small, SCENE_FILE), with_warnings=False)
     command = CommandSetpoints(simulation.rest_setpoints - [0.004, 0.0, 0.0, 0.001], 1.0)
-    for _ in range(5):
-        simulation.step(command)
+    repeat_step(simulation, command, 5)
     positions = simulation.state.positions.copy()
     positions[2:] = np.nan
     for kind in simulation.model.nodes.kinds:
@@ -204,8 +203,7 @@ def test_a_rotated_and_shifted_body_moves_as_the_one_in_place(small):
     for mapping in (small, moved):
         simulation = Simulation(scene_from_mapping(mapping, SCENE_FILE), with_warnings=False)
         command = CommandSetpoints(simulation.rest_setpoints - [0.004, 0.0, 0.0, 0.001], 1.0)
-        for _ in range(4):
-            simulation.step(command)
+        repeat_step(simulation, command, 4)
         tips.append(simulation.effector_positions()[0])
     np.testing.assert_allclose(tips[1], turned(tips[0]), atol=1e-10)
 

@@ -9,6 +9,7 @@ from scipy.optimize import minimize
 
 import softrobot_twin as st
 from softrobot_twin.simulation.effects.exploration import NEARER, RANDOM_MOVES, Exploration
+from test.scene_changes import repeat_step
 
 MOST = 2000
 
@@ -74,8 +75,7 @@ def test_a_robot_that_shall_not_explore_rests_where_it_is(limited):
 def test_another_command_ends_an_exploration_and_begins_from_the_robots_state(limited):
     twin, asked = limited()
     until(twin, asked, lambda report: report.is_exploring)
-    for _ in range(7):
-        twin.step(asked)
+    repeat_step(twin, asked, 7)
     fresh, _ = limited()
     fresh.state = twin.state
     home = st.setpoints({f"{name}_shortening_m": 0.0 for name in ("c0", "c1")})

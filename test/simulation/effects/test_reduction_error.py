@@ -13,6 +13,7 @@ from softrobot_twin.simulation import (
     readouts,
 )
 from softrobot_twin.simulation.effects.reduction_error import ReductionState
+from test.scene_changes import repeat_step
 
 ANY_TIME = 1.0e3
 TRAINED = 0.011
@@ -173,8 +174,7 @@ def test_the_strain_range_is_watched_at_the_sampled_points(half_trained):
         body = scene.body.model_copy(update={"material": material})
         simulation = Simulation(scene.model_copy(update={"body": body}), with_warnings=False)
         lengths = simulation.rest_setpoints - [0.010, 0.0, 0.010, 0.0]
-        for _ in range(10):
-            result = simulation.step(CommandSetpoints(lengths, ANY_TIME))
+        result = repeat_step(simulation, CommandSetpoints(lengths, ANY_TIME), 10)
         return simulation, result
 
     _, inside = bent((-0.9, 2.0))

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status, Touched
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
+from test.scene_changes import changed, repeat_step
 
 FILE = Path(__file__).resolve().parents[3] / "config" / "scenes" / "stifface.yaml"
 WHERE, NOWHERE = np.array([[0.0, 0.0, -1.0e-3]]), np.full((1, 3), np.nan)
@@ -72,9 +73,7 @@ def test_a_stiffness_alone_may_be_asked_for(pad):
 
 
 def test_an_effector_may_ask_for_its_orientation_too():
-    def points(mapping):
-        mapping["effectors"][0]["orientation"] = dict(pointing=[0.0, 0.0, 1.0])
-
+    points = changed({"effectors.0.orientation": dict(pointing=[0.0, 0.0, 1.0])})
     simulation = make(points, weight=1.0)
     tip, level = simulation.effector_positions() + WHERE, np.array([[0.0, 0.0, 0.0, 1.0]])
     for _ in range(60):
@@ -105,8 +104,7 @@ def test_a_stiffness_out_of_reach_ends_at_the_nearest_and_is_told(pad):
     for cable in range(4):
         longer = lengths.copy()
         longer[cable] += 1e-4
-        for _ in range(5):
-            pad.step(CommandSetpoints(longer, 10.0))
+        repeat_step(pad, CommandSetpoints(longer, 10.0), 5)
         assert stiffness_at_state(pad) < 1.05 * nearest
 
 
@@ -125,8 +123,7 @@ def test_weights_choose_between_place_and_stiffness():
     for weight in (1e-4, 1.0, 1e4):
         simulation = make(weight=weight, target=[None, None, 330.0])
         tip = simulation.effector_positions()
-        for _ in range(80):
-            result = simulation.step(FollowTargets(tip + WHERE, 0.02))
+        result = repeat_step(simulation, FollowTargets(tip + WHERE, 0.02), 80)
         missed.append((result.effector_errors[0], result.stiffness_errors[0]))
     places, stiffnesses = np.array(missed).T
     assert places[0] < places[1] < places[2] and places[0] < 0.05 * places[2]
@@ -184,9 +181,7 @@ def test_warming_up_runs_what_a_message_may_ask_for(pad, monkeypatch):
 
 
 def test_while_a_finger_holds_a_point_no_stiffness_is_looked_for():
-    def counteract(mapping):
-        mapping["touches"][0]["while_touched"] = "follow_targets"
-
+    counteract = changed({"touches.0.while_touched": "follow_targets"})
     pad = make(counteract, weight=1.0, target=[None, None, 250.0])
     tip = pad.effector_positions()
     follow = FollowTargets(tip + WHERE, 0.02)
@@ -195,8 +190,7 @@ def test_while_a_finger_holds_a_point_no_stiffness_is_looked_for():
     result = pad.step(follow, measured=pressed)
     assert result.effector_stiffness is None and not result.status.is_failure
     weight = Touched(np.array([[0.0, 0.0, -0.02]]), NOWHERE)
-    for _ in range(40):
-        result = pad.step(follow, measured=weight)
+    result = repeat_step(pad, follow, 40, measured=weight)
     assert result.effector_stiffness[0, 2] == pytest.approx(250.0, rel=1e-3)
     assert result.effector_errors[0] < 1e-5
 
@@ -223,12 +217,3 @@ def test_a_stiffness_of_an_effector_that_asks_for_none_is_refused():
     simulation = make()
     with pytest.raises(CommandError, match="tip.*asks for no stiffness"):
         simulation.step(FollowTargets(NOWHERE, 0.02, stiffness=np.full((1, 3), 300.0)))
-
-
-@pytest.mark.parametrize("entries, key", [
-    ({"target": [None, None, -300.0]}, "stiffness.target"), ({"weight": -1.0}, "stiffness.weight"),
-    ({"length": 0.0}, "stiffness.length"), ({"target": [300.0]}, "stiffness.target"),
-])  # fmt: skip
-def test_a_bad_entry_is_refused_by_name(entries, key):
-    with pytest.raises(SceneError, match=key):
-        make(**entries)

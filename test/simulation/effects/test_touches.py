@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import FollowTargets, Hold, Simulation, Touched
+from test.scene_changes import repeat_step
 
 STEP = 0.05
 TIP = [0.01, 0.01, 0.10]
@@ -112,14 +113,12 @@ def test_a_state_with_a_touch_continues_as_it_would_have(pressed):
 def test_while_touched_the_actuators_stay_and_then_targets_are_followed(built):
     built.reset()
     target = built.effector_positions() + [[0.004, 0.0, 0.0]]
-    for _ in range(3):
-        result = built.step(FollowTargets(target, STEP))
+    result = repeat_step(built, FollowTargets(target, STEP), 3)
     setpoints = result.setpoints.copy()
     result = built.step(FollowTargets(target, STEP), None, by_force(-0.02, 0.0, 0.0))
     assert np.array_equal(result.setpoints, setpoints)
     assert result.effector_positions[0, 0] < target[0, 0] - 1e-4
-    for _ in range(3):
-        result = built.step(FollowTargets(target, STEP))
+    result = repeat_step(built, FollowTargets(target, STEP), 3)
     assert result.effector_errors[0] < 1e-5
 
 
@@ -155,40 +154,16 @@ def test_a_scene_without_touches_has_no_such_term(column):
         simulation.step(Hold(STEP), None, by_force(1.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize(
-    ("touched", "reason"),
-    [
-        (Touched(np.ones((2, 3)), NONE), r"shape \(1, 3\)"),
-        (Touched(np.full((1, 3), np.inf), NONE), "inf"),
-        (Touched(np.ones((1, 3)), np.ones((1, 3))), "finger has a force and a place"),
-    ],
-)
+@pytest.mark.parametrize("touched, reason", [
+    (Touched(np.ones((2, 3)), NONE), r"shape \(1, 3\)"),
+    (Touched(np.full((1, 3), np.inf), NONE), "inf"),
+    (Touched(np.ones((1, 3)), np.ones((1, 3))), "finger has a force and a place"),
+])  # fmt: skip
 def test_a_touch_that_does_not_fit_is_refused_and_nothing_changes(pressed, touched, reason):
     before = pressed.state
     with pytest.raises(CommandError, match=reason):
         pressed.step(Hold(STEP), None, touched)
     assert pressed.state is before
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"body": "nothing"}, r"touches\[0\].body"),
-        ({"directions": []}, "directions"),
-        ({"force_limit": -1.0}, "force_limit"),
-        ({"points": [[0.1, 0.1, 0.1]]}, r"touches\[0\].points"),
-    ],
-)
-def test_an_entry_that_cannot_be_used_is_refused_by_name(column, changes, reason):
-    touch = {"name": "finger", "points": [TIP]} | changes
-    with pytest.raises(SceneError, match=reason):
-        Simulation(scene_from_mapping(mapping_of(column, touches=[touch])))
-
-
-def test_two_touches_of_one_name_are_refused(column):
-    touch = {"name": "finger", "points": [TIP]}
-    with pytest.raises(SceneError, match="given more than once"):
-        scene_from_mapping(mapping_of(column, touches=[touch, touch]))
 
 
 def test_a_huge_force_ends_in_a_status_with_finite_setpoints(pressed):

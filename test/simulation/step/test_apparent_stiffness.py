@@ -15,6 +15,7 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation, Status, Touc
 from softrobot_twin.simulation.step.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.time_budget import StageClock
+from test.scene_changes import changed
 
 SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 ALL_AXES = np.arange(3)
@@ -38,9 +39,7 @@ def fine_diamond(mapping):
     mapping["body"] |= {"element": "linear", "mesh": {"file": "../../meshes/diamond_1600.vtk"}}
 
 
-def soft_diamond(mapping):
-    coarse_diamond(mapping)
-    mapping["body"]["material"]["law"] = "neo_hookean"
+soft_diamond = changed(coarse_diamond, {"body.material.law": "neo_hookean"})
 
 
 CASES = {

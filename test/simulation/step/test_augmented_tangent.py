@@ -16,6 +16,7 @@ from softrobot_twin.simulation.step.augmented_tangent import (
 )
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.inverse_problem import Bounds
+from test.scene_changes import repeat_step
 
 SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 
@@ -174,11 +175,7 @@ def leaning(beam, rod):
     """Makes a beam that winds its cables beside a rod and leans on it, at rest."""
 
     def make(element, wound):
-        def change(mapping):
-            rod(mapping)
-            mapping["body"]["element"] = element
-
-        simulation = beam(change)
+        simulation = beam(rod, {"body.element": element})
         for _ in range(60):
             lengths = simulation.rest_setpoints - wound
             result = simulation.step(CommandSetpoints(lengths, 0.02))
@@ -220,10 +217,9 @@ def test_contacts_that_press_are_augmented_too(leaning):
     )
 
 
-@pytest.mark.parametrize(
-    "wound",
-    [[0.01965, 0.0, 0.0, 0.0], [0.01763, 0.0, 0.00246, 0.00485], [0.01884, 0.00552, 0.00752, 0.0]],
-)
+@pytest.mark.parametrize("wound", [
+    [0.01965, 0.0, 0.0, 0.0], [0.01763, 0.0, 0.00246, 0.00485], [0.01884, 0.00552, 0.00752, 0.0],
+])  # fmt: skip
 def test_a_beam_that_its_contacts_stabilise_rests_without_projection(leaning, wound):
     """By the projected tangent residuals of 1e-5 to 1e-4 N are left after 150 linearizations."""
     simulation, result = leaning("quadratic", wound)
@@ -238,8 +234,7 @@ def test_beside_the_limit_of_stability_an_inverse_neither_chatters_nor_misses():
     time = np.arange(0.0, 3.0, 0.01)
     turn = 2.0 * np.pi * time / 7.5
     path = 0.020 * np.stack([np.cos(turn), np.sin(turn) * np.cos(turn), 6.8 + 0.0 * turn], axis=1)
-    for _ in range(200):
-        simulation.step(FollowTargets(path[:1], 0.01))
+    repeat_step(simulation, FollowTargets(path[:1], 0.01), 200)
     found = [simulation.step(FollowTargets(target[None], 0.01)) for target in path]
     assert max(result.effector_errors[0] for result in found) < 1e-6
     setpoints = np.array([result.setpoints for result in found])

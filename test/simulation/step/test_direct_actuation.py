@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
+from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 PULL = np.array([0.012, 0.004, 0.0, 0.009])
 
@@ -12,8 +13,7 @@ PULL = np.array([0.012, 0.004, 0.0, 0.009])
 def test_newton_converges_faster_than_linearly(diamond):
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - PULL, 1.0))
-    for _ in range(2):
-        simulation.step(Hold())
+    repeat_step(simulation, Hold(), 2)
     residuals = [simulation.step(Hold()).report.residual for _ in range(3)]
     assert residuals[1] < 5e-2 * residuals[0]
     assert residuals[2] < 1e-4 * residuals[1]
@@ -75,8 +75,7 @@ def test_a_demand_outside_its_limits_is_reported_and_not_carried_out(diamond, as
     assert name in result.report.active_limits
     # All at once is too far for one linearization, which the limit must not hide.
     assert result.status is (Status.NOT_CONVERGED if asked > 0 else Status.SATURATED)
-    for _ in range(5):
-        result = simulation.step(command)
+    result = repeat_step(simulation, command, 5)
     assert result.status is Status.SATURATED
     assert name in result.report.active_limits
     low, high = simulation.limits.displacement_min[0], simulation.limits.displacement_max[0]
@@ -110,10 +109,7 @@ def test_tension_control_stops_at_the_length_limits(diamond, settle):
 
 @pytest.mark.parametrize("time_step", [1e-4, 1e-2, 1.0])
 def test_the_same_equilibrium_at_any_time_step(diamond, settle, time_step):
-    def without_rates(mapping):
-        for cable in mapping["cables"]:
-            cable.pop("rate")
-
+    without_rates = changed({"cables.*.rate": LEFT_OUT})
     simulation, reference = diamond(without_rates), diamond(without_rates)
     lengths = simulation.rest_setpoints - PULL
     found = settle(simulation, CommandSetpoints(lengths, time_step))
@@ -122,17 +118,14 @@ def test_the_same_equilibrium_at_any_time_step(diamond, settle, time_step):
     np.testing.assert_allclose(found.efforts, expected.efforts, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        lambda s: CommandSetpoints(np.zeros(3), 0.1),
-        lambda s: CommandSetpoints(np.full(4, np.nan), 0.1),
-        lambda s: CommandEfforts(np.full(4, np.inf), 0.1),
-        lambda s: CommandSetpoints(s.rest_setpoints, float("nan")),
-        lambda s: CommandSetpoints(s.rest_setpoints, -1.0),
-        lambda s: "pull",
-    ],
-)
+@pytest.mark.parametrize("command", [
+    lambda s: CommandSetpoints(np.zeros(3), 0.1),
+    lambda s: CommandSetpoints(np.full(4, np.nan), 0.1),
+    lambda s: CommandEfforts(np.full(4, np.inf), 0.1),
+    lambda s: CommandSetpoints(s.rest_setpoints, float("nan")),
+    lambda s: CommandSetpoints(s.rest_setpoints, -1.0),
+    lambda s: "pull",
+])  # fmt: skip
 def test_an_invalid_command_is_refused_and_changes_nothing(diamond, command):
     simulation = diamond()
     before = simulation.state

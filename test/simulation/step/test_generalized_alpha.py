@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import CommandError, SceneError
-from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
+from test.scene_changes import repeat_step
 
 EXACT = {"newton_iterations": 40, "residual_tolerance": 1e-11}
 G = 9.81
@@ -148,8 +148,7 @@ def test_a_soft_body_converges_at_the_order_of_its_scheme(soft, scheme, order, e
     simulation, found = soft(scheme, fixed=HELD, **entries), []
     for count in (32, 64, 128, 256):
         simulation.reset()
-        for _ in range(count):
-            simulation.step(Hold(0.04 / count))
+        repeat_step(simulation, Hold(0.04 / count), count)
         found.append(simulation.state.positions)
     assert orders(found)[-1] == pytest.approx(order, abs=0.35 if order == 1.0 else 0.25)
 
@@ -181,8 +180,7 @@ def test_a_free_soft_body_keeps_its_momentum_and_nearly_its_angular_momentum(sof
         simulation.reset()
         let_go(simulation)
         before = momenta(simulation)
-        for _ in range(count):
-            simulation.step(Hold(0.04 / count))
+        repeat_step(simulation, Hold(0.04 / count), count)
         after = momenta(simulation)
         np.testing.assert_allclose(after[0], before[0], rtol=1e-9)
         errors.append(np.linalg.norm(after[1] - before[1]) / np.linalg.norm(before[1]))
@@ -220,8 +218,7 @@ def test_numerical_damping_takes_the_energy_of_fast_vibrations_and_leaves_slow_o
             simulation.reset()
             simulation.restore(replace(simulation.state, velocities=velocities))
             before = sum(energies(simulation))
-            for _ in range(60):
-                simulation.step(Hold(0.003))
+            repeat_step(simulation, Hold(0.003), 60)
             left[name, motion] = sum(energies(simulation)) / before
     assert left["alpha", "slow"] > 2.0 * left["euler", "slow"]
     assert left["alpha", "fast"] < 0.6 * left["none", "fast"]
@@ -342,8 +339,7 @@ def test_rotations_converge_at_the_order_of_the_scheme(scene_of, scheme, order):
                       "ends": [{"on": "box", "point": [0.01, 0.025, 0.045]},
                                {"on": "world", "point": [0.05, 0.0, 0.15]}]}],
         )  # fmt: skip
-        for _ in range(count):
-            simulation.step(Hold(0.2 / count))
+        repeat_step(simulation, Hold(0.2 / count), count)
         found.append(simulation.state.positions)
     assert orders(found)[-1] == pytest.approx(order, abs=0.3)
 
@@ -351,8 +347,7 @@ def test_rotations_converge_at_the_order_of_the_scheme(scene_of, scheme, order):
 def test_a_free_body_falls_as_in_theory_to_the_last_digit(tumbling):
     simulation = tumbling(by_alpha(0.7), gravity=G)
     start = simulation.state.positions[0].copy()
-    for _ in range(50):
-        simulation.step(Hold(0.01))
+    repeat_step(simulation, Hold(0.01), 50)
     expected = start + 0.5 * np.array([0.3, -0.2, 0.1]) - [0.0, 0.0, 0.5 * G * 0.25]
     np.testing.assert_allclose(simulation.state.positions[0], expected, atol=1e-11)
 
@@ -532,8 +527,7 @@ def test_a_robot_in_motion_follows_its_target_and_comes_to_rest(beam):
 def test_a_state_put_back_goes_on_as_if_nothing_had_been_to_the_bit(tumbling, soft):
     for make in (lambda: tumbling(by_alpha(), gravity=G), lambda: soft(by_alpha(), fixed=HELD)):
         one, other = make(), make()
-        for _ in range(7):
-            one.step(Hold(0.003))
+        repeat_step(one, Hold(0.003), 7)
         other.restore(one.state)
         for step in (0.003, 0.002, 0.004):
             one.step(Hold(step))
@@ -550,8 +544,7 @@ def test_a_reset_run_is_the_same_to_the_bit(box):
     for _ in range(2):
         simulation.reset()
         assert simulation.state.past is None
-        for _ in range(30):
-            simulation.step(Hold(STEP))
+        repeat_step(simulation, Hold(STEP), 30)
         found.append(simulation.state)
     np.testing.assert_array_equal(found[0].positions, found[1].positions)
     np.testing.assert_array_equal(found[0].past.contact_forces, found[1].past.contact_forces)
@@ -574,21 +567,6 @@ def test_a_past_of_another_scheme_or_scene_is_refused(tumbling, box):
 
 def test_a_body_in_contact_stays_for_a_thousand_steps(box):
     simulation = box(np.arctan(0.5 * FRICTION))
-    for _ in range(1000):
-        simulation.step(Hold(STEP))
+    repeat_step(simulation, Hold(STEP), 1000)
     assert abs(simulation.state.positions[0, 0]) < 1e-9
     assert np.abs(simulation.state.velocities).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    "entries, named",
-    [({"time_scheme": "generalized_alpha"}, "generalized_alpha"),
-     ({"time_scheme": "generalized_alpha", "integration": "first_order"}, "first_order"),
-     ({"spectral_radius": 0.5, "integration": "dynamic"}, "spectral_radius"),
-     ({**by_alpha(1.2)}, "spectral_radius"), ({**by_alpha(-0.1)}, "spectral_radius"),
-     ({**by_alpha(float("nan"))}, "spectral_radius"),
-     ({"time_scheme": "leapfrog", "integration": "dynamic"}, "time_scheme")],
-)  # fmt: skip
-def test_what_makes_no_sense_is_refused_by_name(entries, named):
-    with pytest.raises(SceneError, match=named):
-        scene_from_mapping({"name": "scene", **entries})

@@ -4,16 +4,11 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
-
-
-def without_rates(mapping):
-    for cable in mapping["cables"]:
-        cable.pop("rate")
+from test.scene_changes import repeat_step
 
 
 def reached(simulation, targets, time_step=10.0, steps=30):
-    for _ in range(steps):
-        result = simulation.step(FollowTargets(targets, time_step))
+    result = repeat_step(simulation, FollowTargets(targets, time_step), steps)
     return result
 
 
@@ -70,14 +65,12 @@ def test_both_qp_solvers_give_the_same_path(diamond, circle, solver):
 def test_a_target_out_of_reach_is_approached_to_the_nearest_point_and_held(diamond):
     simulation = diamond()
     target = np.array([[0.6, 0.3, 0.125]])
-    for _ in range(100):
-        result = simulation.step(FollowTargets(target, 0.04))
+    result = repeat_step(simulation, FollowTargets(target, 0.04), 100)
     there = result.effector_positions.copy()
     lengths = result.setpoints.copy()
     assert result.status is Status.SATURATED
     assert result.report.active_limits
-    for _ in range(1000):
-        result = simulation.step(FollowTargets(target, 0.04))
+    result = repeat_step(simulation, FollowTargets(target, 0.04), 1000)
     assert np.abs(result.effector_positions - there).max() < 1e-6
     assert np.abs(result.setpoints - lengths).max() < 1e-6
     # No admissible small change of a length comes nearer.
@@ -92,8 +85,7 @@ def test_a_target_out_of_reach_is_approached_to_the_nearest_point_and_held(diamo
             ):
                 continue
             simulation.restore(state)
-            for _ in range(10):
-                moved = simulation.step(CommandSetpoints(wanted, 1.0))
+            moved = repeat_step(simulation, CommandSetpoints(wanted, 1.0), 10)
             distance = np.linalg.norm(moved.effector_positions - target)
             assert distance > result.effector_errors[0] - 2e-6
 
@@ -110,8 +102,7 @@ def test_ten_times_the_workspace_in_any_direction_is_a_status(diamond):
 
 def test_a_jump_of_the_target_obeys_the_rates_and_keeps_its_direction(diamond, settle):
     simulation = diamond()
-    for _ in range(20):
-        start = simulation.step(FollowTargets(np.array([[0.0, 0.0, 0.140]]), 0.05))
+    start = repeat_step(simulation, FollowTargets(np.array([[0.0, 0.0, 0.140]]), 0.05), 20)
     jump = np.array([0.08, 0.06, 0.0])
     target = start.effector_positions + jump
     before = start.setpoints

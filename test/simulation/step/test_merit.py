@@ -47,11 +47,7 @@ def test_without_a_search_results_are_the_same_bits_as_without_a_merit(beam, rod
 
 @pytest.mark.parametrize("too_long", [3.0, 10.0, 30.0])
 def test_a_move_that_is_too_long_is_shortened_until_it_lowers_the_merit(beam, rod, too_long):
-    def one_linearization(mapping):
-        rod(mapping)
-        mapping["solver"]["newton_iterations"] = 1
-
-    simulation = beam(one_linearization)
+    simulation = beam(rod, {"solver.newton_iterations": 1})
     bent = simulation.state.positions.copy()
     bent[:, 0] -= 0.5 * bent[:, 2] ** 2
     at_rest = simulation.state

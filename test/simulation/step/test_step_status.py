@@ -19,6 +19,7 @@ from softrobot_twin.simulation.step import inverse_actuation
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.step.step_report import ENERGY, NEAR_BALANCE, REACH, Balance, judge
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
+from test.scene_changes import repeat_step
 
 FAILURES = {Status.REFUSED, Status.UNSOLVED, Status.DIVERGED}
 
@@ -142,13 +143,10 @@ def test_keeping_a_state_because_every_step_inverts_is_a_failure(diamond, monkey
 
 
 # In contact the energy weighs less near targets: at 0.05 it keeps the tip by less than the tolerance.
-@pytest.mark.parametrize(
-    ("robot", "weight"),
-    [
-        *itertools.product(["beam", "diamond"], [0.05, 0.5, 1.0]),
-        *itertools.product(["beam beside a rod"], [0.2, 0.5, 1.0]),
-    ],
-)
+@pytest.mark.parametrize("robot, weight", [
+    *itertools.product(["beam", "diamond"], [0.05, 0.5, 1.0]),
+    *itertools.product(["beam beside a rod"], [0.2, 0.5, 1.0]),
+])  # fmt: skip
 def test_an_energy_weight_that_keeps_the_tip_from_its_target_is_named(
     request, rod, robot, weight
 ):
@@ -159,16 +157,14 @@ def test_an_energy_weight_that_keeps_the_tip_from_its_target_is_named(
 
     simulation = request.getfixturevalue(robot.split()[0])(change)
     target = simulation.effector_positions() + [[0.006, 0.002, -0.004]]
-    for _ in range(60):
-        result = simulation.step(FollowTargets(target, 0.02))
+    result = repeat_step(simulation, FollowTargets(target, 0.02), 60)
     assert result.status is Status.SATURATED
     assert ENERGY in result.report.active_limits
     # It is the weight: with less of it the tip is nearer by more than the tolerance.
     light = request.getfixturevalue(robot.split()[0])(
         lambda mapping: change(mapping) or mapping["solver"].update(energy_weight=1e-6)
     )
-    for _ in range(60):
-        other = light.step(FollowTargets(target, 0.02))
+    other = repeat_step(light, FollowTargets(target, 0.02), 60)
     assert other.effector_errors[0] < result.effector_errors[0] - 1e-4
     assert ENERGY not in other.report.active_limits
 
@@ -178,8 +174,7 @@ def test_in_contact_a_small_energy_weight_is_not_blamed_for_a_target_out_of_reac
     for weight in (1e-6, 0.05):
         simulation = beam(lambda mapping: rod(mapping) or with_weight(weight)(mapping))
         target = simulation.effector_positions() + [[0.006, 0.002, -0.004]]
-        for _ in range(60):
-            result = simulation.step(FollowTargets(target, 0.02))
+        result = repeat_step(simulation, FollowTargets(target, 0.02), 60)
         assert result.status is Status.UNREACHABLE and not result.report.active_limits
         errors.append(result.effector_errors[0])
     assert errors[0] > 5e-4 and errors[1] < errors[0] + 1e-4
@@ -244,8 +239,7 @@ def test_the_inverse_converges_to_one_answer_for_any_small_energy_weight(request
 def test_a_reachable_target_is_reached_for_any_small_energy_weight(eight, weight):
     simulation = eight(["x", "y", "z"], with_weight(weight))
     target = simulation.effector_positions() + [[0.003, 0.001, -0.004]]
-    for _ in range(60):
-        result = simulation.step(FollowTargets(target, 0.02))
+    result = repeat_step(simulation, FollowTargets(target, 0.02), 60)
     assert result.status is Status.OK and result.effector_errors[0] < 2e-5
 
 
@@ -257,8 +251,7 @@ def test_tensions_beyond_the_length_limits_are_saturated_and_named(diamond):
     assert result.status is Status.SATURATED
     names = {f"{name}.shortening_max" for name in simulation.actuator_names}
     assert set(result.report.active_limits) == names
-    for _ in range(10):
-        result = simulation.step(CommandEfforts(np.full(4, 5.0), 0.5))
+    result = repeat_step(simulation, CommandEfforts(np.full(4, 5.0), 0.5), 10)
     assert result.status is Status.OK
 
 
@@ -289,8 +282,7 @@ def test_targets_in_zero_time_are_rate_limited_and_move_no_cable(eight, rod, bes
     assert np.isfinite(simulation.limits.rate).all()
     home = simulation.effector_positions()
     for way in ([0.004, 0.0, -0.002], [-0.004, 0.003, -0.004]):
-        for _ in range(10):
-            simulation.step(FollowTargets(home + way, 0.02))
+        repeat_step(simulation, FollowTargets(home + way, 0.02), 10)
         before = simulation.state.setpoints
         for _ in range(3):
             result = simulation.step(FollowTargets(home - way, 0.0))

@@ -29,6 +29,7 @@ from softrobot_twin.simulation.step.target_trust import (
     Situation,
     TargetTrust,
 )
+from test.scene_changes import repeat_step
 
 TOLERANCE, SIZE = 1e-4, 10.0
 NOWHERE = np.empty(0)
@@ -100,11 +101,9 @@ def test_full_trust_is_a_weight_of_zero(trust):
     assert trust.weight == 0.0 and trust.approach is Approach.FOLLOW
 
 
-@pytest.mark.parametrize(
-    "came, factor",
-    [(0.1, LOOSER), (0.09, LOOSER), (0.05, 1.0), (0.01, TIGHTER), (0.0, TIGHTER),
-     (-0.1, TIGHTER)],
-)  # fmt: skip
+@pytest.mark.parametrize("came, factor", [
+    (0.1, LOOSER), (0.09, LOOSER), (0.05, 1.0), (0.01, TIGHTER), (0.0, TIGHTER), (-0.1, TIGHTER),
+])  # fmt: skip
 def test_the_weight_follows_the_gain(trust, came, factor):
     """Of a promise of 0.1 m, this much came."""
     assert learns(trust, 0.1, came) == pytest.approx(factor)
@@ -660,18 +659,13 @@ def test_the_weight_does_not_stay_where_the_nearest_place_is_reached(beam):
     """What is left of the promise there is round-off: the target is 1.2 mm out of reach."""
     simulation = beam()
     target = simulation.effector_positions() + [0.01, 0.0, -0.005]
-    for _ in range(100):
-        result = simulation.step(FollowTargets(target, 0.02))
+    result = repeat_step(simulation, FollowTargets(target, 0.02), 100)
     assert result.status is Status.UNREACHABLE
     assert simulation.inverse.trust.weight == 0.0
 
 
 def test_what_is_learnt_is_forgotten_by_a_reset(beam, rod):
-    def slender(mapping):
-        rod(mapping)
-        mapping["body"]["element"] = "quadratic"
-
-    simulation = beam(slender)
+    simulation = beam(rod, {"body.element": "quadratic"})
     target = simulation.effector_positions() + [0.9, 0.9, 0.0]
 
     def follow() -> tuple[list, list]:

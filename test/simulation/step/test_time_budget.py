@@ -10,6 +10,7 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.time_budget import TimeBudget
+from test.scene_changes import repeat_step
 
 
 class FakeClock:
@@ -126,8 +127,7 @@ def test_no_stale_factor_is_used_after_a_reset(timed):
 def test_newton_doubles_its_digits_near_a_solution(diamond):
     # Fixed tensions: no set of taut cables changes, and the tangent is exact.
     simulation = diamond(lambda m: [m.pop(key) for key in ("cables", "effectors", "markers")])
-    for _ in range(8):
-        simulation.step(Hold())
+    repeat_step(simulation, Hold(), 8)
     state = simulation.state
     rng = np.random.default_rng(0)
     free = simulation.model.nodes.free_nodes

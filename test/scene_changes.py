@@ -1,0 +1,56 @@
+"""Changes of scenes, and many steps of one command, said in a line."""
+
+import copy
+from collections.abc import Callable
+
+LEFT_OUT = object()
+"""In a change, in place of an entry: the scene is without it."""
+
+
+def change_scene(mapping: dict, *changes) -> None:
+    """Changes a scene.
+
+    Args:
+        mapping: The scene as a mapping; is changed.
+        changes: Each a function of the mapping, or entries by their paths, such as
+            `{"cables.0.tension": [0.0, 5.0]}`; a star stands for all entries of a list. None
+            changes nothing.
+    """
+    for change in changes:
+        if change is None:
+            continue
+        if callable(change):
+            change(mapping)
+            continue
+        for path, entry in change.items():
+            set_entry(mapping, path.split("."), entry)
+
+
+def set_entry(place, path: list[str], entry) -> None:
+    """Puts a copy of an entry at a path; rooms on the way that are not there are made."""
+    key, *rest = path
+    if key == "*":
+        for each in place:
+            set_entry(each, rest, entry)
+        return
+    if isinstance(place, list):
+        key = int(key)
+    if rest:
+        inner = place.setdefault(key, {}) if isinstance(place, dict) else place[key]
+        set_entry(inner, rest, entry)
+    elif entry is LEFT_OUT:
+        del place[key]
+    else:
+        place[key] = copy.deepcopy(entry)
+
+
+def changed(*changes) -> Callable[[dict], None]:
+    """The changes as one function of a scene; see `change_scene`."""
+    return lambda mapping: change_scene(mapping, *changes)
+
+
+def repeat_step(simulation, command, count: int, **options):
+    """The result of the last of equal steps."""
+    for _ in range(count):
+        result = simulation.step(command, **options)
+    return result
