@@ -1,7 +1,7 @@
 """Digital twin and controller of soft robots: finite elements, Lagrange multipliers, inverse QP.
 
-The method is that of Coevoet et al., "Software toolkit for modeling, simulation and control of
-soft robots", Advanced Robotics 31 (2017). docs/equations.md lists where each of its equations is
+The method is that of Coevoet 2017, "Software toolkit for modeling, simulation and control of soft
+robots", as all sources in docs/references.md. docs/equations.md lists where each of its equations is
 computed.
 
 Importing the package sets the number of BLAS threads to one, unless the environment sets it.

@@ -212,8 +212,8 @@ def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begi
 def bounded_change(shares, misses, slopes, turns, round_off, change):
     """Newton's change of the shares of one cable within their bounds, by a primal active set.
 
-    It minimises the quadratic model of the potential over -1 ≤ z + change ≤ 1 (Nocedal and Wright,
-    Numerical Optimization, 2006, section 16.5).
+    It minimises the quadratic model of the potential over -1 ≤ z + change ≤ 1 (Nocedal and Wright
+    2006, section 16.5).
 
     Args:
         shares: z, as the other arrays of shape (segment_count,).

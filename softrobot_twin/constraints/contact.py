@@ -301,7 +301,7 @@ def fill_tables(row_starts, multipliers, at_start, tables):
 
 
 @njit(**KERNEL)
-def share_within(longest, reach):
+def _share_within(longest, reach):
     """Share of a move, whose longest one is of shape (1,), that is no longer than a reach of shape (1,).
     """
     return 1.0 if longest[0] <= reach[0] else reach[0] / longest[0]
@@ -631,7 +631,7 @@ class Contacts(VaryingTerm):
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """No move is longer than the distance that was searched: nothing is passed unseen."""
         self._write_largest(move, False, self._largest)
-        return share_within(self._largest, self._reach)
+        return _share_within(self._largest, self._reach)
 
     @property
     def last_multipliers(self) -> np.ndarray:

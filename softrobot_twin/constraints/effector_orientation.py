@@ -1,7 +1,7 @@
 """Effectors with orientation: beside the mean of its points, the rotation of a patch or a frame.
 
 The rotation R of a patch is the best fit of its points x_i to their places X_i at rest, the proper
-rotation of Kabsch (1976), so R = 1 at rest. With arms r_i = X_i - X̄, and with the shape functions
+rotation of Kabsch 1976, so R = 1 at rest. With arms r_i = X_i - X̄, and with the shape functions
 N_in of the nodes that carry the points, the correlation is linear in the nodes:
 
     F = Σ_i x_i r_iᵀ = Σ_n x_n s_nᵀ,   s_n = Σ_i N_in r_i,   F = V R with V symmetric.

@@ -404,13 +404,13 @@ class RowStack:
             forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
         """
         if self.told is not None:
-            write_exceeding(multipliers, self.told, self._exceeding)
+            _write_exceeding(multipliers, self.told, self._exceeding)
             multipliers = self._exceeding
         add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)
 
 
 @njit(**KERNEL)
-def write_exceeding(multipliers, told, exceeding):
+def _write_exceeding(multipliers, told, exceeding):
     """Write what multipliers, shape (row_count,), exceed the told ones of the first rows by."""
     for r in range(len(multipliers)):
         exceeding[r] = multipliers[r] - told[r] if r < len(told) else multipliers[r]

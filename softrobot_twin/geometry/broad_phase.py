@@ -170,7 +170,7 @@ def fill_boxes(x, corners, width, reach, region, keep, grid):
 
 
 @njit(**INNER)
-def divide_into_cells(grid, chosen_count, region):
+def _divide_into_cells(grid, chosen_count, region):
     """Divide the region into cells of about the mean size of the boxes; returns their number."""
     cells = 1
     for axis in range(3):
@@ -192,7 +192,7 @@ def divide_into_cells(grid, chosen_count, region):
 
 
 @njit(**INNER)
-def sort_into_cells(grid, chosen_count, fill):
+def _sort_into_cells(grid, chosen_count, fill):
     """Count the items of each cell or, with `fill`, write them from the end of its list down."""
     frame, counts, starts, items = grid.frame, grid.counts, grid.starts, grid.items
     boxes, chosen = grid.boxes, grid.chosen
@@ -230,18 +230,18 @@ def fill_grid(x, corners, width, reach, region, keep, grid):
         written.
     """
     chosen_count = fill_boxes(x, corners, width, reach, region, keep, grid)
-    cells = divide_into_cells(grid, chosen_count, region)
+    cells = _divide_into_cells(grid, chosen_count, region)
     starts = grid.starts
     for c in range(cells + 1):
         starts[c] = 0
-    sort_into_cells(grid, chosen_count, False)
+    _sort_into_cells(grid, chosen_count, False)
     total = 0
     for c in range(cells):
         total += starts[c]
         starts[c] = total
     starts[cells] = total
     if total <= len(grid.items):
-        sort_into_cells(grid, chosen_count, True)
+        _sort_into_cells(grid, chosen_count, True)
     return total
 
 

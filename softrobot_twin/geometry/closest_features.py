@@ -104,7 +104,7 @@ FACE, EDGE, CORNER, NONE = 0, 1, 2, 3
 def closest_weights(p, a, b, c):
     """Weights of the corners at the point of triangle abc that is closest to p.
 
-    Source: Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+    Source: Ericson 2005, section 5.1.5.
     """
     ab, ac, ap = subtract(b, a), subtract(c, a), subtract(p, a)
     d1, d2 = dot(ab, ap), dot(ac, ap)
@@ -135,7 +135,7 @@ def closest_weights(p, a, b, c):
 
 
 @njit(**INLINED)
-def without_round_off(w):
+def _without_round_off(w):
     """Weights with the negligible ones set to zero, and the number of the others."""
     a = w[0] if w[0] > NO_WEIGHT else 0.0
     b = w[1] if w[1] > NO_WEIGHT else 0.0
@@ -146,7 +146,7 @@ def without_round_off(w):
 
 
 @njit(**INLINED)
-def neighbour_is_nearer(start, along, corner, away):
+def _neighbour_is_nearer(start, along, corner, away):
     """Whether the triangle between an edge and a corner has a point nearer than the foot point.
 
     `away` is the vector from the foot point, on the edge, to the query point.
@@ -157,7 +157,7 @@ def neighbour_is_nearer(start, along, corner, away):
 
 
 @njit(**INNER)
-def corner_is_nearest(x, fans, v, away):
+def _corner_is_nearest(x, fans, v, away):
     """Whether no edge at vertex v leads nearer to the query point, which lies `away` from v."""
     p = row(x, v)
     for k in range(fans[v, 0]):
@@ -168,7 +168,7 @@ def corner_is_nearest(x, fans, v, away):
 
 
 @njit(**INLINED)
-def direction_and_gap(away, outward, edge):
+def _direction_and_gap(away, outward, edge):
     """Unit normal and signed distance [m] from a feature with a known outward direction.
 
     `edge` is a vector along an edge of the feature [m].
@@ -216,7 +216,7 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
     nothing = (NONE, -1, (0.0, 0.0, 0.0), a, n, np.inf)
     if is_zero(n):
         return nothing
-    w, left = without_round_off(closest_weights(p, a, b, c))
+    w, left = _without_round_off(closest_weights(p, a, b, c))
     if left == 3:
         height = dot(subtract(p, a), n)
         return (FACE, t, w, add_scaled(p, n, -height), n, height)
@@ -231,29 +231,29 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
         along = subtract(row(x, links[t, (i + 1) % 3]), start)
         if (
             other < t
-            or neighbour_is_nearer(start, along, corner, away)
-            or neighbour_is_nearer(start, along, row(x, links[t, FAR_CORNERS + i]), away)
+            or _neighbour_is_nearer(start, along, corner, away)
+            or _neighbour_is_nearer(start, along, row(x, links[t, FAR_CORNERS + i]), away)
         ):
             return nothing
         if same_plane(normals, t, other):
             return (EDGE, links[t, EDGES + i], w, foot, n, dot(away, n))
-        normal, gap = direction_and_gap(away, edge_normal(normals, t, other), along)
+        normal, gap = _direction_and_gap(away, edge_normal(normals, t, other), along)
         return (EDGE, links[t, EDGES + i], w, foot, normal, gap)
     i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
     v = links[t, i]
-    if not links[t, FIRST_AT + i] or not corner_is_nearest(x, fans, v, away):
+    if not links[t, FIRST_AT + i] or not _corner_is_nearest(x, fans, v, away):
         return nothing
     flat = True
     for k in range(fans[v, 0]):
         flat = flat and same_plane(normals, t, fans[v, 1 + 3 * k])
     if flat:
         return (CORNER, v, w, foot, n, dot(away, n))
-    normal, gap = direction_and_gap(away, vertex_normal(x, fans, normals, v), subtract(b, a))
+    normal, gap = _direction_and_gap(away, vertex_normal(x, fans, normals, v), subtract(b, a))
     return (CORNER, v, w, foot, normal, gap)
 
 
 @njit(**INLINED)
-def box_of(boxes, t):
+def _box_of(boxes, t):
     """Bounding box of item t: three smallest, then three largest coordinates [m]."""
     return (boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3], boxes[t, 4], boxes[t, 5])
 
@@ -296,7 +296,7 @@ def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach
     least, nearest = reach, reach
     for k in range(first, last):
         t = items[k]
-        if is_beyond(p, box_of(boxes, t), reach - least):
+        if is_beyond(p, _box_of(boxes, t), reach - least):
             continue
         if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
             continue
@@ -308,7 +308,7 @@ def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach
     least = ROUND_OFF * least + NO_DISTANCE * reach
     for k in range(first, last):
         t = items[k]
-        if is_beyond(p, box_of(boxes, t), reach - least):
+        if is_beyond(p, _box_of(boxes, t), reach - least):
             continue
         if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
             continue
@@ -350,7 +350,7 @@ def near_triangles(
     count = 0
     for k in range(first, last):
         t = items[k]
-        if is_beyond(p, box_of(boxes, t), reach - max(front, behind)):
+        if is_beyond(p, _box_of(boxes, t), reach - max(front, behind)):
             continue
         if stamped and skipped[0] <= stamps[t] <= skipped[1]:
             continue
@@ -372,7 +372,7 @@ def near_triangles(
 def crosses(start, along, a, b, c):
     """Whether the open segment from `start` to `start + along` passes through triangle abc.
 
-    A segment that is negligible beside the triangle does not. Source: Möller and Trumbore (1997).
+    A segment that is negligible beside the triangle does not. Source: Möller and Trumbore 1997.
     """
     ab, ac = subtract(b, a), subtract(c, a)
     if dot(along, along) <= NO_DISTANCE * NO_DISTANCE * dot(ab, ab):

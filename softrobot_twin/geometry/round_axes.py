@@ -12,7 +12,7 @@ place notices, makes the minimum unique, and keeps it where it is as the bodies 
 
 Arguments of the kernels here:
     balls, others: Centre and radius of the ball of each element [m], shape (element_count, 4).
-    out: The same in `write_balls`; in `axis_distances` the distance of each element of the
+    out: The same in `_write_balls`; in `axis_distances` the distance of each element of the
         first axis from each of the second [m], shape (first_count, second_count).
 """
 
@@ -110,7 +110,7 @@ def axis_slope(axis, e, s):
 
 
 @njit(**INLINED)
-def ball_around(axis, e):
+def _ball_around(axis, e):
     """Centre and radius of a ball that holds the axis of element e, by its control points."""
     start, end = at_end(axis.places, e, 0), at_end(axis.places, e, 1)
     centre = scaled(add(start, end), 0.5)
@@ -122,10 +122,10 @@ def ball_around(axis, e):
 
 
 @njit(**INNER)
-def write_balls(axis, out):
+def _write_balls(axis, out):
     """Centre and radius of the ball of every element."""
     for e in range(len(axis.places)):
-        centre, out[e, 3] = ball_around(axis, e)
+        centre, out[e, 3] = _ball_around(axis, e)
         out[e, 0], out[e, 1], out[e, 2] = centre
 
 
@@ -140,14 +140,14 @@ def are_apart(balls, e, others, f, least):
 
 
 @njit(**INLINED)
-def shape_gap(axis, e, s, kind, extents, placed):
+def _shape_gap(axis, e, s, kind, extents, placed):
     """Distance of x(s) from a shape [m]."""
     distance, _ = shape_distance(kind, extents, in_frame(placed, axis_point(axis, e, s)))
     return distance
 
 
 @njit(**INNER)
-def least_dip(axis, e, kind, extents):
+def _least_dip(axis, e, kind, extents):
     """By how much a place of element e is nearer to a shape than both ends where it touches [m]."""
     dip = DIP * axis.radius
     if kind == CAPSULE or kind == CYLINDER:
@@ -166,28 +166,28 @@ def nearest_share(axis, e, kind, extents, placed):
     best, least = 0, np.inf
     for k in range(PLACES):
         s = k / (PLACES - 1.0)
-        gap = shape_gap(axis, e, s, kind, extents, placed) + evenness * (s - 0.5) ** 2
+        gap = _shape_gap(axis, e, s, kind, extents, placed) + evenness * (s - 0.5) ** 2
         if gap < least:
             best, least = k, gap
     low = max(best - 1, 0) / (PLACES - 1.0)
     high = min(best + 1, PLACES - 1) / (PLACES - 1.0)
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    at_a = shape_gap(axis, e, a, kind, extents, placed) + evenness * (a - 0.5) ** 2
-    at_b = shape_gap(axis, e, b, kind, extents, placed) + evenness * (b - 0.5) ** 2
+    at_a = _shape_gap(axis, e, a, kind, extents, placed) + evenness * (a - 0.5) ** 2
+    at_b = _shape_gap(axis, e, b, kind, extents, placed) + evenness * (b - 0.5) ** 2
     for _ in range(HALVINGS):
         if at_a <= at_b:
             high, b, at_b = b, a, at_a
             a = high - GOLDEN * (high - low)
-            at_a = shape_gap(axis, e, a, kind, extents, placed) + evenness * (a - 0.5) ** 2
+            at_a = _shape_gap(axis, e, a, kind, extents, placed) + evenness * (a - 0.5) ** 2
         else:
             low, a, at_a = a, b, at_b
             b = low + GOLDEN * (high - low)
-            at_b = shape_gap(axis, e, b, kind, extents, placed) + evenness * (b - 0.5) ** 2
+            at_b = _shape_gap(axis, e, b, kind, extents, placed) + evenness * (b - 0.5) ** 2
     return 0.5 * (low + high)
 
 
 @njit(**INNER)
-def write_shape_pair(axis, e, s, kind, extents, placed, margin, key, rows, count):
+def _write_shape_pair(axis, e, s, kind, extents, placed, margin, key, rows, count):
     """Write the pair of x(s) and a shape if it is nearer than the margin; the count after."""
     x = axis_point(axis, e, s)
     distance, g = shape_distance(kind, extents, in_frame(placed, x))
@@ -218,34 +218,34 @@ def pair_axis_with_shape(axis, excluded, kind, extents, placed, reach, rows, spa
     """
     count, last, margin = span[0], len(axis.places) - 1, reach[0]
     for e in range(last + 1):
-        centre, radius = ball_around(axis, e)
+        centre, radius = _ball_around(axis, e)
         away, _ = shape_distance(kind, extents, in_frame(placed, centre))
         if away - radius - axis.radius >= margin:
             continue
         if not excluded[2 * e]:
-            count = write_shape_pair(
+            count = _write_shape_pair(
                 axis, e, 0.0, kind, extents, placed, margin, 2 * e, rows, count
             )
         if not excluded[2 * e + 1]:
             s = nearest_share(axis, e, kind, extents, placed)
-            dip = least_dip(axis, e, kind, extents)
+            dip = _least_dip(axis, e, kind, extents)
             ends = min(
-                shape_gap(axis, e, 0.0, kind, extents, placed),
-                shape_gap(axis, e, 1.0, kind, extents, placed),
+                _shape_gap(axis, e, 0.0, kind, extents, placed),
+                _shape_gap(axis, e, 1.0, kind, extents, placed),
             )
-            if shape_gap(axis, e, s, kind, extents, placed) < ends - dip:
-                count = write_shape_pair(
+            if _shape_gap(axis, e, s, kind, extents, placed) < ends - dip:
+                count = _write_shape_pair(
                     axis, e, s, kind, extents, placed, margin, 2 * e + 1, rows, count
                 )
         # The end of an element is a node of the next one, which may be too far to be looked at.
         if not excluded[2 * e + 2]:
             next_is_far = True
             if e < last:
-                centre, radius = ball_around(axis, e + 1)
+                centre, radius = _ball_around(axis, e + 1)
                 away, _ = shape_distance(kind, extents, in_frame(placed, centre))
                 next_is_far = away - radius - axis.radius >= margin
             if next_is_far:
-                count = write_shape_pair(
+                count = _write_shape_pair(
                     axis, e, 1.0, kind, extents, placed, margin, 2 * e + 2, rows, count
                 )
     span[1] = count
@@ -255,13 +255,13 @@ def pair_axis_with_shape(axis, excluded, kind, extents, placed, reach, rows, spa
 
 
 @njit(**INLINED)
-def along_edge(h, g, low, high):
+def _along_edge(h, g, low, high):
     """Where h u²/2 + g u is least between two bounds."""
     return min(max(-g / h, low), high)
 
 
 @njit(**INNER)
-def step_in_square(h, m, k, a, b, s, t):
+def _step_in_square(h, m, k, a, b, s, t):
     """Step (u, v) that minimises (h u² + 2m uv + k v²)/2 + a u + b v, within 0 to 1 of s and t."""
     det = h * k - m * m
     u, v = (m * b - k * a) / det, (m * a - h * b) / det
@@ -271,10 +271,10 @@ def step_in_square(h, m, k, a, b, s, t):
     for edge in range(4):
         if edge < 2:
             u = edge - s
-            v = along_edge(k, b + m * u, -t, 1.0 - t)
+            v = _along_edge(k, b + m * u, -t, 1.0 - t)
         else:
             v = edge - 2 - t
-            u = along_edge(h, a + m * v, -s, 1.0 - s)
+            u = _along_edge(h, a + m * v, -s, 1.0 - s)
         value = 0.5 * (h * u * u + k * v * v) + m * u * v + a * u + b * v
         if value < least:
             least, best_u, best_v = value, u, v
@@ -298,7 +298,7 @@ def nearest_shares(first, e, second, f):
         xx, yy = dot(x, x), dot(y, y)
         # The square of what `nearest_share` adds to a distance.
         even = EVENNESS * (xx + yy)
-        u, v = step_in_square(
+        u, v = _step_in_square(
             xx + even, -dot(x, y), yy + even, dot(away, x) + even * (s - 0.5),
             -dot(away, y) + even * (t - 0.5), s, t,
         )  # fmt: skip
@@ -335,8 +335,8 @@ def pair_axes(first, second, is_same, excluded, reach, rows, span):
     count, last, others = span[0], len(first.places) - 1, len(second.places)
     thick, margin = first.radius + second.radius, reach[0]
     balls, other_balls = np.empty((last + 1, 4)), np.empty((others, 4))
-    write_balls(first, balls)
-    write_balls(second, other_balls)
+    _write_balls(first, balls)
+    _write_balls(second, other_balls)
     for e in range(last + 1):
         for f in range(e + 1 if is_same else 0, others):
             if are_apart(balls, e, other_balls, f, thick + margin) or excluded[e, f]:

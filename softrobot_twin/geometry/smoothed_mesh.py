@@ -10,8 +10,7 @@ The energy is Σ_e V_e Ψ(F_e): a point of quadrature belongs to an edge, its no
 ring, and no unknown is added. The mean is softer than its parts, which makes up for most of the
 stiffness by which linear tetrahedra are wrong. Rings never cross from one material to another.
 
-Source: Cazes and Meschke, "An edge-based smoothed finite element method for 3D analysis of solid
-mechanics problems", Int. J. Numer. Meth. Engng 94, 2013.
+Source: Cazes and Meschke 2013.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def keep_within_rigid_cones(x, fans, edges, crests, ridges, cone, count, found):
 
 
 @njit(**INNER)
-def plane_under(p, x, links, edges, fans, normals, t, reach):
+def _plane_under(p, x, links, edges, fans, normals, t, reach):
     """Nearest feature of triangle t if it is part of a plane of the surface.
 
     An edge inside a flat region is part of the plane, a convex edge is not.
@@ -115,7 +115,7 @@ def plane_under(p, x, links, edges, fans, normals, t, reach):
 
 
 @njit(**INLINED)
-def face_key(first_key, kind, feature, triangle_count, edge_count, point):
+def _face_key(first_key, kind, feature, triangle_count, edge_count, point):
     """Key of the pair of a point of the shape and a feature within a plane."""
     number = feature
     if kind != FACE:
@@ -160,41 +160,41 @@ def search_ball(p, radius, end, x, links, edges, fans, normals, margin, first_ke
             continue
         if abs(gap) < nearest:
             nearest, nearest_inside = abs(gap), t if gap < 0.0 else -1
-        kind = plane_under(p, x, links, edges, fans, normals, t, reach)[0]
+        kind = _plane_under(p, x, links, edges, fans, normals, t, reach)[0]
         if kind == NONE or gap < 0.0 or gap - radius >= margin:
             continue
-        key = face_key(first_key, kind, feature, len(links), len(edges), end)
+        key = _face_key(first_key, kind, feature, len(links), len(edges), end)
         count = add_candidate(found, count, key, corners, w, gap - radius, scaled(n, -1.0))
     if nearest_inside >= 0:
         t = nearest_inside
         kind, feature, w, _, n, gap = nearest_feature(p, x, links, fans, normals, t, reach)
-        key = face_key(first_key, kind, feature, len(links), len(edges), end)
+        key = _face_key(first_key, kind, feature, len(links), len(edges), end)
         corners = (links[t, 0], links[t, 1], links[t, 2])
         count = add_candidate(found, count, key, corners, w, gap - radius, scaled(n, -1.0))
     return count
 
 
 @njit(**INNER)
-def search_rim_point(
+def _search_rim_point(
     kind, extents, p, point, x, links, edges, fans, normals, t, margin, first_key, found, count
 ):
     """Add a point p of the rim of a cylinder against the plane at triangle t, if it is near."""
     reach = max(margin, min(extents[0], extents[1]))
     if out_of_reach(x, links[t, 0], links[t, 1], links[t, 2], p, reach):
         return count
-    touched, feature, w, foot, n, gap = plane_under(p, x, links, edges, fans, normals, t, reach)
+    touched, feature, w, foot, n, gap = _plane_under(p, x, links, edges, fans, normals, t, reach)
     if touched == NONE or gap >= margin:
         return count
     # A point below the plane has penetrated only if its foot point is not past the shape.
     if gap < 0.0 and is_past_shape(kind, extents, foot, gap):
         return count
-    key = face_key(first_key, touched, feature, len(links), len(edges), point)
+    key = _face_key(first_key, touched, feature, len(links), len(edges), point)
     corners = (links[t, 0], links[t, 1], links[t, 2])
     return add_candidate(found, count, key, corners, w, gap, scaled(n, -1.0))
 
 
 @njit(**INNER)
-def search_rims(kind, extents, x, links, edges, fans, normals, margin, first_key, found, count):
+def _search_rims(kind, extents, x, links, edges, fans, normals, margin, first_key, found, count):
     """Find the rim points nearest to each plane, or points all around a cap parallel to it."""
     radius, half = extents[0], extents[1]
     reach = max(margin, min(radius, half))
@@ -211,7 +211,7 @@ def search_rims(kind, extents, x, links, edges, fans, normals, margin, first_key
             for i in rim_numbers(across):
                 p = rim_point(extents, n, across, up, i)
                 if abs(dot(p, n) - normals[t, 3]) <= reach:
-                    count = search_rim_point(
+                    count = _search_rim_point(
                         kind, extents, p, CAP_STRIDE * cap + i, x, links, edges, fans, normals, t,
                         margin, first_key, found, count,
                     )  # fmt: skip
@@ -219,7 +219,7 @@ def search_rims(kind, extents, x, links, edges, fans, normals, margin, first_key
 
 
 @njit(**KERNEL)
-def search_solid(
+def _search_solid(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters,
     triangles, links, edges, fans, leaders, crests, ridges, ridge_points, ridge_sides, normals,
     reach, placed, x, distances, gradients, found,
@@ -245,7 +245,7 @@ def search_solid(
     apply_region_planes(leaders, normals)
     first_key += KEY_STRIDE * len(ridges)
     if kind != CAPSULE:
-        count = search_rims(
+        count = _search_rims(
             kind, extents, x, links, edges, fans, normals, margin, first_key, found, count
         )
         return missing_room(found, count)
@@ -284,7 +284,7 @@ class SolidShapeDetector(SurfaceShapeDetector):
 
     def _search(self, points, origin, rotation, reach) -> int:
         surface = self._surface
-        return search_solid(
+        return _search_solid(
             self.shape.kind, self._extents, *self._frame, origin, rotation, points,
             self._vertices, self._clusters, self._triangles, surface.links, surface.edges,
             surface.fans, self._regions.leaders, self._crests, self._ridges, self._ridge_points,

@@ -41,7 +41,7 @@ Arguments of the kernels here:
     normal, p: A unit vector and a point [m], three numbers.
     one, other, triangle: Points of a triangle, shape (3,).
     placed: Origin [m] and axes of the shape in the world, shape (4, 3).
-    points: Three points of a candidate; in `place_candidates` all [m], shape (point_count, 3).
+    points: Three points of a candidate; in `_place_candidates` all [m], shape (point_count, 3).
     triangles: Points of all triangles, shape (triangle_count, 3).
     vertices: Points that a triangle uses, ascending, shape (vertex_count,).
     x: Vertices in the frame of the shape [m], shape (vertex_count, 3).
@@ -163,7 +163,7 @@ class Candidates(NamedTuple):
     count: np.ndarray
 
 
-def empty_candidates(capacity: int) -> Candidates:
+def _empty_candidates(capacity: int) -> Candidates:
     """Allocates a buffer for a number of candidates."""
     return Candidates(
         np.empty((capacity, 3), np.int64), np.empty((capacity, 3)), np.empty((capacity, 3)),
@@ -202,7 +202,7 @@ def move_candidate(found, source, target):
 
 
 @njit(**INNER)
-def bounding_ball(x, vertices):
+def _bounding_ball(x, vertices):
     """Centre and radius [m] of the ball around the bounding box of some points of x."""
     box = bounding_box(x, vertices)
     low = (box[0], box[1], box[2])
@@ -213,14 +213,14 @@ def bounding_ball(x, vertices):
 @njit(**INNER)
 def is_far(kind, extents, points, vertices, placed, margin):
     """Whether the bounding ball of all vertices is beyond the margin."""
-    centre, radius = bounding_ball(points, vertices)
+    centre, radius = _bounding_ball(points, vertices)
     return shape_distance(kind, extents, in_frame(placed, centre))[0] - radius >= margin
 
 
 @njit(**INNER)
-def is_cluster_far(kind, extents, x, vertices, margin):
+def _is_cluster_far(kind, extents, x, vertices, margin):
     """Whether the bounding ball of a cluster, in the frame of the shape, is beyond the margin."""
-    centre, radius = bounding_ball(x, vertices)
+    centre, radius = _bounding_ball(x, vertices)
     return shape_distance(kind, extents, centre)[0] > margin + ROUND_OFF_MARGIN * radius
 
 
@@ -257,7 +257,7 @@ def search_vertices(
     for end in clusters.ends:
         own = clusters.vertices[begin:end]
         begin = end
-        if is_cluster_far(kind, extents, x, own, margin):
+        if _is_cluster_far(kind, extents, x, own, margin):
             continue
         for v in own:
             if distances[v] == np.inf:
@@ -277,7 +277,7 @@ def search_vertices(
 
 
 @njit(**INNER)
-def at_fraction(kind, extents, x, a, b, t):
+def _at_fraction(kind, extents, x, a, b, t):
     """Slope of the distance along an edge, distance [m] and gradient at fraction t from a to b."""
     start = row(x, a)
     along = subtract(row(x, b), start)
@@ -314,7 +314,7 @@ def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
             secant = (low * f_high - high * f_low) / (f_high - f_low)
             if low < secant < high:
                 t = secant
-        f = at_fraction(kind, extents, x, a, b, t)[0] - level
+        f = _at_fraction(kind, extents, x, a, b, t)[0] - level
         if abs(f) <= LEVEL:
             return t, t
         if f < 0.0:
@@ -331,19 +331,19 @@ def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
 
 
 @njit(**INNER)
-def minimum_in_bracket(kind, extents, x, a, b, low, high):
+def _minimum_in_bracket(kind, extents, x, a, b, low, high):
     """Fraction, gap [m] and unit normal at the minimum within a bracket.
 
     The normal is zero where the gradients at both ends of the bracket are opposite.
     """
-    s_low, gap, g_low = at_fraction(kind, extents, x, a, b, low)
+    s_low, gap, g_low = _at_fraction(kind, extents, x, a, b, low)
     if low == high:
         return low, gap, g_low
-    s_high, gap, g_high = at_fraction(kind, extents, x, a, b, high)
+    s_high, gap, g_high = _at_fraction(kind, extents, x, a, b, high)
     part = s_high / (s_high - s_low)
     g = add_scaled(scaled(g_low, part), g_high, 1.0 - part)
     t = part * low + (1.0 - part) * high
-    gap = at_fraction(kind, extents, x, a, b, t)[1]
+    gap = _at_fraction(kind, extents, x, a, b, t)[1]
     size = norm(g)
     if size < OPPOSITE:
         return t, gap, (0.0, 0.0, 0.0)
@@ -351,7 +351,7 @@ def minimum_in_bracket(kind, extents, x, a, b, low, high):
 
 
 @njit(**INNER)
-def against_outward_normals(kind, extents, x, edge, sides, triangles, t):
+def _against_outward_normals(kind, extents, x, edge, sides, triangles, t):
     """Normal where the shape determines none: opposite to the normals of the edge's triangles."""
     n = (0.0, 0.0, 0.0)
     for i in range(2):
@@ -361,7 +361,7 @@ def against_outward_normals(kind, extents, x, edge, sides, triangles, t):
     size = norm(n)
     if size > OPPOSITE:
         return divided(n, size)
-    return at_fraction(kind, extents, x, edge[0], edge[1], t)[2]
+    return _at_fraction(kind, extents, x, edge[0], edge[1], t)[2]
 
 
 @njit(**INNER)
@@ -388,7 +388,7 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
     probe = bottom + sign * short
     s_probe = 1.0
     if (end - probe) * sign > 0.0:
-        s_probe = sign * at_fraction(kind, extents, x, a, b, probe)[0]
+        s_probe = sign * _at_fraction(kind, extents, x, a, b, probe)[0]
     if s_probe > PARALLEL_EDGE:
         return no_interval
     if sign * s_end > PARALLEL_EDGE:
@@ -398,22 +398,22 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
         ends = slope_crossing(kind, extents, x, a, b, level, low[0], low[1], high[0], high[1])
         end = ends[0] if sign > 0.0 else ends[1]
     span = end - bottom
-    s_near = at_fraction(kind, extents, x, a, b, bottom + 0.25 * span)[0]
-    s_far, _, gradient = at_fraction(kind, extents, x, a, b, bottom + 0.75 * span)
+    s_near = _at_fraction(kind, extents, x, a, b, bottom + 0.25 * span)[0]
+    s_far, _, gradient = _at_fraction(kind, extents, x, a, b, bottom + 0.75 * span)
     if abs(s_far - s_near) > STRAIGHT:
         return no_interval
     return end, gradient
 
 
 @njit(**INNER)
-def is_curved(kind, extents, x, a, b, low, high):
+def _is_curved(kind, extents, x, a, b, low, high):
     """Whether the distance on an interval of almost zero slope has its minimum at one point."""
-    s_low = at_fraction(kind, extents, x, a, b, 0.75 * low + 0.25 * high)[0]
-    return at_fraction(kind, extents, x, a, b, 0.25 * low + 0.75 * high)[0] - s_low > CURVED
+    s_low = _at_fraction(kind, extents, x, a, b, 0.75 * low + 0.25 * high)[0]
+    return _at_fraction(kind, extents, x, a, b, 0.25 * low + 0.75 * high)[0] - s_low > CURVED
 
 
 @njit(**INNER)
-def add_edge_point(found, count, key, a, b, t, margin, gap, normal):
+def _add_edge_point(found, count, key, a, b, t, margin, gap, normal):
     """Add a point of an edge if it is within the margin and not a vertex."""
     if gap >= margin or t <= AT_VERTEX or t >= 1.0 - AT_VERTEX:
         return count
@@ -421,7 +421,7 @@ def add_edge_point(found, count, key, a, b, t, margin, gap, normal):
 
 
 @njit(**INNER)
-def search_edge(
+def _search_edge(
     kind, extents, x, edge, short, s_a, s_b, sides, triangles, margin, first_key, found, count
 ):
     """Find the candidates of one edge, from the slopes s_a and s_b at its ends."""
@@ -432,9 +432,9 @@ def search_edge(
     gap, normal = 0.0, (0.0, 0.0, 0.0)
     if interior:
         low, high = slope_crossing(kind, extents, x, a, b, 0.0, 0.0, s_a, 1.0, s_b)
-        bottom, gap, normal = minimum_in_bracket(kind, extents, x, a, b, low, high)
+        bottom, gap, normal = _minimum_in_bracket(kind, extents, x, a, b, low, high)
         if is_zero(normal):
-            normal = against_outward_normals(kind, extents, x, edge, sides, triangles, bottom)
+            normal = _against_outward_normals(kind, extents, x, edge, sides, triangles, bottom)
     high_end, high_normal = bottom, (0.0, 0.0, 0.0)
     low_end, low_normal = bottom, (0.0, 0.0, 0.0)
     if short > 0.0 and bottom < 1.0 - short:
@@ -442,22 +442,22 @@ def search_edge(
     if short > 0.0 and bottom > short:
         low_end, low_normal = flat_end(kind, extents, x, a, b, short, bottom, 0.0, s_a)
     if high_end > bottom:
-        distance = at_fraction(kind, extents, x, a, b, high_end)[1]
-        count = add_edge_point(
+        distance = _at_fraction(kind, extents, x, a, b, high_end)[1]
+        count = _add_edge_point(
             found, count, first_key + HIGH_END, a, b, high_end, margin, distance, high_normal
         )
     if low_end < bottom:
-        distance = at_fraction(kind, extents, x, a, b, low_end)[1]
-        count = add_edge_point(
+        distance = _at_fraction(kind, extents, x, a, b, low_end)[1]
+        count = _add_edge_point(
             found, count, first_key + LOW_END, a, b, low_end, margin, distance, low_normal
         )
     both = low_end < bottom < high_end
-    if interior and (not both or is_curved(kind, extents, x, a, b, low_end, high_end)):
+    if interior and (not both or _is_curved(kind, extents, x, a, b, low_end, high_end)):
         # Without an interval on one side, the minimum is its end there, and gets its key.
         number = MINIMUM
         if not both:
             number = LOW_END if high_end > bottom else HIGH_END if low_end < bottom else MINIMUM
-        count = add_edge_point(found, count, first_key + number, a, b, bottom, margin, gap, normal)
+        count = _add_edge_point(found, count, first_key + number, a, b, bottom, margin, gap, normal)
     return count
 
 
@@ -520,7 +520,7 @@ def search_edges(
         ):
             continue
         short = SHORT * min(1.0, width / length)
-        count = search_edge(
+        count = _search_edge(
             kind, extents, x, edges[e], short, s_a, s_b, sides[e], triangles, margin,
             first_key + KEY_STRIDE * e, found, count,
         )  # fmt: skip
@@ -592,7 +592,7 @@ def is_nearest_way_out(kind, extents, x, triangles, chosen, p, distance):
 
 
 @njit(**INNER)
-def lies_inside(weights):
+def _lies_inside(weights):
     """Whether a projection lies inside a triangle, off its edges."""
     return weights[0] > ON_EDGE and weights[1] > ON_EDGE and weights[2] > ON_EDGE
 
@@ -630,7 +630,7 @@ def misses(x, a, b, c, normal, p, height, margin):
 
 
 @njit(**INNER)
-def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, found, count):
+def _add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, found, count):
     """Add a corner or rim point p of the shape that points towards triangle t.
 
     A point behind the triangle has penetrated the body if there is no nearer way out and its
@@ -641,7 +641,7 @@ def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, fou
     if height >= margin:
         return count
     weights = plane_weights(x, a, b, c, p)
-    if not lies_inside(weights):
+    if not _lies_inside(weights):
         return count
     if height < 0.0:
         if is_past_shape(kind, extents, add_scaled(p, normal, -height), height):
@@ -652,11 +652,11 @@ def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, fou
 
 
 @njit(**INNER)
-def add_axis_point(extents, x, triangle, normal, z, margin, key, found, count):
+def _add_axis_point(extents, x, triangle, normal, z, margin, key, found, count):
     """Add the point of a triangle opposite the axis point z of a capsule, with its distance."""
     a, b, c = triangle[0], triangle[1], triangle[2]
     weights = plane_weights(x, a, b, c, (0.0, 0.0, z))
-    if not lies_inside(weights):
+    if not _lies_inside(weights):
         return count
     height = (z - x[a, 2]) * normal[2] - x[a, 0] * normal[0] - x[a, 1] * normal[1]
     foot = add_scaled((0.0, 0.0, z), normal, -height)
@@ -669,7 +669,7 @@ def add_axis_point(extents, x, triangle, normal, z, margin, key, found, count):
 
 
 @njit(**INNER)
-def add_axis_crossing(extents, half, x, triangle, normal, margin, key, found, count):
+def _add_axis_crossing(extents, half, x, triangle, normal, margin, key, found, count):
     """Add the point where the axis crosses a triangle, nearer than `half` [m] to its middle."""
     a, b, c = triangle[0], triangle[1], triangle[2]
     if normal[2] == 0.0:
@@ -679,7 +679,7 @@ def add_axis_crossing(extents, half, x, triangle, normal, margin, key, found, co
     if not abs(z) < half:
         return count
     weights = plane_weights(x, a, b, c, (0.0, 0.0, z))
-    if -radius >= margin or not lies_inside(weights):
+    if -radius >= margin or not _lies_inside(weights):
         return count
     # All radial directions lead out equally fast: take the one most opposed to the normal.
     size = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1])
@@ -690,7 +690,7 @@ def add_axis_crossing(extents, half, x, triangle, normal, margin, key, found, co
 
 
 @njit(**INNER)
-def search_capsule(extents, x, triangle, normal, margin, key, found, count):
+def _search_capsule(extents, x, triangle, normal, margin, key, found, count):
     """Find the candidates of a triangle against a capsule or a sphere.
 
     These are the nearer end of the axis, or both ends if the triangle is parallel to the axis. If
@@ -698,16 +698,16 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
     """
     half = extents[1]
     if half == 0.0:
-        return add_axis_point(extents, x, triangle, normal, 0.0, margin, key, found, count)
+        return _add_axis_point(extents, x, triangle, normal, 0.0, margin, key, found, count)
     middle = -dot(row(x, triangle[0]), normal)
     low, high = middle - half * normal[2], middle + half * normal[2]
     parallel = abs(normal[2]) <= PARALLEL_FACE
     one_side = low * high >= 0.0
     if parallel or one_side and abs(low) <= abs(high):
-        count = add_axis_point(extents, x, triangle, normal, -half, margin, key, found, count)
+        count = _add_axis_point(extents, x, triangle, normal, -half, margin, key, found, count)
     if parallel or one_side and abs(high) < abs(low):
-        count = add_axis_point(extents, x, triangle, normal, half, margin, key + 1, found, count)
-    return add_axis_crossing(
+        count = _add_axis_point(extents, x, triangle, normal, half, margin, key + 1, found, count)
+    return _add_axis_crossing(
         extents, half, x, triangle, normal, margin, key + AXIS_CROSSING, found, count
     )
 
@@ -733,7 +733,7 @@ def rim_point(extents, normal, across, up, i):
 
 
 @njit(**INNER)
-def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
+def _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the candidates of a triangle against a cylinder.
 
     These are the points of both rims nearest to the triangle, or points all around the rim of a
@@ -750,7 +750,7 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
             rim = rim_point(extents, normal, across, up, i)
             # `misses` is called here because a call with more arrays costs more than the test.
             if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
-                count = add_shape_corner(
+                count = _add_shape_corner(
                     CYLINDER, extents, x, triangles, t, normal, rim, margin,
                     key + CAP_STRIDE * cap + i, found, count,
                 )  # fmt: skip
@@ -759,13 +759,13 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         if min(x[a, i], x[b, i], x[c, i]) > 0.0 or max(x[a, i], x[b, i], x[c, i]) < 0.0:
             return count
     half = extents[1] - extents[0]
-    return add_axis_crossing(
+    return _add_axis_crossing(
         extents, half, x, triangles[t], normal, margin, key + AXIS_CROSSING, found, count
     )
 
 
 @njit(**INNER)
-def search_box(extents, x, triangles, t, normal, margin, key, found, count):
+def _search_box(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the corners of a box that face a triangle: several if an edge or face is parallel."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     offset = dot(normal, row(x, a))
@@ -778,14 +778,14 @@ def search_box(extents, x, triangles, t, normal, margin, key, found, count):
         p = (sign_x * extents[0], sign_y * extents[1], sign_z * extents[2])
         if misses(x, a, b, c, normal, p, dot(p, normal) - offset, margin):
             continue
-        count = add_shape_corner(
+        count = _add_shape_corner(
             BOX, extents, x, triangles, t, normal, p, margin, key + corner, found, count
         )
     return count
 
 
 @njit(**INNER)
-def lower_bound(x, distances, gradients, a, b, c):
+def _lower_bound(x, distances, gradients, a, b, c):
     """Lower bound of the distance of a triangle [m], from the tangent plane at its vertex a."""
     start, gradient = row(x, a), row(gradients, a)
     to_b = dot(gradient, subtract(row(x, b), start))
@@ -794,7 +794,7 @@ def lower_bound(x, distances, gradients, a, b, c):
 
 
 @njit(**INNER)
-def search_triangles(
+def _search_triangles(
     kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
 ):
     """Find the candidates inside all triangles, none of whose edges is longer than `longest`."""
@@ -805,9 +805,9 @@ def search_triangles(
         if max(distances[a], distances[b], distances[c]) > surely_apart:
             continue
         if (
-            lower_bound(x, distances, gradients, a, b, c) >= margin
-            or lower_bound(x, distances, gradients, b, c, a) >= margin
-            or lower_bound(x, distances, gradients, c, a, b) >= margin
+            _lower_bound(x, distances, gradients, a, b, c) >= margin
+            or _lower_bound(x, distances, gradients, b, c, a) >= margin
+            or _lower_bound(x, distances, gradients, c, a, b) >= margin
         ):
             continue
         normal = triangle_normal(x, a, b, c)
@@ -815,11 +815,11 @@ def search_triangles(
             continue
         key = first_key + KEY_STRIDE * t
         if kind == BOX:
-            count = search_box(extents, x, triangles, t, normal, margin, key, found, count)
+            count = _search_box(extents, x, triangles, t, normal, margin, key, found, count)
         elif kind == CYLINDER:
-            count = search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
+            count = _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         else:
-            count = search_capsule(extents, x, triangles[t], normal, margin, key, found, count)
+            count = _search_capsule(extents, x, triangles[t], normal, margin, key, found, count)
     return count
 
 
@@ -827,7 +827,7 @@ def search_triangles(
 
 
 @njit(**INNER)
-def area_normal(x, fans, v):
+def _area_normal(x, fans, v):
     """Area-weighted unit normal at a vertex."""
     total, p = (0.0, 0.0, 0.0), row(x, v)
     for k in range(fans[v, 0]):
@@ -838,7 +838,7 @@ def area_normal(x, fans, v):
 
 
 @njit(**INLINED)
-def axes_outside(extents, x, v):
+def _axes_outside(extents, x, v):
     """Number of axes along which a vertex lies outside the box."""
     count = 0
     for i in range(3):
@@ -847,7 +847,7 @@ def axes_outside(extents, x, v):
 
 
 @njit(**INNER)
-def crosses_surface(x, fans, v, normal, direction):
+def _crosses_surface(x, fans, v, normal, direction):
     """Whether a direction out of the box is opposed to the normal at v, or in the cone of v."""
     return (
         dot(direction, normal) <= -OPPOSED_COSINE
@@ -856,19 +856,19 @@ def crosses_surface(x, fans, v, normal, direction):
 
 
 @njit(**INNER)
-def redirect_inside(extents, x, fans, v, normal, margin, i, found):
+def _redirect_inside(extents, x, fans, v, normal, margin, i, found):
     """Give a vertex inside the box the shortest direction out that crosses the surface.
 
     Near an edge of the box the overall shortest direction out may point along the surface.
     """
-    if crosses_surface(x, fans, v, normal, row(found.normals, i)):
+    if _crosses_surface(x, fans, v, normal, row(found.normals, i)):
         return
     best, axis = margin, -1
     for k in range(3):
         depth = extents[k] - abs(x[v, k])
         sign = 1.0 if x[v, k] >= 0.0 else -1.0
         direction = (sign if k == 0 else 0.0, sign if k == 1 else 0.0, sign if k == 2 else 0.0)
-        if depth < best and crosses_surface(x, fans, v, normal, direction):
+        if depth < best and _crosses_surface(x, fans, v, normal, direction):
             best, axis = depth, k
     if axis < 0:
         return
@@ -878,14 +878,14 @@ def redirect_inside(extents, x, fans, v, normal, margin, i, found):
 
 
 @njit(**INNER)
-def vertex_fits(extents, x, fans, v, margin, i, found):
+def _vertex_fits(extents, x, fans, v, margin, i, found):
     """Whether the direction at a vertex fits its cone; inside the box it is corrected instead."""
-    outside = axes_outside(extents, x, v)
+    outside = _axes_outside(extents, x, v)
     if outside == 1:
         return True
-    normal = area_normal(x, fans, v)
+    normal = _area_normal(x, fans, v)
     if outside == 0:
-        redirect_inside(extents, x, fans, v, normal, margin, i, found)
+        _redirect_inside(extents, x, fans, v, normal, margin, i, found)
         return True
     direction = row(found.normals, i)
     if steepest_descent(x, fans, v, direction) <= CONE:
@@ -896,7 +896,7 @@ def vertex_fits(extents, x, fans, v, margin, i, found):
 
 
 @njit(**INNER)
-def edge_fits(x, edges, triangles, e, i, found):
+def _edge_fits(x, edges, triangles, e, i, found):
     """Whether the direction at an edge fits its cone."""
     n = row(found.normals, i)
     if max(abs(n[0]), abs(n[1]), abs(n[2])) >= 1.0 - 1.0e-12 or edges[e, 3] < 0:
@@ -940,9 +940,9 @@ def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
     for i in range(count):
         feature = found.keys[i] // KEY_STRIDE
         if feature < len(x):
-            fits = vertex_fits(extents, x, fans, feature, margin, i, found)
+            fits = _vertex_fits(extents, x, fans, feature, margin, i, found)
         else:
-            fits = edge_fits(x, edges, triangles, feature - len(x), i, found)
+            fits = _edge_fits(x, edges, triangles, feature - len(x), i, found)
         if not fits:
             continue
         move_candidate(found, i, kept)
@@ -954,7 +954,7 @@ def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
 
 
 @njit(**KERNEL)
-def search_surface(
+def _search_surface(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
     sides, triangles, fans, apexes, reach, placed, x, distances, gradients, found,
 ):  # fmt: skip
@@ -980,14 +980,14 @@ def search_surface(
     if len(fans) > 0 and kind == BOX and count <= len(found.gaps):
         count = keep_within_cones(extents, x, fans, apexes, triangles, margin, count, found)
     first_key += KEY_STRIDE * len(edges)
-    count = search_triangles(
+    count = _search_triangles(
         kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
     )
     return missing_room(found, count)
 
 
 @njit(**KERNEL)
-def place_candidates(found, points, vertices, placed, rows, span):
+def _place_candidates(found, points, vertices, placed, rows, span):
     """Write the candidates as `Proximities`: in the world, with the point numbers of the body."""
     found = Candidates(*found)
     first, normals, gaps = rows.first_positions, rows.normals, rows.gaps
@@ -1045,7 +1045,7 @@ class SurfaceShapeDetector:
         count = len(self._vertices)
         self._placed = np.empty((4, 3))
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
-        self._found = empty_candidates(2 * count + 64)
+        self._found = _empty_candidates(2 * count + 64)
         # Computed from the positions in the first call; neighbours stay neighbours.
         self._clusters: Clusters | None = None
 
@@ -1067,11 +1067,11 @@ class SurfaceShapeDetector:
         if self._clusters is None:
             self._clusters = cluster_triangles(points[self._vertices], self._triangles)
         while missing := self._search(points, origin, rotation, reach):
-            self._found = empty_candidates(2 * missing)
-        place_candidates(tuple(self._found), points, self._vertices, self._placed, rows, span)
+            self._found = _empty_candidates(2 * missing)
+        _place_candidates(tuple(self._found), points, self._vertices, self._placed, rows, span)
 
     def _search(self, points, origin, rotation, reach) -> int:
-        return search_surface(
+        return _search_surface(
             self.shape.kind, self._extents, *self._frame, origin, rotation, points,
             self._vertices, tuple(self._clusters), self._edges, self._sides, self._triangles,
             self._fans, self._apexes, reach, self._placed, *self._work, tuple(self._found),

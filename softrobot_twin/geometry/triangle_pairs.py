@@ -100,27 +100,27 @@ def stamp(rest, v):
 
 
 @njit(**INLINED)
-def stamps_of_fully_excluded(v):
+def _stamps_of_fully_excluded(v):
     """First and last mark of the triangles all of whose features are excluded for vertex v."""
     return (_CODE_COUNT * v + SURROUNDED + 1, _CODE_COUNT * v + _CODE_COUNT - 1)
 
 
 @njit(**INLINED)
-def code_of(stamps, v, t):
+def _code_of(stamps, v, t):
     """Reason for excluding vertex v and triangle t as a pair, 0 for none; call `stamp` before."""
     code = stamps[t] - _CODE_COUNT * v
     return code if 0 < code < _CODE_COUNT else 0
 
 
 @njit(**INNER)
-def is_excluded(stamps, surface, v, kind, feature):
+def _is_excluded(stamps, surface, v, kind, feature):
     """Whether a feature is excluded for vertex v: all its triangles are, or one touches v."""
     if kind == FACE:
-        return code_of(stamps, v, feature) > 0
+        return _code_of(stamps, v, feature) > 0
     every = True
     for k in range(2 if kind == EDGE else surface.fans[feature, 0]):
         t = surface.edges[feature, 2 + k] if kind == EDGE else surface.fans[feature, 1 + 3 * k]
-        code = code_of(stamps, v, t)
+        code = _code_of(stamps, v, t)
         if code == TOUCHING or code == TOUCHING + SURROUNDED:
             return True
         every = every and code > 0
@@ -172,7 +172,7 @@ def feature_count(b):
 
 
 @njit(**INLINED)
-def feature_number(b, kind, feature):
+def _feature_number(b, kind, feature):
     """Number of a feature among triangles, then edges, then points."""
     if kind == FACE:
         return feature
@@ -182,7 +182,7 @@ def feature_number(b, kind, feature):
 
 
 @njit(**INLINED)
-def bearing_points(links, t, w):
+def _bearing_points(links, t, w):
     """Corners of triangle t; those with zero weight are replaced by one with a weight."""
     i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
     one = links[t, i]
@@ -194,7 +194,7 @@ def bearing_points(links, t, w):
 
 
 @njit(**INNER)
-def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
+def _pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
     """Pair a vertex outside b with the features of b near it; returns the rows written.
 
     `b.grid.near` lists `near` triangles; for the other arguments see `pair_vertices`.
@@ -211,7 +211,7 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
         # A pair of two vertices is found from both sides and must count once.
         if kind == CORNER and (swap or (same and feature < v)):
             continue
-        if same and is_excluded(rest.stamps, b.surface, v, kind, feature):
+        if same and _is_excluded(rest.stamps, b.surface, v, kind, feature):
             continue
         # The far side of a thin body is not a local minimum.
         if dot(outward, n) > _SAME_DIRECTION:
@@ -220,15 +220,15 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
         if steepest_descent(a.x, a.surface.fans, v, n) > tolerance:
             continue
         one = ((v, v, v), (1.0, 0.0, 0.0), p)
-        other = (bearing_points(b.surface.links, t, w), w, foot)
-        key = first_key + feature_number(b, kind, feature)
+        other = (_bearing_points(b.surface.links, t, w), w, foot)
+        key = first_key + _feature_number(b, kind, feature)
         write_row(rows, count, swap, one, other, n, gap, key)
         count += 1
     return count
 
 
 @njit(**INNER)
-def pair_inside(a, b, v, near, first, last, depth, rest, swap, first_key, rows, count):
+def _pair_inside(a, b, v, near, first, last, depth, rest, swap, first_key, rows, count):
     """Pair a vertex inside b with the nearest feature to leave through; returns the rows written.
 
     `b.grid.near` lists `near` triangles, and positions `first` to `last` - 1 of the grid list the
@@ -247,7 +247,7 @@ def pair_inside(a, b, v, near, first, last, depth, rest, swap, first_key, rows, 
         )
         if kind == NONE or gap >= 0.0 or gap <= inmost or dot(outward, n) >= limit:
             continue
-        if same and is_excluded(rest.stamps, b.surface, v, kind, feature):
+        if same and _is_excluded(rest.stamps, b.surface, v, kind, feature):
             continue
         if segment_is_clear(b.x, b.surface.links, b.grid.items, first, last, foot, p):
             best, inmost = t, gap
@@ -259,8 +259,8 @@ def pair_inside(a, b, v, near, first, last, depth, rest, swap, first_key, rows, 
     if dot(outward, n) >= _FACING:
         return count
     one = ((v, v, v), (1.0, 0.0, 0.0), p)
-    other = (bearing_points(b.surface.links, best, w), w, foot)
-    key = first_key + feature_number(b, kind, feature)
+    other = (_bearing_points(b.surface.links, best, w), w, foot)
+    key = first_key + _feature_number(b, kind, feature)
     write_row(rows, count, swap, one, other, n, gap, key)
     return count + 1
 
@@ -313,8 +313,8 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
                 front = NO_DISTANCE * reach
                 behind = min(depth, ROUND_OFF * -distance + front)
         near = near_triangles(
-            p, outward, limit, stamps, stamps_of_fully_excluded(v), x, links, normals, boxes, items,
-            first, last, reach, front, behind, found,
+            p, outward, limit, stamps, _stamps_of_fully_excluded(v), x, links, normals, boxes,
+            items, first, last, reach, front, behind, found,
         )  # fmt: skip
         if near == 0:
             continue
@@ -322,17 +322,18 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
         if not same:
             outward = mean_normal(own_fans, own_normals, v)
         if same or distance >= 0.0:
-            count = pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
+            count = _pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
         if same or distance < 0.0:
             before = count
-            count = pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
+            count = _pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
             if not same and count == before:
                 near = near_triangles(
                     p, outward, _SAME_DIRECTION, stamps,
-                    stamps_of_fully_excluded(v), x, links, normals, boxes,
+                    _stamps_of_fully_excluded(v), x, links, normals, boxes,
                     items, first, last, reach, front, depth, found,
                 )  # fmt: skip
-                count = pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
+                count = _pair_inside(
+                    a, b, v, near, first, last, depth, rest, swap, key, rows, count)
     return count
 
 
@@ -400,14 +401,14 @@ def crossing(x, edges, e, y, others, f):
 
 
 @njit(**INLINED)
-def point_at(x, edges, e, s):
+def _point_at(x, edges, e, s):
     """Point at fraction s of edge e [m]."""
     start = row(x, edges[e, 0])
     return add_scaled(start, subtract(row(x, edges[e, 1]), start), s)
 
 
 @njit(**INLINED)
-def depth_to_ends(x, edges, e, s):
+def _depth_to_ends(x, edges, e, s):
     """Distance from a point of an edge to its nearer end [m]: vertices handle deeper overlaps."""
     return min(s, 1.0 - s) * norm(subtract(row(x, edges[e, 1]), row(x, edges[e, 0])))
 
@@ -426,12 +427,12 @@ def is_inside(side, start, end):
 
 
 @njit(**INNER)
-def face_across_air(rest, edges, e, f):
+def _face_across_air(rest, edges, e, f):
     """Whether two edges of one surface are far apart, or face each other across air."""
     x, normals = rest.points, rest.normals
     _, s, t, _ = crossing(x, edges, e, x, edges, f)
-    p = point_at(x, edges, e, min(max(s, 0.0), 1.0))
-    q = point_at(x, edges, f, min(max(t, 0.0), 1.0))
+    p = _point_at(x, edges, e, min(max(s, 0.0), 1.0))
+    q = _point_at(x, edges, f, min(max(t, 0.0), 1.0))
     away = subtract(p, q)
     distance = norm(away)
     if distance > rest.near:
@@ -468,7 +469,7 @@ def pair_edges(a, b, edge_grid, margin, depth, rest, first_key, rows, count):
     boxes, items, starts = edge_grid.boxes, edge_grid.items, edge_grid.starts
     frame, counts = edge_grid.frame, edge_grid.counts
     for e in range(len(edges)):
-        if not ridges[e] or not cells_of_edge(x, edges, e, frame, counts, low, high):
+        if not ridges[e] or not _cells_of_edge(x, edges, e, frame, counts, low, high):
             continue
         out = add_scaled(row(normals, edges[e, 2]), row(normals, edges[e, 3]), 1.0)
         for i in range(low[0], high[0] + 1):
@@ -477,32 +478,32 @@ def pair_edges(a, b, edge_grid, margin, depth, rest, first_key, rows, count):
                     cell = (i * counts[1] + j) * counts[2] + k
                     for place in range(starts[cell], starts[cell + 1]):
                         f = items[place]
-                        if (same and f <= e) or not boxes_meet(x, edges, e, boxes, f):
+                        if (same and f <= e) or not _boxes_meet(x, edges, e, boxes, f):
                             continue
                         other_out = add_scaled(
                             row(other_normals, others[f, 2]), row(other_normals, others[f, 3]), 1.0
                         )  # fmt: skip
                         if dot(out, other_out) > _SAME_SUM:
                             continue
-                        if not first_shared_cell(frame, counts, boxes, f, low, i, j, k):
+                        if not _first_shared_cell(frame, counts, boxes, f, low, i, j, k):
                             continue
-                        near_by, s, t, n, gap = cross_edges(
+                        near_by, s, t, n, gap = _cross_edges(
                             x, edges, normals, e, y, others, other_normals, f, margin, depth
                         )
-                        if not near_by or (same and share_a_point(edges, e, f)):
+                        if not near_by or (same and _share_a_point(edges, e, f)):
                             continue
                         if gap < 0.0 and not overlap(a, b, e, s, f, t):
                             continue
-                        if same and not face_across_air(rest, edges, e, f):
+                        if same and not _face_across_air(rest, edges, e, f):
                             continue
                         key = first_key + e * len(others) + f
-                        write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, count)
+                        _write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, count)
                         count += 1
     return count
 
 
 @njit(**INLINED)
-def cells_of_edge(x, edges, e, frame, counts, low, high):
+def _cells_of_edge(x, edges, e, frame, counts, low, high):
     """Find the first and last cell of an edge along each axis; false if it is outside the grid."""
     for axis in range(3):
         p, q = x[edges[e, 0], axis], x[edges[e, 1], axis]
@@ -514,7 +515,7 @@ def cells_of_edge(x, edges, e, frame, counts, low, high):
 
 
 @njit(**INLINED)
-def first_shared_cell(frame, counts, boxes, f, low, i, j, k):
+def _first_shared_cell(frame, counts, boxes, f, low, i, j, k):
     """Whether cell (i, j, k) is the first that item f shares with a box: pairs count once."""
     return (
         i == max(low[0], cell_of(frame, counts, 0, boxes[f, 0]))
@@ -524,7 +525,7 @@ def first_shared_cell(frame, counts, boxes, f, low, i, j, k):
 
 
 @njit(**INLINED)
-def boxes_meet(x, edges, e, boxes, f):
+def _boxes_meet(x, edges, e, boxes, f):
     """Whether the box of edge e intersects that of item f."""
     for axis in range(3):
         p, q = x[edges[e, 0], axis], x[edges[e, 1], axis]
@@ -534,7 +535,7 @@ def boxes_meet(x, edges, e, boxes, f):
 
 
 @njit(**INLINED)
-def share_a_point(edges, e, f):
+def _share_a_point(edges, e, f):
     """Whether two edges of one surface have a common end."""
     return (
         edges[e, 0] == edges[f, 0] or edges[e, 0] == edges[f, 1]
@@ -543,14 +544,14 @@ def share_a_point(edges, e, f):
 
 
 @njit(**INLINED)
-def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth):
+def _cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth):
     """Whether edges e and f cross near each other; fractions along them, normal and gap [m]."""
     inside, s, t, n = crossing(x, edges, e, y, others, f)
     gap = 0.0
     if inside:
         if dot(n, edge_normal(other_normals, others[f, 2], others[f, 3])) < 0.0:
             n = scaled(n, -1.0)
-        gap = dot(subtract(point_at(x, edges, e, s), point_at(y, others, f, t)), n)
+        gap = dot(subtract(_point_at(x, edges, e, s), _point_at(y, others, f, t)), n)
         tolerance = CONE_TOLERANCE if gap >= 0.0 else _OVERLAP_TOLERANCE
         inside = (
             -depth <= gap < margin
@@ -564,21 +565,21 @@ def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth
 @njit(**INNER)
 def overlap(a, b, e, s, f, t):
     """Whether the foot point on e is inside b and that on f inside a, neither too deep."""
-    p, q = point_at(a.x, a.surface.edges, e, s), point_at(b.x, b.surface.edges, f, t)
+    p, q = _point_at(a.x, a.surface.edges, e, s), _point_at(b.x, b.surface.edges, f, t)
     deep = norm(subtract(p, q))
     return (
-        deep <= depth_to_ends(a.x, a.surface.edges, e, s)
-        and deep <= depth_to_ends(b.x, b.surface.edges, f, t)
+        deep <= _depth_to_ends(a.x, a.surface.edges, e, s)
+        and deep <= _depth_to_ends(b.x, b.surface.edges, f, t)
         and is_inside(b, q, p)
         and is_inside(a, p, q)
     )
 
 
 @njit(**INNER)
-def write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, place):
+def _write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, place):
     """Write a pair of edges as a row."""
     start, end = edges[e, 0], edges[e, 1]
-    first = ((start, end, end), (1.0 - s, s, 0.0), point_at(x, edges, e, s))
+    first = ((start, end, end), (1.0 - s, s, 0.0), _point_at(x, edges, e, s))
     start, end = others[f, 0], others[f, 1]
-    second = ((start, end, end), (1.0 - t, t, 0.0), point_at(y, others, f, t))
+    second = ((start, end, end), (1.0 - t, t, 0.0), _point_at(y, others, f, t))
     write_row(rows, place, False, first, second, n, gap, key)

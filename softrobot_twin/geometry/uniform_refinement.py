@@ -17,7 +17,7 @@ _DIAGONALS = ((4, 9, (5, 6, 7, 8)), (5, 7, (4, 6, 9, 8)), (6, 8, (4, 5, 9, 7)))
 def refine(mesh: TetMesh) -> tuple[TetMesh, np.ndarray]:
     """Divides every tetrahedron into eight, along the shortest diagonal of its inner octahedron.
 
-    Source: Bey, Tetrahedral grid refinement (1995), with the shortest diagonal.
+    Source: Bey 1995, with the shortest diagonal.
 
     Args:
         mesh: The mesh.

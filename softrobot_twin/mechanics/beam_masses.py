@@ -140,14 +140,14 @@ def write_ends(x, origins, z):
 
 
 @njit(**KERNEL)
-def write_all_ends(x, origins, out):
+def _write_all_ends(x, origins, out):
     """z of every element, shape (element_count, 8, 3)."""
     for e in range(len(origins)):
         write_ends(x, origins[e], out[e])
 
 
 @njit(**INLINED)
-def write_loads(z, aims, matrix, factor, constant, loads):
+def _write_loads(z, aims, matrix, factor, constant, loads):
     """F = constant - factor M (z - aims) of one element."""
     for k in range(8):
         for i in range(3):
@@ -159,7 +159,7 @@ def write_loads(z, aims, matrix, factor, constant, loads):
 
 
 @njit(**INLINED)
-def fold_loads(z, loads, unknowns, forces):
+def _fold_loads(z, loads, unknowns, forces):
     """Add the forces and torques of loads on the ends of one element."""
     for end in range(2):
         u = unknowns[end]
@@ -173,17 +173,17 @@ def fold_loads(z, loads, unknowns, forces):
 
 
 @njit(**KERNEL)
-def add_mass_forces(x, origins, unknowns, matrices, aims, factors, constants, forces):
+def _add_mass_forces(x, origins, unknowns, matrices, aims, factors, constants, forces):
     """Add the forces of every element; see `MassTerm`."""
     z, loads = np.empty((8, 3)), np.empty((8, 3))
     for e in range(len(origins)):
         write_ends(x, origins[e], z)
-        write_loads(z, aims[e], matrices[e], factors[e], constants[e], loads)
-        fold_loads(z, loads, unknowns[e], forces)
+        _write_loads(z, aims[e], matrices[e], factors[e], constants[e], loads)
+        _fold_loads(z, loads, unknowns[e], forces)
 
 
 @njit(**INNER)
-def write_element_stiffness(z, M, factor, out):
+def _write_element_stiffness(z, M, factor, out):
     """factor Dᵀ M D by the translations and rotations of both ends, shape (12, 12)."""
     for a in range(2):
         for b in range(2):
@@ -214,7 +214,7 @@ def add_turning(z, loads, out):
 
 
 @njit(**KERNEL)
-def add_mass_stiffness(
+def _add_mass_stiffness(
     x, origins, unknowns, matrices, aims, factors, constants, projected, order, offsets, strides,
     forces, storage,
 ):  # fmt: skip
@@ -222,10 +222,10 @@ def add_mass_stiffness(
     z, loads, whole = np.empty((8, 3)), np.empty((8, 3)), np.zeros((12, 12))
     for e in range(len(origins)):
         write_ends(x, origins[e], z)
-        write_loads(z, aims[e], matrices[e], factors[e], constants[e], loads)
-        fold_loads(z, loads, unknowns[e], forces)
+        _write_loads(z, aims[e], matrices[e], factors[e], constants[e], loads)
+        _fold_loads(z, loads, unknowns[e], forces)
         if factors[e] != 0.0:
-            write_element_stiffness(z, matrices[e], factors[e], whole)
+            _write_element_stiffness(z, matrices[e], factors[e], whole)
         else:
             whole[:] = 0.0
         if not projected:
@@ -255,7 +255,7 @@ class MassTerm(ForceTerm):
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces [N] and torques [N m]; it inverts no element."""
         m = self.masses
-        add_mass_forces(
+        _add_mass_forces(
             writable(positions), m.origins, m.unknowns, m.matrices, self._aims, self._factors,
             self._constants, forces,
         )  # fmt: skip
@@ -264,7 +264,7 @@ class MassTerm(ForceTerm):
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
         m, bound = self.masses, self._bound
-        add_mass_stiffness(
+        _add_mass_stiffness(
             writable(positions), m.origins, m.unknowns, m.matrices, self._aims, self._factors,
             self._constants, projected, bound.order, bound.offsets, bound.strides, forces, storage,
         )  # fmt: skip
@@ -272,7 +272,7 @@ class MassTerm(ForceTerm):
     def _ends(self, positions: np.ndarray) -> np.ndarray:
         """z of every element [m] and [-], shape (element_count, 8, 3)."""
         ends = np.empty_like(self._aims)
-        write_all_ends(writable(positions), self.masses.origins, ends)
+        _write_all_ends(writable(positions), self.masses.origins, ends)
         return ends
 
 
@@ -312,7 +312,7 @@ class BeamDamping(MassTerm):
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
         """Remember where the step of h [s] begins; see `ForceTerm.begin_step`."""
-        write_all_ends(writable(positions), self.masses.origins, self._aims)
+        _write_all_ends(writable(positions), self.masses.origins, self._aims)
         np.divide(self.masses.damping, time_step, out=self._factors)
 
 

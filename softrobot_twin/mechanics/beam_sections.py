@@ -1,7 +1,7 @@
 """Cross-sections of beams: areas and moments that their stiffness and mass follow from.
 
 The section lies in the plane of the axes y and z of a beam, z = x × y with x the tangent. Shear
-factors κ are those of Cowper (1966); torsion is that of Saint-Venant, for a rectangle by his series.
+factors κ are those of Cowper 1966; torsion is that of Saint-Venant, for a rectangle by his series.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ an element is exact in two limits: for small displacements it is Timoshenko's be
 is the bend that a constant shear force causes beside the mean curvature; and where curvature and
 strain are constant (a ring, a helix, any pure bend) U has no error at any rotation below half a turn
 in one element. It is therefore a geometrically exact beam with the helix between its nodes and the
-residual bending flexibility of MacNeal (1978), and equally a corotational beam whose local frame is
+residual bending flexibility of MacNeal 1978, and equally a corotational beam whose local frame is
 the mean of the rotations of its ends. Error against the elastica and the 45° bend: `test_beams.py`.
 
 An end is a constant pose in a frame: that of the beam's own node, or of a rigid body to which it is
@@ -180,7 +180,7 @@ def curvature_factors(square):
 
 
 @njit(**INLINED)
-def symmetric_slope(psi, y, c, c_1):
+def _symmetric_slope(psi, y, c, c_1):
     """∂(c [ψ]×² y)/∂ψ: c ((ψ·y) 1 + ψ yᵀ - 2 y ψᵀ) + c₁ (ψ (ψ·y) - ψ² y) ψᵀ."""
     along, square = dot(psi, y), dot(psi, psi)
     second = scaled_matrix(IDENTITY, c * along)
@@ -190,19 +190,19 @@ def symmetric_slope(psi, y, c, c_1):
 
 
 @njit(**INLINED)
-def slope_of_chord(psi, y, c, c_1):
+def _slope_of_chord(psi, y, c, c_1):
     """S = ∂(J⁻¹(ψ) y)/∂ψ."""
-    return add_scaled_matrix(symmetric_slope(psi, y, c, c_1), cross_matrix(y), 0.5)
+    return add_scaled_matrix(_symmetric_slope(psi, y, c, c_1), cross_matrix(y), 0.5)
 
 
 @njit(**INLINED)
-def slope_of_moment(psi, m, c, c_1):
+def _slope_of_moment(psi, m, c, c_1):
     """∂(J⁻ᵀ(ψ) m)/∂ψ."""
-    return add_scaled_matrix(symmetric_slope(psi, m, c, c_1), cross_matrix(m), -0.5)
+    return add_scaled_matrix(_symmetric_slope(psi, m, c, c_1), cross_matrix(m), -0.5)
 
 
 @njit(**INLINED)
-def diagonal_times(k, first, A):
+def _diagonal_times(k, first, A):
     """diag(k_first, ...) A."""
     return (
         scaled(A[0], k[first]), scaled(A[1], k[first + 1]), scaled(A[2], k[first + 2])
@@ -210,19 +210,19 @@ def diagonal_times(k, first, A):
 
 
 @njit(**INLINED)
-def end_lever(x, origin, point):
+def _end_lever(x, origin, point):
     """ρ: from the origin of a frame to an end."""
-    return transform(rotation_at(x, origin), row_of(point))
+    return transform(rotation_at(x, origin), _row_of(point))
 
 
 @njit(**INLINED)
-def row_of(vector):
+def _row_of(vector):
     """An array of three numbers as a vector."""
     return (vector[0], vector[1], vector[2])
 
 
 @njit(**INLINED)
-def relative_pose(x, origins, points, axes):
+def _relative_pose(x, origins, points, axes):
     """R of end A, the chord x_B - x_A in the world, and ψ of one element."""
     R_a, R_b = rotation_at(x, origins[0]), rotation_at(x, origins[1])
     place_a = add(row(x, origins[0]), transform(R_a, row(points, 0)))
@@ -232,7 +232,7 @@ def relative_pose(x, origins, points, axes):
 
 
 @njit(**INLINED)
-def chord_in_helix(psi, y, c):
+def _chord_in_helix(psi, y, c):
     """t = J⁻¹(ψ) y."""
     return transform(skew_polynomial(psi, -0.5, c), y)
 
@@ -241,15 +241,15 @@ def chord_in_helix(psi, y, c):
 def write_deformations(x, origins, points, axes, out):
     """t and ψ of every element."""
     for e in range(len(origins)):
-        R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
+        R, chord, psi = _relative_pose(x, origins[e], points[e], axes[e])
         c, _, _ = curvature_factors(dot(psi, psi))
-        t = chord_in_helix(psi, transform(transposed(R), chord), c)
+        t = _chord_in_helix(psi, transform(transposed(R), chord), c)
         for i in range(3):
             out[e, i], out[e, 3 + i] = t[i], psi[i]
 
 
 @njit(**INLINED)
-def element_loads(psi, t, k, pulls, e):
+def _element_loads(psi, t, k, pulls, e):
     """n = K_t (t - t₀) and m = K_r (ψ - ψ₀), as k ε - pulls."""
     n = (k[e, 0] * t[0] - pulls[e, 0], k[e, 1] * t[1] - pulls[e, 1], k[e, 2] * t[2] - pulls[e, 2])
     m = (
@@ -260,71 +260,71 @@ def element_loads(psi, t, k, pulls, e):
 
 
 @njit(**INLINED)
-def bend_gradient(psi, y, n, m, c, c_1):
+def _bend_gradient(psi, y, n, m, c, c_1):
     """p = ∂U/∂ψ at constant chord: m + Sᵀ n."""
-    return add(m, transform(transposed(slope_of_chord(psi, y, c, c_1)), n))
+    return add(m, transform(transposed(_slope_of_chord(psi, y, c, c_1)), n))
 
 
 @njit(**INLINED)
-def loads_of_ends(R, psi, y, n, m, c, c_1):
+def _loads_of_ends(R, psi, y, n, m, c, c_1):
     """∂U/∂x_B and the moment ∂U/∂φ of the turn between the ends, in the world."""
     to_chord = skew_polynomial(psi, 0.5, c)
-    moment = transform(to_chord, bend_gradient(psi, y, n, m, c, c_1))
+    moment = transform(to_chord, _bend_gradient(psi, y, n, m, c, c_1))
     return transform(R, transform(to_chord, n)), transform(R, moment)
 
 
 @njit(**INLINED)
-def add_end_forces(x, origins, unknowns, points, chord, f, moment, forces):
+def _add_end_forces(x, origins, unknowns, points, chord, f, moment, forces):
     """Add the forces f and -f of one element at its ends, and their torques."""
     if unknowns[0] >= 0:
         torque = add(moment, cross(chord, f))
-        torque = add(torque, cross(end_lever(x, origins[0], points[0]), f))
+        torque = add(torque, cross(_end_lever(x, origins[0], points[0]), f))
         set_row(forces, unknowns[0], add(row(forces, unknowns[0]), f))
         set_row(forces, unknowns[0] + 1, add(row(forces, unknowns[0] + 1), torque))
     if unknowns[1] >= 0:
-        torque = add(moment, cross(end_lever(x, origins[1], points[1]), f))
+        torque = add(moment, cross(_end_lever(x, origins[1], points[1]), f))
         set_row(forces, unknowns[1], subtract(row(forces, unknowns[1]), f))
         set_row(forces, unknowns[1] + 1, subtract(row(forces, unknowns[1] + 1), torque))
 
 
 @njit(**KERNEL)
-def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
+def _add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
     """Add the forces and torques of every element on the frames of its ends; see `add_forces`."""
     folded = 0
     for e in range(len(origins)):
-        R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
+        R, chord, psi = _relative_pose(x, origins[e], points[e], axes[e])
         c, c_1, _ = curvature_factors(dot(psi, psi))
         y = transform(transposed(R), chord)
-        n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
-        f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
-        add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
+        n, m = _element_loads(psi, _chord_in_helix(psi, y, c), k, pulls, e)
+        f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
+        _add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
         if dot(psi, psi) > GREATEST_TURN * GREATEST_TURN:
             folded += 1
     return folded
 
 
 @njit(**INLINED)
-def chord_stiffness(psi, y, n, m, k, c, c_1, c_2):
+def _chord_stiffness(psi, y, n, m, k, c, c_1, c_2):
     """∂²U by the chord y and the turn φ, X ← exp([φ]×) X: blocks yy, yφ and the symmetric φφ."""
     to_helix = skew_polynomial(psi, -0.5, c)
     to_chord = transposed(to_helix)
-    S = slope_of_chord(psi, y, c, c_1)
+    S = _slope_of_chord(psi, y, c, c_1)
     S_turn = product(S, to_helix)
-    along_t = product(to_chord, diagonal_times(k, 0, to_helix))
-    mixed = product(to_chord, diagonal_times(k, 0, S_turn))
-    bending = transposed_product(S_turn, diagonal_times(k, 0, S_turn))
+    along_t = product(to_chord, _diagonal_times(k, 0, to_helix))
+    mixed = product(to_chord, _diagonal_times(k, 0, S_turn))
+    bending = transposed_product(S_turn, _diagonal_times(k, 0, S_turn))
     bending = add_scaled_matrix(
-        bending, product(to_chord, diagonal_times(k, 3, to_helix)), 1.0
+        bending, product(to_chord, _diagonal_times(k, 3, to_helix)), 1.0
     )
-    mixed = add_scaled_matrix(mixed, product(slope_of_moment(psi, n, c, c_1), to_helix), 1.0)
+    mixed = add_scaled_matrix(mixed, product(_slope_of_moment(psi, n, c, c_1), to_helix), 1.0)
     p = add(m, transform(transposed(S), n))
-    by_psi = product(to_chord, curvature_of_chord(psi, y, n, c, c_1, c_2))
-    by_psi = add_scaled_matrix(by_psi, slope_of_moment(psi, p, c, c_1), 1.0)
+    by_psi = product(to_chord, _curvature_of_chord(psi, y, n, c, c_1, c_2))
+    by_psi = add_scaled_matrix(by_psi, _slope_of_moment(psi, p, c, c_1), 1.0)
     return along_t, mixed, add_scaled_matrix(bending, symmetric(product(by_psi, to_helix)), 1.0)
 
 
 @njit(**INLINED)
-def curvature_of_chord(psi, y, n, c, c_1, c_2):
+def _curvature_of_chord(psi, y, n, c, c_1, c_2):
     """∂(Sᵀ n)/∂ψ at constant n, the second derivative of n·J⁻¹(ψ) y."""
     across = dot(n, y)
     a = add_scaled(
@@ -338,13 +338,13 @@ def curvature_of_chord(psi, y, n, c, c_1, c_2):
 
 
 @njit(**INLINED)
-def turned_block(R, A):
+def _turned_block(R, A):
     """R A Rᵀ."""
     return product_transposed(product(R, A), R)
 
 
 @njit(**INLINED)
-def put_block(out, first, second, block):
+def _put_block(out, first, second, block):
     """Write a block at two vectors of an element, and its transpose at the same two exchanged."""
     for i in range(3):
         for j in range(3):
@@ -353,7 +353,7 @@ def put_block(out, first, second, block):
 
 
 @njit(**INLINED)
-def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, out):
+def _write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, out):
     """Stiffness of the moves (u_A, θ_A, u_B, θ_B) of the ends, from that of chord and turn.
 
     The chord changes by u_B - u_A + chord × θ_A and the turn by θ_B - θ_A. f and the moment turn
@@ -371,20 +371,20 @@ def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, out):
     bend_a = add_scaled_matrix(bend_a, cross_matrix(moment), -0.5)
     own_a = plus_identity(own_a, -dot(chord, f))
     own_a = add_outer(add_outer(own_a, scaled(f, 0.5), chord), scaled(chord, 0.5), f)
-    put_block(out, 0, 0, K_yy)
-    put_block(out, 2, 2, K_yy)
-    put_block(out, 2, 0, scaled_matrix(K_yy, -1.0))
-    put_block(out, 3, 3, K_tt)
-    put_block(out, 3, 2, K_ty)
-    put_block(out, 3, 0, scaled_matrix(K_ty, -1.0))
-    put_block(out, 2, 1, by_turn_a)
-    put_block(out, 0, 1, scaled_matrix(by_turn_a, -1.0))
-    put_block(out, 3, 1, bend_a)
-    put_block(out, 1, 1, symmetric(own_a))
+    _put_block(out, 0, 0, K_yy)
+    _put_block(out, 2, 2, K_yy)
+    _put_block(out, 2, 0, scaled_matrix(K_yy, -1.0))
+    _put_block(out, 3, 3, K_tt)
+    _put_block(out, 3, 2, K_ty)
+    _put_block(out, 3, 0, scaled_matrix(K_ty, -1.0))
+    _put_block(out, 2, 1, by_turn_a)
+    _put_block(out, 0, 1, scaled_matrix(by_turn_a, -1.0))
+    _put_block(out, 3, 1, bend_a)
+    _put_block(out, 1, 1, symmetric(own_a))
 
 
 @njit(**INNER)
-def move_to_frame(end, lever, gradient, out):
+def _move_to_frame(end, lever, gradient, out):
     """Refer the rows and columns of an end to the origin of its frame, ρ = `lever` away.
 
     The end moves by u + θ × ρ. The gradient ∂U/∂x of the end changes its torque as it turns.
@@ -424,34 +424,34 @@ def project(K):
 
 
 @njit(**INNER)
-def end_move(before, after, origin, point):
+def _end_move(before, after, origin, point):
     """Move of an end to first order, and the turn of its frame, from one state to another."""
     R = rotation_at(before, origin)
     turn = turn_between(R, rotation_at(after, origin))
-    lever = transform(R, row_of(point))
+    lever = transform(R, _row_of(point))
     return add(subtract(row(after, origin), row(before, origin)), cross(turn, lever)), turn
 
 
 @njit(**KERNEL)
-def predict_deformations(before, after, origins, points, axes, out):
+def _predict_deformations(before, after, origins, points, axes, out):
     """t + dt and ψ + dψ of every element, linearized at a state, for the moves to another one."""
     for e in range(len(origins)):
-        R, chord, psi = relative_pose(before, origins[e], points[e], axes[e])
+        R, chord, psi = _relative_pose(before, origins[e], points[e], axes[e])
         c, c_1, _ = curvature_factors(dot(psi, psi))
         y = transform(transposed(R), chord)
-        u_a, turn_a = end_move(before, after, origins[e, 0], points[e, 0])
-        u_b, turn_b = end_move(before, after, origins[e, 1], points[e, 1])
+        u_a, turn_a = _end_move(before, after, origins[e, 0], points[e, 0])
+        u_b, turn_b = _end_move(before, after, origins[e, 1], points[e, 1])
         moved = add(subtract(u_b, u_a), cross(chord, turn_a))
         to_helix = skew_polynomial(psi, -0.5, c)
         d_psi = transform(to_helix, transform(transposed(R), subtract(turn_b, turn_a)))
         t = transform(to_helix, add(y, transform(transposed(R), moved)))
-        t = add(t, transform(slope_of_chord(psi, y, c, c_1), d_psi))
+        t = add(t, transform(_slope_of_chord(psi, y, c, c_1), d_psi))
         for i in range(3):
             out[e, i], out[e, 3 + i] = t[i], psi[i] + d_psi[i]
 
 
 @njit(**KERNEL)
-def add_beam_stiffness(
+def _add_beam_stiffness(
     x, origins, unknowns, points, axes, has_lever, k, pulls, predicted, projected, order, offsets,
     strides, forces, storage,
 ):  # fmt: skip
@@ -461,40 +461,40 @@ def add_beam_stiffness(
     """
     whole = np.empty((12, 12))
     for e in range(len(origins)):
-        R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
+        R, chord, psi = _relative_pose(x, origins[e], points[e], axes[e])
         c, c_1, c_2 = curvature_factors(dot(psi, psi))
         y = transform(transposed(R), chord)
-        n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
-        f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
-        add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
+        n, m = _element_loads(psi, _chord_in_helix(psi, y, c), k, pulls, e)
+        f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
+        _add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
         if len(predicted) > 0:
-            strain, bend = row_of(predicted[e]), row_of(predicted[e, 3:])
-            n, m = element_loads(bend, strain, k, pulls, e)
-            f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
-        K_yy, K_yt, K_tt = chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2)
-        write_end_stiffness(
-            chord, f, moment, turned_block(R, K_yy), turned_block(R, K_yt),
-            turned_block(R, K_tt), whole,
+            strain, bend = _row_of(predicted[e]), _row_of(predicted[e, 3:])
+            n, m = _element_loads(bend, strain, k, pulls, e)
+            f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
+        K_yy, K_yt, K_tt = _chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2)
+        _write_end_stiffness(
+            chord, f, moment, _turned_block(R, K_yy), _turned_block(R, K_yt),
+            _turned_block(R, K_tt), whole,
         )  # fmt: skip
         if has_lever[e, 0]:
-            lever = end_lever(x, origins[e, 0], points[e, 0])
-            move_to_frame(0, lever, negated(f), whole)
+            lever = _end_lever(x, origins[e, 0], points[e, 0])
+            _move_to_frame(0, lever, negated(f), whole)
         if has_lever[e, 1]:
-            move_to_frame(1, end_lever(x, origins[e, 1], points[e, 1]), f, whole)
+            _move_to_frame(1, _end_lever(x, origins[e, 1], points[e, 1]), f, whole)
         if projected:
             project(whole)
         add_stencil_matrix(order[e], offsets[e], strides[e], whole, storage)
 
 
 @njit(**KERNEL)
-def share_below_half_turn(before, after, origins, points, axes, greatest):
+def _share_below_half_turn(before, after, origins, points, axes, greatest):
     """Share of a move in which the ends of no element turn by more than `greatest` against each
     other.
     """
     share = 1.0
     for e in range(len(origins)):
-        _, _, psi = relative_pose(before, origins[e], points[e], axes[e])
-        _, _, then = relative_pose(after, origins[e], points[e], axes[e])
+        _, _, psi = _relative_pose(before, origins[e], points[e], axes[e])
+        _, _, then = _relative_pose(after, origins[e], points[e], axes[e])
         turn, start = norm(subtract(then, psi)), norm(psi)
         if start + share * turn > greatest and norm(then) > start:
             share = min(share, max(greatest - start, 0.1 * (np.pi - start)) / turn)
@@ -587,7 +587,7 @@ class Beams(ForceTerm):
             Number of elements that are bent by nearly half a turn.
         """
         e = self.elements
-        return add_beam_forces(
+        return _add_beam_forces(
             writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes, self._k,
             self._pulls, forces,
         )  # fmt: skip
@@ -603,10 +603,10 @@ class Beams(ForceTerm):
         predicted = self._nothing
         if are_same(self._linearized_before, self._linearized_before):
             predicted = self._predicted
-            predict_deformations(
+            _predict_deformations(
                 self._linearized_before, x, e.origins, e.end_points, e.end_axes, predicted
             )
-        add_beam_stiffness(
+        _add_beam_stiffness(
             x, e.origins, e.unknowns, e.end_points, e.end_axes, self._has_lever, self._k,
             self._pulls, predicted, projected, bound.order, bound.offsets, bound.strides, forces,
             storage,
@@ -619,6 +619,6 @@ class Beams(ForceTerm):
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
         """Share of a move in which no element is bent by half a turn; see `ForceTerm`."""
         e = self.elements
-        return share_below_half_turn(
+        return _share_below_half_turn(
             writable(before), writable(after), e.origins, e.end_points, e.end_axes, GREATEST_TURN
         )

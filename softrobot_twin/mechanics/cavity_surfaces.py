@@ -27,7 +27,7 @@ Arguments of the kernels here:
     pressures, volumes: p [Pa] and V [m³], shape (cavity_count,).
     triangles: Vertices of each, shape (triangle_count, 3).
     weights: Of the carriers in each vertex, shape (vertex_count, carrier_count); by triangle in
-        `add_pressure_stiffness`, shape (triangle_count, 3, width).
+        `_add_pressure_stiffness`, shape (triangle_count, 3, width).
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def add_volume_gradients(points, triangles, cavity, origin, gradients):
 
 
 @njit(**KERNEL)
-def add_to_entries(gradients, weights, entry, blocks):
+def _add_to_entries(gradients, weights, entry, blocks):
     """Add w ∂V/∂x of each vertex to the entries of the nodes that carry it."""
     for v in range(len(entry)):
         g = row(gradients, v)
@@ -105,7 +105,7 @@ def add_to_entries(gradients, weights, entry, blocks):
 
 
 @njit(**KERNEL)
-def add_pressure_stiffness(
+def _add_pressure_stiffness(
     points, triangles, cavity, origin, pressures, weights, offsets, strides, storage
 ):
     """Add -p ∂²V of every triangle; its block for nodes a and b is p [s]ₓ / 6.
@@ -132,7 +132,7 @@ def add_pressure_stiffness(
 
 
 @njit(**KERNEL)
-def write_vertex_moves(moves, weights, free, out):
+def _write_vertex_moves(moves, weights, free, out):
     """Displacement of each vertex by those of the unknowns and carried points."""
     for v in range(len(free)):
         move = (0.0, 0.0, 0.0)
@@ -312,7 +312,7 @@ class CavitySurfaces:
         add_volume_gradients(
             vertices, self.triangles, self.cavity, self._origin, self._gradients
         )
-        add_to_entries(self._gradients, self._carriers.barycentric_weights, self._entry, blocks)
+        _add_to_entries(self._gradients, self._carriers.barycentric_weights, self._entry, blocks)
         return self._volumes_of(vertices)
 
     def carry_forces(self, vertex_forces: np.ndarray, forces: np.ndarray) -> None:
@@ -322,7 +322,7 @@ class CavitySurfaces:
             vertex_forces: Forces [N], shape (vertex_count, 3).
             forces: Forces on unknowns and carried points [N], shape (count, 3); added to.
         """
-        add_to_entries(vertex_forces, self._carriers.barycentric_weights, self._free, forces)
+        _add_to_entries(vertex_forces, self._carriers.barycentric_weights, self._free, forces)
 
     def sort(self, bound: BoundStencils) -> None:
         """Sort the nodes of each triangle as its blocks are bound.
@@ -346,7 +346,7 @@ class CavitySurfaces:
             pressures: p [Pa], shape (count,).
             storage: The factorization's storage [N/m]; added to.
         """
-        add_pressure_stiffness(
+        _add_pressure_stiffness(
             self.place(positions), self.triangles, self.cavity, self._origin, pressures,
             self.stencil_weights, self.bound.offsets, self.bound.strides, storage,
         )  # fmt: skip
@@ -360,7 +360,7 @@ class CavitySurfaces:
         """
         begin = self.place(positions).copy()
         own = np.empty_like(begin)
-        write_vertex_moves(moves, self._carriers.barycentric_weights, self._free, own)
+        _write_vertex_moves(moves, self._carriers.barycentric_weights, self._free, own)
         return self._share(begin, own)
 
     def share_between(self, before: np.ndarray, after: np.ndarray) -> float:

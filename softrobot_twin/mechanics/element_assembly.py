@@ -161,7 +161,7 @@ def transform_gradients(G, A, g):
 
 
 @njit(**INNER)
-def add_stress_to_nodes(S, G, P):
+def _add_stress_to_nodes(S, G, P):
     """Add S ∇N_a at one point to each node's sum."""
     for a in range(len(G) // (3 * BATCH)):
         gradients, node = of_node(G, a), of_node(P, a)
@@ -182,7 +182,7 @@ def subtract_forces(free, P, forces):
 
 
 @njit(**INLINED)
-def stress_changes(T, gradients, e):
+def _stress_changes(T, gradients, e):
     """The three columns of one block at one point: the changes T of the stress times ∇N_a."""
     gradient = vector_at(gradients, 0, e)
     return (
@@ -206,10 +206,10 @@ def contract(a, g, T, K, is_first):
     gradients = of_node(g, a)
     if is_first:
         for e in range(BATCH):
-            put_matrix(K, 0, e, stress_changes(T, gradients, e))
+            put_matrix(K, 0, e, _stress_changes(T, gradients, e))
     else:
         for e in range(BATCH):
-            columns = stress_changes(T, gradients, e)
+            columns = _stress_changes(T, gradients, e)
             put_matrix(K, 0, e, add_scaled_matrix(matrix_at(K, 0, e), columns, 1.0))
 
 
@@ -247,7 +247,7 @@ def linearized_rows(law):
 
 
 @njit(**INNER_UNCACHED)
-def differentiate_node(law, k, q, b, weights, g, L, T):
+def _differentiate_node(law, k, q, b, weights, g, L, T):
     """w ∂P : e_i g_bᵀ at point q of batch k for i = 0, 1, 2."""
     gradients, zero, like = of_node(g, b), (0.0, 0.0, 0.0), linearized_rows(law)
     for e in range(BATCH):
@@ -259,7 +259,7 @@ def differentiate_node(law, k, q, b, weights, g, L, T):
 
 
 @njit(**GENERIC)
-def fill_column(law, k, q, L, j, dF, C):
+def _fill_column(law, k, q, L, j, dF, C):
     """Column j of C for all elements at point q of batch k."""
     like = linearized_rows(law)
     for e in range(BATCH):
@@ -275,7 +275,7 @@ def fill_derivatives(law, k, q, L, C):
     row.
     """
     for j in range(9):
-        fill_column(law, k, q, L, j, UNIT_CHANGES[j], C)
+        _fill_column(law, k, q, L, j, UNIT_CHANGES[j], C)
 
 
 @njit(**INNER)
@@ -314,7 +314,7 @@ def find_negative(C, factor, negative):
 
 
 @njit(**INNER)
-def project_one(C, e):
+def _project_one(C, e):
     """Replaces C of one element by the nearest positive semidefinite matrix, by its eigenvalues."""
     whole = np.empty((9, 9))
     for i in range(9):
@@ -332,9 +332,9 @@ def project_one(C, e):
 
 
 @njit(**INNER_UNCACHED)
-def project_isotropic(law, V, at_point, C, e):
-    """What `project_one` does, for an isotropic law, in the axes of the stretches of V."""
-    rows = positive_rows(law, V, at_point)
+def _project_isotropic(law, V, at_point, C, e):
+    """What `_project_one` does, for an isotropic law, in the axes of the stretches of V."""
+    rows = _positive_rows(law, V, at_point)
     for j in range(9):
         dP = principal_differential(rows, UNIT_CHANGES[j])
         for i in range(9):
@@ -342,18 +342,18 @@ def project_isotropic(law, V, at_point, C, e):
 
 
 @njit(**INNER_UNCACHED)
-def positive_rows(law, F, at_point):
+def _positive_rows(law, F, at_point):
     """The rows of `principal_differential` of an isotropic law, projected.
 
     What the differential does to each pair of axes is all that an isotropic law does.
     """
     U, _, V = principal_axes(F)
-    x = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[0], V[0])))
-    y = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[1], V[1])))
-    z = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[2], V[2])))
-    yz = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[1], V[2])))
-    zx = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[2], V[0])))
-    xy = in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[0], V[1])))
+    x = _in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[0], V[0])))
+    y = _in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[1], V[1])))
+    z = _in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[2], V[2])))
+    yz = _in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[1], V[2])))
+    zx = _in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[2], V[0])))
+    xy = _in_axes(U, V, differential(law, at_point, add_outer(ZERO, U[0], V[1])))
     diagonal = (x[0][0], y[1][1], z[2][2], z[1][1], x[2][2], y[0][0])
     even = (yz[1][2] + yz[2][1], zx[2][0] + zx[0][2], xy[0][1] + xy[1][0])
     odd = (yz[1][2] - yz[2][1], zx[2][0] - zx[0][2], xy[0][1] - xy[1][0])
@@ -361,7 +361,7 @@ def positive_rows(law, F, at_point):
 
 
 @njit(**INLINED)
-def in_axes(U, V, dP):
+def _in_axes(U, V, dP):
     """Uᵀ dP V, where the rows of U and V are axes."""
     return product(U, product_transposed(dP, V))
 
@@ -380,15 +380,15 @@ def project_all(law, k, q, weights, negative, F, R, L, C):
             is_any = True
             if law_is_isotropic(law):
                 V, at_point = seen_by_law(law, F, R, e), rows_at(L, 0, linearized_rows(law), e)
-                project_isotropic(law_at(law, k, q, e), V, at_point, C, e)
+                _project_isotropic(law_at(law, k, q, e), V, at_point, C, e)
             else:
-                project_one(C, e)
+                _project_one(C, e)
     return is_any
 
 
 @njit(**INNER)
-def apply_derivatives(b, weights, g, C, T):
-    """What `differentiate_node` does, by matrices C of nine rows."""
+def _apply_derivatives(b, weights, g, C, T):
+    """What `_differentiate_node` does, by matrices C of nine rows."""
     gradients = of_node(g, b)
     for i in range(3):
         for entry in range(9):
@@ -398,7 +398,7 @@ def apply_derivatives(b, weights, g, C, T):
 
 
 @njit(**INNER_UNCACHED)
-def see_gradients(law, G, R, g):
+def _see_gradients(law, G, R, g):
     """g_a of a law at one point: turned, or ∇N_a themselves."""
     if law_turns(law):
         transform_gradients(G, R, g)
@@ -478,7 +478,7 @@ def add_forces(
             take_lowest(uprights[k, q], lowest)
             take_least_volumes(F, uprights[k, q], least_volumes)
             weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
-            add_stress_to_nodes(S, G, P)
+            _add_stress_to_nodes(S, G, P)
         subtract_forces(free[k, :count], P, forces)
         if len(to_corners) > 0:
             find_folds(to_corners, deformations[k], corners, lowest, sure)
@@ -519,7 +519,7 @@ def add_stiffness(
         by_matrix = False
         for q in range(point_count):
             F, G = deformations[k, q], of_nodes(gradients[k, q], count)
-            see_gradients(law, G, rotations[k, q], g[q])
+            _see_gradients(law, G, rotations[k, q], g[q])
             linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
             if is_tested:
                 fill_derivatives(law, k, q, L[q], C[q])
@@ -531,9 +531,9 @@ def add_stiffness(
         for b in range(count):
             for q in range(point_count):
                 if by_matrix:
-                    apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
+                    _apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
                 else:
-                    differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
+                    _differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
             for a in range(b, count):
                 for q in range(point_count):
                     contract(a, g[q], T[q], K, q == 0)
@@ -567,7 +567,7 @@ def deform_along(D, F, step, shifted):
 
 
 @njit(**INNER_UNCACHED)
-def differentials_along(law, k, q, F, D, R, upright, weights, S):
+def _differentials_along(law, k, q, F, D, R, upright, weights, S):
     """S = w ∂P/∂F : D at point q of batch k; where the law turns, its answer times R."""
     for e in range(BATCH):
         here, V, A = law_at(law, k, q, e), seen_by_law(law, F, R, e), seen_by_law(law, D, R, e)
@@ -609,15 +609,15 @@ def add_force_curvature(
                 put_matrix(D, 0, e, plus_identity(matrix_at(D, 0, e), -1.0))
             inverse = deform_along(D, F, step, shifted)
             find_state(law, shifted, R, upright)
-            differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], S)
+            _differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], S)
             deform_along(D, F, -step, shifted)
             find_state(law, shifted, R, upright)
-            differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], other)
+            _differentials_along(law, k, q, shifted, D, R, upright, weights[k, q], other)
             for entry in range(9):
                 for e in range(BATCH):
                     i = at(entry, e)
                     S[i] = 0.5 * (S[i] - other[i]) * inverse[e]
-            add_stress_to_nodes(S, G, P)
+            _add_stress_to_nodes(S, G, P)
         for i in range(width):
             P[i] = -P[i]
         subtract_forces(free[k, :count], P, curvature)

@@ -111,7 +111,7 @@ def triples_of_parts() -> np.ndarray:
 
 
 @njit(**INNER)
-def at_places(places, triple, e):
+def _at_places(places, triple, e):
     """F of element e at the three places of a triple."""
     return (
         matrix_at(places[triple[0]], 0, e), matrix_at(places[triple[1]], 0, e),
@@ -120,15 +120,15 @@ def at_places(places, triple, e):
 
 
 @njit(**INNER)
-def value_of(F):
+def _value_of(F):
     """J_t of F at three places."""
     return mixed_determinant(F[0], F[1], F[2]) / 6.0
 
 
 @njit(**INNER)
-def value_gradient(F, gradients, triple, a, e):
+def _value_gradient(F, gradients, triple, a, e):
     """∂J_t by node a of element e."""
-    first, second, third = gradients_at(gradients, triple, a, e)
+    first, second, third = _gradients_at(gradients, triple, a, e)
     change = transform(cofactor_change(F[1], F[2]), first)
     change = add_scaled(change, transform(cofactor_change(F[0], F[2]), second), 1.0)
     change = add_scaled(change, transform(cofactor_change(F[0], F[1]), third), 1.0)
@@ -136,7 +136,7 @@ def value_gradient(F, gradients, triple, a, e):
 
 
 @njit(**INNER)
-def gradients_at(gradients, triple, a, e):
+def _gradients_at(gradients, triple, a, e):
     """∇N_a of element e at the three places of a triple."""
     return (
         vector_at(of_node(gradients[triple[0]], a), 0, e),
@@ -146,24 +146,24 @@ def gradients_at(gradients, triple, a, e):
 
 
 @njit(**INNER)
-def value_turning(F, gradients, triple, a, b, e):
+def _value_turning(F, gradients, triple, a, b, e):
     """v of ∂²J_t by nodes a and b, which is -[v]×."""
-    first = gradients_at(gradients, triple, a, e)
-    second = gradients_at(gradients, triple, b, e)
-    turning = transform(F[2], mixed_cross(first[0], second[0], first[1], second[1]))
-    other = transform(F[0], mixed_cross(first[1], second[1], first[2], second[2]))
-    last = transform(F[1], mixed_cross(first[2], second[2], first[0], second[0]))
+    first = _gradients_at(gradients, triple, a, e)
+    second = _gradients_at(gradients, triple, b, e)
+    turning = transform(F[2], _mixed_cross(first[0], second[0], first[1], second[1]))
+    other = transform(F[0], _mixed_cross(first[1], second[1], first[2], second[2]))
+    last = transform(F[1], _mixed_cross(first[2], second[2], first[0], second[0]))
     return scaled(add_scaled(add_scaled(turning, other, 1.0), last, 1.0), 1.0 / 6.0)
 
 
 @njit(**INNER)
-def mixed_cross(a, b, c, d):
+def _mixed_cross(a, b, c, d):
     """a × d + c × b."""
     return add_scaled(cross(a, d), cross(c, b), 1.0)
 
 
 @njit(**INNER)
-def bound_values(corners, bounds):
+def _bound_values(corners, bounds):
     """A lower bound of all J_t of each element, from F at its corners; not positive for NaN."""
     for e in range(BATCH):
         mean = scaled_matrix(sum_of_corners(corners, e), 0.25)
@@ -178,7 +178,7 @@ def bound_values(corners, bounds):
 
 
 @njit(**INNER)
-def least_of_corners(corners, e):
+def _least_of_corners(corners, e):
     """The least Bernstein coefficient of element e as a whole."""
     F = np.empty((4, 3, 3))
     write_element(corners, e, F)
@@ -206,7 +206,7 @@ def find_least_values(to_places, triples, weights, deformations, places, least):
     for k in range(len(weights)):
         if len(to_places) > 0:
             deform_corners(to_places[:4], deformations[k], places[k, :4])
-            bound_values(places[k], least[k])
+            _bound_values(places[k], least[k])
             if least[k].min() >= BARRIER_VOLUME:
                 continue
             deform_corners(to_places[4:], deformations[k], places[k, 4:])
@@ -214,23 +214,23 @@ def find_least_values(to_places, triples, weights, deformations, places, least):
             if weights[k, e] == 0.0:
                 least[k, e] = BARRIER_VOLUME
             elif len(to_places) == 0 or not least[k, e] >= BARRIER_VOLUME:
-                least[k, e] = least_value(triples, places[k], e, len(to_places) > 0)
+                least[k, e] = _least_value(triples, places[k], e, len(to_places) > 0)
                 lowest = min(lowest, least[k, e])
                 crossed_count += not least[k, e] > 0.0
     return crossed_count == 0 and lowest < BARRIER_VOLUME, crossed_count
 
 
 @njit(**INNER)
-def least_value(triples, places, e, are_of_tetrahedra):
+def _least_value(triples, places, e, are_of_tetrahedra):
     """The least J_t of element e, or a lower bound of it where that is J₀ or more."""
     if are_of_tetrahedra:
-        bound = least_of_corners(places, e)
+        bound = _least_of_corners(places, e)
         if bound >= BARRIER_VOLUME:
             return bound
     least = np.inf
     for t in range(len(triples)):
         if are_of_tetrahedra:
-            value = value_of(at_places(places, triples[t], e))
+            value = _value_of(_at_places(places, triples[t], e))
         else:
             value = determinant(matrix_at(places[t], 0, e))
         # NaN stays.
@@ -246,7 +246,7 @@ def add_energies(stiffness, triples, weights, places, least):
         for e in range(BATCH):
             if least[k, e] < BARRIER_VOLUME:
                 for t in range(len(triples)):
-                    value = value_of(at_places(places[k], triples[t], e))
+                    value = _value_of(_at_places(places[k], triples[t], e))
                     if value < BARRIER_VOLUME:
                         total += stiffness * weights[k, e] * barrier(value)[0]
     return total
@@ -273,8 +273,8 @@ def add_forces(stiffness, free, gradients, triples, weights, places, least, forc
             if least[k, e] >= BARRIER_VOLUME:
                 continue
             for t in range(len(triples)):
-                F = at_places(places[k], triples[t], e)
-                value = value_of(F)
+                F = _at_places(places[k], triples[t], e)
+                value = _value_of(F)
                 if value >= BARRIER_VOLUME:
                     continue
                 count += 1
@@ -282,7 +282,7 @@ def add_forces(stiffness, free, gradients, triples, weights, places, least, forc
                 for a in range(free.shape[1]):
                     n = free[k, a, e]
                     if n >= 0:
-                        c = value_gradient(F, gradients[k], triples[t], a, e)
+                        c = _value_gradient(F, gradients[k], triples[t], a, e)
                         for i in range(3):
                             forces[n, i] -= slope * c[i]
     return count
@@ -308,20 +308,20 @@ def add_stiffness(
             if least[k, e] >= BARRIER_VOLUME:
                 continue
             for t in range(len(triples)):
-                F = at_places(places[k], triples[t], e)
-                value = value_of(F)
+                F = _at_places(places[k], triples[t], e)
+                value = _value_of(F)
                 if value >= BARRIER_VOLUME:
                     continue
                 _, slope, curvature = barrier(value)
                 slope = 0.0 if projected else stiffness * weights[k, e] * slope
                 curvature *= stiffness * weights[k, e]
                 for a in range(node_count):
-                    set_row(c, a, value_gradient(F, gradients[k], triples[t], a, e))
+                    set_row(c, a, _value_gradient(F, gradients[k], triples[t], a, e))
                 pair = 0
                 for b in range(node_count):
                     for a in range(b, node_count):
                         if offsets[k, pair, e] >= 0:
-                            v = value_turning(F, gradients[k], triples[t], a, b, e)
+                            v = _value_turning(F, gradients[k], triples[t], a, b, e)
                             block = scaled_matrix(cross_matrix(v), -slope)
                             block = add_outer(block, scaled(row(c, a), curvature), row(c, b))
                             add_block(block, offsets[k, pair, e], strides[k, pair, e], storage)
@@ -343,11 +343,11 @@ def keeps_value(F, D, share):
         add_scaled_matrix(F[0], D[0], share), add_scaled_matrix(F[1], D[1], share),
         add_scaled_matrix(F[2], D[2], share),
     )  # fmt: skip
-    least = KEPT_SHARE * 6.0 * value_of(F)
+    least = KEPT_SHARE * 6.0 * _value_of(F)
     second = mixed_determinant(E[0], F[1], F[2]) + mixed_determinant(F[0], E[1], F[2])
     third = mixed_determinant(F[0], E[1], E[2]) + mixed_determinant(E[0], F[1], E[2])
     return (
-        6.0 * value_of(E) > least
+        6.0 * _value_of(E) > least
         and second + mixed_determinant(F[0], F[1], E[2]) > 3.0 * least
         and third + mixed_determinant(E[0], E[1], F[2]) > 3.0 * least
     )
@@ -368,10 +368,10 @@ def largest_share_of_values(triples, weights, places, changes):
             if weights[k, e] == 0.0:
                 continue
             for t in range(len(triples)):
-                F = at_places(places[k], triples[t], e)
-                if not value_of(F) > 0.0:
+                F = _at_places(places[k], triples[t], e)
+                if not _value_of(F) > 0.0:
                     continue
-                D = at_places(changes[k], triples[t], e)
+                D = _at_places(changes[k], triples[t], e)
                 for _ in range(MOST_SHORTENINGS):
                     if keeps_value(F, D, share):
                         break

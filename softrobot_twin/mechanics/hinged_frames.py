@@ -123,7 +123,7 @@ class Hinges(NamedTuple):
 
 
 @njit(**INLINED)
-def parent_pose(x, parent):
+def _parent_pose(x, parent):
     """Origin and rotation of a parent, those of the world for `WORLD`."""
     if parent < 0:
         return (0.0, 0.0, 0.0), IDENTITY
@@ -131,7 +131,7 @@ def parent_pose(x, parent):
 
 
 @njit(**INLINED)
-def angle_about(axis, Q):
+def _angle_about(axis, Q):
     """Angle of a rotation about an axis, from the part of the rotation about it, in (-π, π]."""
     twist = (Q[2][1] - Q[1][2], Q[0][2] - Q[2][0], Q[1][0] - Q[0][1])
     return np.arctan2(0.5 * dot(axis, twist), 0.5 * (trace(Q) - 1.0))
@@ -144,7 +144,7 @@ def from_rest(R_parent, rest, R_own):
 
 
 @njit(**INLINED)
-def turn_map(x, node, axis):
+def _turn_map(x, node, axis):
     """S of a joint."""
     if is_zero(axis):
         return IDENTITY
@@ -153,50 +153,50 @@ def turn_map(x, node, axis):
 
 
 @njit(**KERNEL)
-def write_relative(x, nodes, parents, out):
+def _write_relative(x, nodes, parents, out):
     """R_Aᵀ R_B of every hinged frame."""
     for k in range(len(nodes)):
-        _, R = parent_pose(x, parents[k])
+        _, R = _parent_pose(x, parents[k])
         set_rows(out[k], transposed_product(R, rotation_at(x, nodes[k])))
 
 
 @njit(**KERNEL)
-def write_angles(x, nodes, parents, rests, axes, out):
+def _write_angles(x, nodes, parents, rests, axes, out):
     """Angle of every hinge; zero of ball joints."""
     for k in range(len(nodes)):
         axis = row(axes, k)
-        _, R = parent_pose(x, parents[k])
+        _, R = _parent_pose(x, parents[k])
         Q = from_rest(R, rows(rests[k]), rotation_at(x, nodes[k]))
-        out[k] = 0.0 if is_zero(axis) else angle_about(axis, Q)
+        out[k] = 0.0 if is_zero(axis) else _angle_about(axis, Q)
 
 
 @njit(**KERNEL)
-def place_hinged(x, nodes, parents, points, rests, axes, relative):
+def _place_hinged(x, nodes, parents, points, rests, axes, relative):
     """Put every hinged frame where its parent carries it, at a given relative rotation.
 
     That of a hinge is reduced to the part about its axis. A frame that is there already is the same
     to the bit where its parent has not moved.
     """
     for k in range(len(nodes)):
-        centre, R = parent_pose(x, parents[k])
+        centre, R = _parent_pose(x, parents[k])
         axis, Q = row(axes, k), rows(relative[k])
         if is_zero(axis):
             turned = orthonormalised(product(R, Q))
         else:
             rest = rows(rests[k])
-            angle = angle_about(axis, transposed_product(rest, Q))
+            angle = _angle_about(axis, transposed_product(rest, Q))
             turned = product(product(R, rest), exponential(scaled(axis, angle)))
         write_frame(add(centre, transform(R, row(points, k))), turned, x, nodes[k])
 
 
 @njit(**KERNEL)
-def turn_relative(x, parents, axes, first_own, move, share, relative):
+def _turn_relative(x, parents, axes, first_own, move, share, relative):
     """Turn relative rotations by a share of a move, in the axes of the parents before the move."""
     for k in range(len(parents)):
         own, axis = scaled(row(move, first_own + k), share), row(axes, k)
         Q = rows(relative[k])
         if is_zero(axis):
-            _, R = parent_pose(x, parents[k])
+            _, R = _parent_pose(x, parents[k])
             turn = transform(transposed(R), own)
             set_rows(relative[k], product(exponential(turn), Q))
         else:
@@ -204,29 +204,29 @@ def turn_relative(x, parents, axes, first_own, move, share, relative):
 
 
 @njit(**KERNEL)
-def hinged_displacement(before, after, nodes, parents, axes, first_own, out):
+def _hinged_displacement(before, after, nodes, parents, axes, first_own, out):
     """Turn of each hinged frame against its parent, see `HingedFrames.displacement`."""
     for k in range(len(nodes)):
         axis = row(axes, k)
-        _, R_before = parent_pose(before, parents[k])
-        _, R_after = parent_pose(after, parents[k])
+        _, R_before = _parent_pose(before, parents[k])
+        _, R_after = _parent_pose(after, parents[k])
         old = transposed_product(R_before, rotation_at(before, nodes[k]))
         new = transposed_product(R_after, rotation_at(after, nodes[k]))
         if is_zero(axis):
             turn = logarithm(product_transposed(new, old))
             set_row(out, first_own + k, transform(R_before, turn))
         else:
-            turned = angle_about(axis, transposed_product(old, new))
+            turned = _angle_about(axis, transposed_product(old, new))
             set_row(out, first_own + k, (turned, 0.0, 0.0))
 
 
 @njit(**KERNEL)
-def write_hinged_levers(x, nodes, parents, axes, out):
+def _write_hinged_levers(x, nodes, parents, axes, out):
     """Derivatives of the four nodes of each hinged frame, by the parent's two unknowns and its own.
     """
     for k in range(len(nodes)):
-        centre, _ = parent_pose(x, parents[k])
-        S = turn_map(x, nodes[k], row(axes, k))
+        centre, _ = _parent_pose(x, parents[k])
+        S = _turn_map(x, nodes[k], row(axes, k))
         for corner in range(4):
             place, block = row(x, nodes[k] + corner), out[4 * k + corner]
             set_rows(block[0], IDENTITY)
@@ -236,30 +236,30 @@ def write_hinged_levers(x, nodes, parents, axes, out):
 
 
 @njit(**KERNEL)
-def add_hinged_turning(x, nodes, parents, axes, free_parents, forces, out, first, crosses):
+def _add_hinged_turning(x, nodes, parents, axes, free_parents, forces, out, first, crosses):
     """Add the turning terms of the points of hinged frames.
 
     The blocks of `out` are those of the rotations of free bodies, from `first` on the own blocks,
     and behind them one (rotation, own) for each hinge whose place in `crosses` is not negative.
     """
     for k in range(len(nodes)):
-        S = turn_map(x, nodes[k], row(axes, k))
-        centre, _ = parent_pose(x, parents[k])
+        S = _turn_map(x, nodes[k], row(axes, k))
+        centre, _ = _parent_pose(x, parents[k])
         own = mixed = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for corner in range(4):
             place, f = row(x, nodes[k] + corner), row(forces, 4 * k + corner)
             lever = subtract(place, row(x, nodes[k]))
-            own = add_scaled_matrix(own, lever_turning(f, lever), 1.0)
+            own = add_scaled_matrix(own, _lever_turning(f, lever), 1.0)
             mixed = plus_identity(add_outer(mixed, negated(lever), f), dot(f, lever))
             if free_parents[k] >= 0:
-                add_block(out[free_parents[k]], lever_turning(f, subtract(place, centre)))
+                add_block(out[free_parents[k]], _lever_turning(f, subtract(place, centre)))
         add_block(out[first + k], transposed_product(S, product(own, S)))
         if crosses[k] >= 0:
             add_block(out[crosses[k]], product(mixed, S))
 
 
 @njit(**INLINED)
-def lever_turning(f, lever):
+def _lever_turning(f, lever):
     """f·ρ 1 - (f ρᵀ + ρ fᵀ)/2."""
     half = scaled(f, -0.5)
     block = plus_identity(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), dot(f, lever))
@@ -390,7 +390,7 @@ class HingedFrames(RigidFrames):
             positions: Node positions [m], shape (node_count, 3).
         """
         joints, out = self.hinges, np.empty(self.hinge_count)
-        write_angles(
+        _write_angles(
             writable(positions), self.hinged_nodes, joints.parents, joints.rotations, joints.axes,
             out,
         )  # fmt: skip
@@ -405,7 +405,7 @@ class HingedFrames(RigidFrames):
     def relative(self, positions: np.ndarray) -> np.ndarray:
         """Rotation of each hinged frame in its parent's, shape (hinge_count, 3, 3)."""
         out = np.empty((self.hinge_count, 3, 3))
-        write_relative(positions, self.hinged_nodes, self.hinges.parents, out)
+        _write_relative(positions, self.hinged_nodes, self.hinges.parents, out)
         return out
 
     def follow(self, positions: np.ndarray, relative: np.ndarray) -> None:
@@ -416,7 +416,7 @@ class HingedFrames(RigidFrames):
             relative: Rotation of each in its parent's frame, shape (hinge_count, 3, 3).
         """
         joints = self.hinges
-        place_hinged(
+        _place_hinged(
             positions, self.hinged_nodes, joints.parents, joints.points, joints.rotations,
             joints.axes, relative,
         )  # fmt: skip
@@ -432,7 +432,7 @@ class HingedFrames(RigidFrames):
         if share == 0.0 or not move[self.first_unknown :].any():
             return
         relative = self.relative(positions)
-        turn_relative(
+        _turn_relative(
             positions, self.hinges.parents, self.hinges.axes, self._first_own, move, share, relative
         )
         super().advance(positions, move, share)
@@ -443,7 +443,7 @@ class HingedFrames(RigidFrames):
         relative = self.relative(positions)
         # The turn of a ball joint is in the axes that its parent had before it moved.
         super().advance(positions, move, -1.0)
-        turn_relative(
+        _turn_relative(
             positions, self.hinges.parents, self.hinges.axes, self._first_own, move, -1.0, relative
         )
         self.follow(positions, relative)
@@ -476,7 +476,7 @@ class HingedFrames(RigidFrames):
             out: Of the unknowns, shape (free_node_count, 3); only those of this kind are written.
         """
         super().displacement(before, after, out)
-        hinged_displacement(
+        _hinged_displacement(
             before, after, self.hinged_nodes, self.hinges.parents, self.hinges.axes,
             self._first_own, out,
         )  # fmt: skip
@@ -495,7 +495,7 @@ class HingedFrames(RigidFrames):
         write_levers(x, self._carried_nodes, self._carried_origins, out[:rigid])
         out[:rigid, 2] = 0.0
         joints = self.hinges
-        write_hinged_levers(x, self.hinged_nodes, joints.parents, joints.axes, out[rigid:])
+        _write_hinged_levers(x, self.hinged_nodes, joints.parents, joints.axes, out[rigid:])
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
         """Add the turning terms of all carried points; see `UnknownKind`."""
@@ -504,36 +504,36 @@ class HingedFrames(RigidFrames):
             x, self._carried_nodes, self._carried_origins, self._carried_bodies, forces[:rigid],
             out,
         )  # fmt: skip
-        add_hinged_turning(
+        _add_hinged_turning(
             x, self.hinged_nodes, joints.parents, joints.axes, joints.free_parents, forces[rigid:],
             out, self._first_own_block, self._crosses,
         )  # fmt: skip
 
 
 @njit(**KERNEL)
-def write_twist_maps(x, nodes, parents, axes, out):
+def _write_twist_maps(x, nodes, parents, axes, out):
     """Derivatives of the place and of the turn of each hinged frame; two lines of blocks for each.
     """
     for k in range(len(nodes)):
-        centre, _ = parent_pose(x, parents[k])
+        centre, _ = _parent_pose(x, parents[k])
         place, turn = out[2 * k], out[2 * k + 1]
         set_rows(place[0], IDENTITY)
         set_rows(place[1], cross_matrix(subtract(centre, row(x, nodes[k]))))
         set_rows(turn[1], IDENTITY)
-        set_rows(turn[2], turn_map(x, nodes[k], row(axes, k)))
+        set_rows(turn[2], _turn_map(x, nodes[k], row(axes, k)))
 
 
 @njit(**KERNEL)
-def add_twist_turning(x, nodes, parents, axes, twists, out, own_count):
+def _add_twist_turning(x, nodes, parents, axes, twists, out, own_count):
     """Add the turning terms of a force and a moment on each hinged frame.
 
     For each there is a block of its parent's rotation; behind all of these one of (rotation, own).
     """
     for k in range(len(nodes)):
-        centre, _ = parent_pose(x, parents[k])
+        centre, _ = _parent_pose(x, parents[k])
         f, m = row(twists, 2 * k), row(twists, 2 * k + 1)
-        add_block(out[k], lever_turning(f, subtract(row(x, nodes[k]), centre)))
-        S = turn_map(x, nodes[k], row(axes, k))
+        add_block(out[k], _lever_turning(f, subtract(row(x, nodes[k]), centre)))
+        S = _turn_map(x, nodes[k], row(axes, k))
         add_block(out[own_count + k], product(cross_matrix(scaled(m, 0.5)), S))
 
 
@@ -578,7 +578,7 @@ class HingedTwists:
     def update(self, positions: np.ndarray) -> None:
         """Compute D at a state: node positions [m], shape (node_count, 3)."""
         frames = self._frames
-        write_twist_maps(
+        _write_twist_maps(
             writable(positions), frames.hinged_nodes, frames.hinges.parents, frames.hinges.axes,
             self.derivatives,
         )  # fmt: skip
@@ -595,7 +595,7 @@ class HingedTwists:
         frames, own = self._frames, self._with_free
         blocks = np.zeros((2 * len(own), 3, 3))
         pairs = np.ascontiguousarray(twists.reshape(-1, 2, 3)[own].reshape(-1, 3))
-        add_twist_turning(
+        _add_twist_turning(
             writable(positions), frames.hinged_nodes[own], frames.hinges.parents[own],
             frames.hinges.axes[own], pairs, blocks, len(own),
         )  # fmt: skip
@@ -603,7 +603,7 @@ class HingedTwists:
 
 
 @njit(**KERNEL)
-def add_unused(offsets, strides, is_ball, stiffness, share, storage):
+def _add_unused(offsets, strides, is_ball, stiffness, share, storage):
     """Add to the diagonal of each own block what keeps the matrix definite."""
     for k in range(len(offsets)):
         for i in range(3):
@@ -646,4 +646,4 @@ class HingeBlocks(OwnBlocks):
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add the diagonal; see `ForceTerm.add`."""
         share = PROJECTED_STIFFNESS if projected else LEAST_STIFFNESS
-        add_unused(self._offsets, self._strides, self._is_ball, self._stiffness, share, storage)
+        _add_unused(self._offsets, self._strides, self._is_ball, self._stiffness, share, storage)

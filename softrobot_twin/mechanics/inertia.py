@@ -188,7 +188,7 @@ def uniform_masses(mesh, density) -> np.ndarray:
 
 
 @njit(**KERNEL)
-def add_pulls(x, nodes, unknowns, masses, start, start_velocities, per_second, rate, forces):
+def _add_pulls(x, nodes, unknowns, masses, start, start_velocities, per_second, rate, forces):
     """f -= c m ((x - x₀)/h - v₀), with 1/h as `per_second` and c as `rate`."""
     for k in range(len(nodes)):
         pull = rate * masses[k]
@@ -198,7 +198,7 @@ def add_pulls(x, nodes, unknowns, masses, start, start_velocities, per_second, r
 
 
 @njit(**KERNEL)
-def add_multiples(values, factor, offsets, strides, storage):
+def _add_multiples(values, factor, offsets, strides, storage):
     """Add a multiple of the unit matrix to each block."""
     for k in range(len(values)):
         value, step = factor * values[k], strides[k] + 1
@@ -249,7 +249,7 @@ class NodalMasses(RememberedNodes, OwnBlocks):
             positions: Node positions q [m], shape (node_count, 3).
             forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
         """
-        add_pulls(
+        _add_pulls(
             positions, self._nodes, self._unknowns, self.masses, self._start,
             self._start_velocities, self._per_second, self.rate, forces,
         )  # fmt: skip
@@ -266,7 +266,7 @@ class NodalMasses(RememberedNodes, OwnBlocks):
         """
         self.add_forces(positions, forces)
         factor = self.rate * self._per_second
-        add_multiples(self.masses, factor, self._offsets, self._strides, storage)
+        _add_multiples(self.masses, factor, self._offsets, self._strides, storage)
 
 
 class LumpedInertia(NodalMasses, InertiaTerm):
@@ -348,7 +348,7 @@ class MassDamping(NodalMasses):
 
 
 @njit(**KERNEL)
-def accelerate(x, nodes, start, start_velocities, per_second, accelerations):
+def _accelerate(x, nodes, start, start_velocities, per_second, accelerations):
     """a = ((x - x₀)/h - v₀)/h, with 1/h as `per_second`."""
     for k in range(len(nodes)):
         for i in range(3):
@@ -424,7 +424,7 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
             positions: Node positions q [m], shape (node_count, 3).
             forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
         """
-        accelerate(
+        _accelerate(
             positions, self._nodes, self._start, self._start_velocities, self._per_second,
             self._accelerations,
         )  # fmt: skip
@@ -447,7 +447,7 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
         """
         self.add_forces(positions, forces)
         factor = self._per_second**2 * self.weight
-        add_multiples(self._lower_values, factor, self._offsets, self._strides, storage)
+        _add_multiples(self._lower_values, factor, self._offsets, self._strides, storage)
 
     def add_accelerations(self, positions, forces, accelerations) -> None:
         """Add M⁻¹ f; see `InertiaTerm`. M is factorized when it is needed first."""

@@ -49,7 +49,7 @@ def corner(points, triangles, t, m, tops, cavity):
 
 
 @njit(**KERNEL)
-def add_liquid_forces(points, triangles, cavity, tops, weights, forces):
+def _add_liquid_forces(points, triangles, cavity, tops, weights, forces):
     """Add f_i of every triangle to the vertices; gives U [J]."""
     energy = 0.0
     for t in range(len(triangles)):
@@ -70,7 +70,7 @@ def add_liquid_forces(points, triangles, cavity, tops, weights, forces):
 
 
 @njit(**INNER)
-def force_derivative(x, w, i, j):
+def _force_derivative(x, w, i, j):
     """∂f_i/∂x_j of one triangle with vertices x."""
     g_i = scaled(cross(x[(i + 1) % 3], x[(i + 2) % 3]), 1.0 / 24.0)
     g_j = scaled(cross(x[(j + 1) % 3], x[(j + 2) % 3]), 1.0 / 24.0)
@@ -83,7 +83,7 @@ def force_derivative(x, w, i, j):
 
 
 @njit(**KERNEL)
-def add_liquid_stiffness(
+def _add_liquid_stiffness(
     points, triangles, cavity, tops, weights, shares, offsets, strides, storage
 ):
     """Add -Σ w_ia w_jb ∂f_i/∂x_j of every triangle to the blocks of nodes a and b."""
@@ -102,7 +102,7 @@ def add_liquid_stiffness(
                         for j in range(3):
                             share = -shares[t, i, a] * shares[t, j, b]
                             if share != 0.0:
-                                K = add_scaled_matrix(K, force_derivative(x, w, i, j), share)
+                                K = add_scaled_matrix(K, _force_derivative(x, w, i, j), share)
                     add_block(K, offsets[t, pair], strides[t, pair], storage)
                 pair += 1
 
@@ -135,7 +135,7 @@ class LiquidFilling(CavityLoad):
     def _add_forces(self, positions: np.ndarray) -> float:
         """Write the forces on the vertices [N]; gives the energy [J]."""
         self._forces[:] = 0.0
-        return add_liquid_forces(
+        return _add_liquid_forces(
             self.walls.place(positions), self.walls.triangles, self.walls.cavity, self._tops,
             self._weights, self._forces,
         )  # fmt: skip
@@ -153,7 +153,7 @@ class LiquidFilling(CavityLoad):
         self.add_forces(positions, forces)
         if not projected:
             walls = self.walls
-            add_liquid_stiffness(
+            _add_liquid_stiffness(
                 walls.place(positions), walls.triangles, walls.cavity, self._tops, self._weights,
                 walls.stencil_weights, walls.bound.offsets, walls.bound.strides, storage,
             )  # fmt: skip

@@ -10,7 +10,7 @@ shape. With the volume v_P and that at rest V_P,
     K_ab = κ U''/V g_a g_bᵀ + p ∂g_a/∂x_b,        ∂c_a/∂x_b = -[F (∇N_a × ∇N_b)]×
 
 with U of `volume_change.py`. Projected, the last part is left out: it has both signs. This is the
-F-bar method of patches (de Souza Neto et al., Int. J. Numer. Meth. Engng 62, 2005) as an energy, or a
+F-bar method of patches (de Souza Neto et al. 2005) as an energy, or a
 pressure that is constant in a patch and eliminated.
 
 Elements keep a small share of the bulk modulus, `element_bulk`, which resists what a patch does not
@@ -162,7 +162,7 @@ def write_volumes(moves, cells, first, gradients, weights, volumes):
 
 
 @njit(**INLINED)
-def add_to_pair(a, b, t, curvature):
+def _add_to_pair(a, b, t, curvature):
     """Add t of a pair of nodes of a patch, or -t of the pair the other way round."""
     sign, sums = 1.0 if a > b else -1.0, curvature[max(a, b), min(a, b)]
     for i in range(3):
@@ -170,16 +170,16 @@ def add_to_pair(a, b, t, curvature):
 
 
 @njit(**INLINED)
-def add_curvature(F, G, places, w, curvature):
+def _add_curvature(F, G, places, w, curvature):
     """Add w F (∇N_a × ∇N_b) of one point; see `write_gradients`."""
     for a in range(len(G)):
         for b in range(a):
             turn = transform(F, cross(row(G, a), row(G, b)))
-            add_to_pair(places[a], places[b], scaled(turn, w), curvature)
+            _add_to_pair(places[a], places[b], scaled(turn, w), curvature)
 
 
 @njit(**INLINED)
-def add_tetrahedron(x, cell, places, g, curvature):
+def _add_tetrahedron(x, cell, places, g, curvature):
     """Add volume and derivatives of a linear tetrahedron by its edges; see `write_gradients`.
 
     With the edges a, b, c from its first node, v = a·(b × c)/6, ∂v/∂x_1 = (b × c)/6 and so on.
@@ -196,12 +196,12 @@ def add_tetrahedron(x, cell, places, g, curvature):
         set_row(g, origin, add_scaled(row(g, origin), change, -1.0))
     if len(curvature) > 0:
         b, c = scaled(b, 1.0 / 6.0), scaled(c, 1.0 / 6.0)
-        add_to_pair(places[1], places[0], add_scaled(b, c, -1.0), curvature)
-        add_to_pair(places[2], places[0], add_scaled(c, a, -1.0), curvature)
-        add_to_pair(places[3], places[0], add_scaled(a, b, -1.0), curvature)
-        add_to_pair(places[1], places[2], c, curvature)
-        add_to_pair(places[2], places[3], a, curvature)
-        add_to_pair(places[3], places[1], b, curvature)
+        _add_to_pair(places[1], places[0], add_scaled(b, c, -1.0), curvature)
+        _add_to_pair(places[2], places[0], add_scaled(c, a, -1.0), curvature)
+        _add_to_pair(places[3], places[0], add_scaled(a, b, -1.0), curvature)
+        _add_to_pair(places[1], places[2], c, curvature)
+        _add_to_pair(places[2], places[3], a, curvature)
+        _add_to_pair(places[3], places[1], b, curvature)
     return 6.0 * dot(a, by_a)
 
 
@@ -224,7 +224,7 @@ def write_gradients(k, x, moves, cells, places, first, gradients, weights, g, cu
     volume = 0.0
     for e in range(first[k], first[k + 1]):
         if cells.shape[1] == 4:
-            volume += add_tetrahedron(x, cells[e], places[e], g, curvature)
+            volume += _add_tetrahedron(x, cells[e], places[e], g, curvature)
             continue
         for q in range(weights.shape[1]):
             w, G = weights[e, q], gradients[e, q]
@@ -235,7 +235,7 @@ def write_gradients(k, x, moves, cells, places, first, gradients, weights, g, cu
                 place = places[e, a]
                 set_row(g, place, add_scaled(row(g, place), transform(C, row(G, a)), w))
             if len(curvature) > 0:
-                add_curvature(F, G, places[e], w, curvature)
+                _add_curvature(F, G, places[e], w, curvature)
     return volume
 
 
@@ -256,11 +256,11 @@ def add_patch_forces(bulk_modulus, rest_volumes, x, moves, cells, places, first,
         g[:] = 0.0
         volume = write_gradients(k, x, moves, cells, places, first, gradients, weights, g, none)
         pressure = bulk_modulus * volumetric(volume / rest_volumes[k])[1]
-        subtract_pressure(pressure, g, free[k], forces)
+        _subtract_pressure(pressure, g, free[k], forces)
 
 
 @njit(**INLINED)
-def subtract_pressure(pressure, g, free, forces):
+def _subtract_pressure(pressure, g, free, forces):
     """Subtract p g of one patch from the forces on its unknowns."""
     for a in range(len(g)):
         n = free[a]
@@ -318,7 +318,7 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, x, moves, cells, 
             _, slope, second = volumetric(volume / rest_volumes[n])
             stiffness[e] = bulk_modulus * second / rest_volumes[n]
             pressures[e] = 0.0 if projected else bulk_modulus * slope
-            subtract_pressure(bulk_modulus * slope, own, free[n], forces)
+            _subtract_pressure(bulk_modulus * slope, own, free[n], forces)
         pair = 0
         for b in range(width):
             for a in range(b, width):

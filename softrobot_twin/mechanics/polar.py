@@ -37,7 +37,7 @@ def is_upright(F):
 def singular_rotation(F):
     """Nearest proper rotation of a flat or inverted deformation, from its singular values.
 
-    The smallest singular value takes the sign of the determinant (Irving 2004), so that R is a
+    The smallest singular value takes the sign of the determinant (Irving et al. 2004), so that R is a
     proper rotation and the force on the element is directed towards positive volume.
 
     Args:

@@ -1,9 +1,8 @@
 """Singular values of F, and differentials of isotropic laws in the axes of their stretches.
 
 F = U diag(λ) Vᵀ with rotations U and V; λ₁ ≥ λ₂ ≥ |λ₃|, and λ₃ is negative where F is inside out
-(Irving et al., Invertible Finite Elements, 2004). An isotropic law is a function ψ of λ, and with
-dF̂ = Uᵀ dF V its differential has four independent parts (Smith et al., Analytic Eigensystems for
-Isotropic Distortion Energies, 2019):
+(Irving et al. 2004). An isotropic law is a function ψ of λ, and with
+dF̂ = Uᵀ dF V its differential has four independent parts (Smith et al. 2019):
 
     dP̂_ii = Σ_j ψ_ij dF̂_jj
     dP̂_ij = a_ij (dF̂_ij + dF̂_ji)/2 + b_ij (dF̂_ij - dF̂_ji)/2

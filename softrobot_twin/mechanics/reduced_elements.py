@@ -204,12 +204,12 @@ def write_stress_changes(
             find_negative(C, factor, negative)
             project_all(law, k, 0, weights[k], negative, F, R, L, C)
         if law_turns(law):
-            turn_derivatives(R, C)
-        apply_to_gradients(C, weights[k], gradients[k], changes[k])
+            _turn_derivatives(R, C)
+        _apply_to_gradients(C, weights[k], gradients[k], changes[k])
 
 
 @njit(**INNER)
-def turn_derivatives(R, C):
+def _turn_derivatives(R, C):
     """From dP Rᵀ by dF Rᵀ to dP by dF: C_{ik,jl} ← Σ C_{im,jn} R_mk R_nl."""
     for e in range(BATCH):
         turn = matrix_at(R, 0, e)
@@ -225,7 +225,7 @@ def turn_derivatives(R, C):
 
 
 @njit(**INNER)
-def apply_to_gradients(C, weights, gradients, changes):
+def _apply_to_gradients(C, weights, gradients, changes):
     """w C G of one batch."""
     for i in range(9):
         for e in range(BATCH):
@@ -239,7 +239,7 @@ def apply_to_gradients(C, weights, gradients, changes):
 
 
 @njit(**INNER)
-def lower_cholesky(M):
+def _lower_cholesky(M):
     """L of M = L Lᵀ of a 3×3 matrix that is positive semidefinite but for rounding."""
     tiny = 1.0e-30
     l00 = math.sqrt(max(M[0][0], tiny))
@@ -274,7 +274,7 @@ def write_spin_rows(
             size = sign * weights[k, e]
             M = ((size * M[0][0], 0.0, 0.0), (size * M[1][0], size * M[1][1], 0.0),
                  (size * M[2][0], size * M[2][1], size * M[2][2]))  # fmt: skip
-            l00, l10, l11, l20, l21, l22 = lower_cholesky(M)
+            l00, l10, l11, l20, l21, l22 = _lower_cholesky(M)
             signs[k, e] = sign
             v, stretched = spin_rows[k, e, 1:], root * math.sqrt(weights[k, e])
             for i in range(9):
@@ -542,7 +542,7 @@ class ReducedElements(ForceTerm):
         if not self.knows(positions):
             self._evaluate(positions)
         subtract_forces(self._forces, self._unknowns, forces)
-        add_to_storage(*self._bound, self._padded_stiffness(projected), storage)
+        _add_to_storage(*self._bound, self._padded_stiffness(projected), storage)
 
     def stiffness(self, projected: bool) -> np.ndarray:
         """K at the state evaluated last [N/m], shape (mode_count, mode_count)."""
@@ -614,6 +614,6 @@ class ReducedElements(ForceTerm):
 
 
 @njit(**KERNEL)
-def add_to_storage(order, offsets, strides, matrix, storage):
+def _add_to_storage(order, offsets, strides, matrix, storage):
     """Add the matrix of all coordinates; see `add_stencil_matrix`."""
     add_stencil_matrix(order, offsets, strides, matrix, storage)

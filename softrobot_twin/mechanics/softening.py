@@ -99,7 +99,7 @@ class SoftenedPoint(NamedTuple):
 
 
 @njit(**GENERIC)
-def softened_at(law, k, q, e):
+def _softened_at(law, k, q, e):
     """The law at a point; see `register_law`."""
     return SoftenedPoint(law.shape, law.bulk_modulus, law.constants, law.greatest[k, q, at(0, e)])
 
@@ -112,17 +112,17 @@ def lag(constants, greatest, energy):
 
 
 @njit(**GENERIC)
-def primitive(x):
+def _primitive(x):
     """G(x), whose derivative is erf."""
     return x * math.erf(x) + math.exp(-x * x) / _ROOT_PI
 
 
 @njit(**GENERIC)
-def softened_energy(law, F):
+def _softened_energy(law, F):
     """Energy that can be recovered [J/m³]."""
     energy, constants = energy_density(law.shape, F), law.constants
     x, span = lag(constants, law.greatest, energy)
-    lost = span / constants.r * (primitive(law.greatest / span) - primitive(x))
+    lost = span / constants.r * (_primitive(law.greatest / span) - _primitive(x))
     return energy - lost + law.bulk_modulus * volumetric(determinant(F))[0]
 
 
@@ -137,7 +137,7 @@ def softened_stress(law, F):
 
 
 @njit(**GENERIC)
-def softened_linearize(law, F, upright, projected):
+def _softened_linearize(law, F, upright, projected):
     """F, P of the shape, two factors, and what the differential of the law needs."""
     energy, constants = energy_density(law.shape, F), law.constants
     x, span = lag(constants, law.greatest, energy)
@@ -149,7 +149,7 @@ def softened_linearize(law, F, upright, projected):
 
 
 @njit(**GENERIC)
-def softened_differential(law, linearized, dF):
+def _softened_differential(law, linearized, dF):
     """dP [Pa]."""
     F = (linearized[0], linearized[1], linearized[2])
     P = (linearized[3], linearized[4], linearized[5])
@@ -162,8 +162,8 @@ def softened_differential(law, linearized, dF):
     return add_scaled_matrix(dP, cofactor_change(F, dF), law.bulk_modulus * U_slope)
 
 
-for _parameters, _at_point in ((SoftenedLaw, softened_at), (SoftenedPoint, None)):
+for _parameters, _at_point in ((SoftenedLaw, _softened_at), (SoftenedPoint, None)):
     register_law(
-        f"softened ({_parameters.__name__})", _parameters, softened_energy, softened_stress,
-        softened_differential, softened_linearize, at_point=_at_point, is_law_of_scenes=False,
+        f"softened ({_parameters.__name__})", _parameters, _softened_energy, softened_stress,
+        _softened_differential, _softened_linearize, at_point=_at_point, is_law_of_scenes=False,
     )

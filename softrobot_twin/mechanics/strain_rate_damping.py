@@ -75,7 +75,7 @@ THINNEST = 10.0
 
 
 @njit(**INNER)
-def invert_transposed(F, T, thin):
+def _invert_transposed(F, T, thin):
     """T = F⁻ᵀ, and the rotation of elements that are flat."""
     for e in range(BATCH):
         deformation = matrix_at(F, 0, e)
@@ -91,7 +91,7 @@ def invert_transposed(F, T, thin):
 
 
 @njit(**KERNEL)
-def begin_all(moves, cells, rest_gradients, gradients):
+def _begin_all(moves, cells, rest_gradients, gradients):
     """g_a = F₀⁻ᵀ ∇N_a at each point of all batches."""
     U, F, T, thin = np.empty(gradients.shape[2]), scratch(9), scratch(9), scratch(1)
     for k in range(len(cells)):
@@ -100,7 +100,7 @@ def begin_all(moves, cells, rest_gradients, gradients):
         for q in range(gradients.shape[1]):
             G = of_nodes(rest_gradients[k, q], count)
             deform(U, G, F)
-            invert_transposed(F, T, thin)
+            _invert_transposed(F, T, thin)
             transform_gradients(G, T, gradients[k, q])
 
 
@@ -158,7 +158,7 @@ class StrainRateDamping(Elements):
             time_step: h [s].
         """
         moves = positions - self._mesh.node_positions
-        begin_all(moves, self._cells, self._rest_gradients, self._gradients)
+        _begin_all(moves, self._cells, self._rest_gradients, self._gradients)
         rate = self.beta / time_step
         if rate != self._rate:
             np.multiply(self._volumes, rate, out=self._weights)

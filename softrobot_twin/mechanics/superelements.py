@@ -74,7 +74,7 @@ Arguments of the kernels here; those of one superelement have no first axis:
     slopes: ∂e/∂x of the frame nodes, shape (count, 6, 8, 3).
     unknowns: Translation and rotation of A and B, -1 where none, shape (count, 4).
     weights: Weight [N], shape (count, 3).
-    work, bend: Memory, shape (n, n) and (n²,); in `write_stiffness` shape (12,).
+    work, bend: Memory, shape (n, n) and (n²,); in `_write_stiffness` shape (12,).
     x: Node positions [m], shape (node_count, 3).
 """
 
@@ -162,16 +162,16 @@ def write_deformations(x, nodes, chord, rest, e, slopes):
         e[k] = dot(along, y) - rest[k]
         for n in range(POINTS):
             set_row(slopes[k], n, scaled(along, chord[n]))
-        add_axis_slope(slopes[k], 0, k, y, 0.5)
-        add_axis_slope(slopes[k], 4, k, y, 0.5)
+        _add_axis_slope(slopes[k], 0, k, y, 0.5)
+        _add_axis_slope(slopes[k], 4, k, y, 0.5)
         i, j = (k + 1) % 3, (k + 2) % 3
         a_i, a_j = axis_at(x, nodes, 0, i), axis_at(x, nodes, 0, j)
         b_i, b_j = axis_at(x, nodes, 4, i), axis_at(x, nodes, 4, j)
         e[3 + k] = 0.5 * (dot(a_j, b_i) - dot(a_i, b_j)) - rest[3 + k]
-        add_axis_slope(slopes[3 + k], 0, j, b_i, 0.5)
-        add_axis_slope(slopes[3 + k], 4, i, a_j, 0.5)
-        add_axis_slope(slopes[3 + k], 0, i, b_j, -0.5)
-        add_axis_slope(slopes[3 + k], 4, j, a_i, -0.5)
+        _add_axis_slope(slopes[3 + k], 0, j, b_i, 0.5)
+        _add_axis_slope(slopes[3 + k], 4, i, a_j, 0.5)
+        _add_axis_slope(slopes[3 + k], 0, i, b_j, -0.5)
+        _add_axis_slope(slopes[3 + k], 4, j, a_i, -0.5)
 
 
 @njit(**INLINED)
@@ -181,7 +181,7 @@ def axis_at(x, nodes, origin, k):
 
 
 @njit(**INLINED)
-def add_axis_slope(slopes, origin, k, vector, share):
+def _add_axis_slope(slopes, origin, k, vector, share):
     """Add the derivative of share · vector · axis by the points of the axis."""
     tip = origin + 1 + k
     set_row(slopes, tip, add_scaled(row(slopes, tip), vector, share))
@@ -189,7 +189,7 @@ def add_axis_slope(slopes, origin, k, vector, share):
 
 
 @njit(**INNER)
-def write_scaled(s, e, pressures, cavities, middle, scaling, offset, z):
+def _write_scaled(s, e, pressures, cavities, middle, scaling, offset, z):
     """z of superelement s; gives the largest |z|."""
     for k in range(len(z)):
         c = k - len(e)
@@ -210,7 +210,7 @@ def write_scaled(s, e, pressures, cavities, middle, scaling, offset, z):
 
 
 @njit(**INNER)
-def pull_back(scaling, by_z, by_variables, work):
+def _pull_back(scaling, by_z, by_variables, work):
     """scalingᵀ · by_z · scaling."""
     n = len(scaling)
     for k in range(n):
@@ -228,7 +228,7 @@ def pull_back(scaling, by_z, by_variables, work):
 
 
 @njit(**INNER)
-def evaluate_enthalpy(
+def _evaluate_enthalpy(
     s, scaling, monomials, gradients, curvatures, centre_values, centre_gradients,
     centre_curvatures, pulls, slope, bend, work, gradient, curvature, centre, centre_slopes,
 ):
@@ -269,11 +269,11 @@ def evaluate_enthalpy(
         for j in range(n):
             total += scaling[s, j, k] * slope[j]
         gradient[k] = total
-    pull_back(scaling[s], bend, curvature, work)
+    _pull_back(scaling[s], bend, curvature, work)
 
 
 @njit(**KERNEL)
-def evaluate_all(
+def _evaluate_all(
     x, nodes, chords, rests, pressures, cavities, middle, scaling, parents, factors, gradients,
     curvatures, centre_values, centre_gradients, centre_curvatures, weights, pulls, offset, z,
     monomials, slope, bend, work, axes, e, slopes, by_unknowns, levers, drawn, gradient, curvature,
@@ -282,14 +282,14 @@ def evaluate_all(
     """Deformations and derivatives of Π of every superelement."""
     for s in range(len(nodes)):
         write_deformations(x, nodes[s], chords[s], rests[s], e[s], slopes[s])
-        write_unknown_slopes(
+        _write_unknown_slopes(
             x, nodes[s], axes, row(weights, s), slopes[s], by_unknowns[s], levers[s], drawn[s]
         )
         for k in range(3):
             pulls[k] = dot(row(weights, s), axis_at(x, nodes[s], 0, k))
-        ranges[s] = write_scaled(s, e[s], pressures, cavities, middle, scaling, offset, z)
+        ranges[s] = _write_scaled(s, e[s], pressures, cavities, middle, scaling, offset, z)
         write_monomials(z, parents, factors, monomials)
-        evaluate_enthalpy(
+        _evaluate_enthalpy(
             s, scaling, monomials, gradients, curvatures, centre_values, centre_gradients,
             centre_curvatures, pulls, slope, bend, work, gradient[s], curvature[s], centres[s],
             centre_slopes[s],
@@ -297,7 +297,7 @@ def evaluate_all(
 
 
 @njit(**INNER)
-def write_unknown_slopes(x, nodes, axes, weight, slopes, by_unknowns, levers, drawn):
+def _write_unknown_slopes(x, nodes, axes, weight, slopes, by_unknowns, levers, drawn):
     """∂e by the unknowns of both frames, and what turns the weight along the axes of A.
 
     Unknowns are the translation and the rotation of A, then those of B: dx_n = u + θ × ρ_n, where
@@ -319,7 +319,7 @@ def write_unknown_slopes(x, nodes, axes, weight, slopes, by_unknowns, levers, dr
 
 
 @njit(**KERNEL)
-def add_enthalpy_forces(
+def _add_enthalpy_forces(
     unknowns, gradient, by_unknowns, weights, axes, centres, levers, shares, forces
 ):
     """Add -∂Π by the unknowns of every superelement."""
@@ -342,7 +342,7 @@ def add_enthalpy_forces(
 
 
 @njit(**INNER)
-def write_stiffness(curvature, by_unknowns, work, out):
+def _write_stiffness(curvature, by_unknowns, work, out):
     """∂e/∂qᵀ ∂²Π/∂e² ∂e/∂q over the twelve numbers of the unknowns."""
     count = len(by_unknowns)
     rows = by_unknowns.reshape(count, 12)
@@ -368,7 +368,7 @@ def add_block(out, first, second, block, share):
 
 
 @njit(**INLINED)
-def turned_product(a, b):
+def _turned_product(a, b):
     """Matrix of (θ × a)·(φ × b) by θ and φ: a·b 1 - b aᵀ."""
     along = dot(a, b)
     return (
@@ -379,7 +379,7 @@ def turned_product(a, b):
 
 
 @njit(**INNER)
-def add_bending(gradient, ends, levers, out):
+def _add_bending(gradient, ends, levers, out):
     """Add Σ ∂Π/∂e_k ∂²e_k by the unknowns, of products of first changes.
 
     d is a product of axes and the chord y, ω one of axes of both frames; of Σ ∂Π/∂d_k d_k the
@@ -396,14 +396,14 @@ def add_bending(gradient, ends, levers, out):
     add_block(out, 1, 2, across_a, 1.0)
     add_block(out, 3, 0, across_b, -1.0)
     add_block(out, 3, 2, across_b, 1.0)
-    add_block(out, 1, 1, turned_product(p_a, r_a), -1.0)
-    add_block(out, 1, 3, turned_product(p_a, r_b), 1.0)
-    add_block(out, 3, 1, turned_product(p_b, r_a), -1.0)
-    add_block(out, 3, 3, turned_product(p_b, r_b), 1.0)
+    add_block(out, 1, 1, _turned_product(p_a, r_a), -1.0)
+    add_block(out, 1, 3, _turned_product(p_a, r_b), 1.0)
+    add_block(out, 3, 1, _turned_product(p_b, r_a), -1.0)
+    add_block(out, 3, 3, _turned_product(p_b, r_b), 1.0)
     for k in range(3):
         i, j, share = (k + 1) % 3, (k + 2) % 3, 0.5 * gradient[3 + k]
-        add_block(out, 1, 3, turned_product(row(levers, 1 + j), row(levers, 5 + i)), share)
-        add_block(out, 1, 3, turned_product(row(levers, 1 + i), row(levers, 5 + j)), -share)
+        add_block(out, 1, 3, _turned_product(row(levers, 1 + j), row(levers, 5 + i)), share)
+        add_block(out, 1, 3, _turned_product(row(levers, 1 + i), row(levers, 5 + j)), -share)
 
 
 @njit(**INNER)
@@ -417,7 +417,7 @@ def add_turning(gradient, slopes, shares, weight, levers, out):
 
 
 @njit(**INNER)
-def add_drawn(centre_slopes, by_unknowns, drawn, out):
+def _add_drawn(centre_slopes, by_unknowns, drawn, out):
     """Add what the displaced centre of mass and the turned weight do to each other."""
     count = len(by_unknowns)
     rows = by_unknowns.reshape(count, 12)
@@ -432,21 +432,21 @@ def add_drawn(centre_slopes, by_unknowns, drawn, out):
 
 
 @njit(**KERNEL)
-def add_enthalpy_stiffness(
+def _add_enthalpy_stiffness(
     order, ends, gradient, curvature, slopes, by_unknowns, weights, axes, centres, centre_slopes,
     levers, shares, drawn, projected, offsets, strides, own_shares, work, whole, storage,
 ):
     """Add ∂²Π by the unknowns of every superelement; projected, only that of ∂²Π/∂e²."""
     for s in range(len(order)):
-        write_stiffness(curvature[s], by_unknowns[s], work, whole)
+        _write_stiffness(curvature[s], by_unknowns[s], work, whole)
         if not projected:
             for a in range(POINTS):
                 own_shares[a] = shares[s, a]
                 for k in range(3):
                     own_shares[a] += centres[s, k] * axes[k, a]
-            add_bending(gradient[s], ends[s], levers[s], whole)
+            _add_bending(gradient[s], ends[s], levers[s], whole)
             add_turning(gradient[s], slopes[s], own_shares, row(weights, s), levers[s], whole)
-            add_drawn(centre_slopes[s], by_unknowns[s], drawn[s], whole)
+            _add_drawn(centre_slopes[s], by_unknowns[s], drawn[s], whole)
         add_stencil_matrix(order[s], offsets[s], strides[s], whole, storage)
 
 
@@ -603,7 +603,7 @@ class Superelements(ForceTerm):
         if is_known(*state):
             return
         store(*state)
-        evaluate_all(
+        _evaluate_all(
             positions, self._nodes, self._chords, self._rests, self.pressures, self.cavities,
             self._middle, self._scaling, self._parents, self._factors, self._gradients,
             self._curvatures, self._centre_values, self._centre_gradients,
@@ -618,7 +618,7 @@ class Superelements(ForceTerm):
         """Add the forces [N] and torques [N m] at the told pressures; see `ForceTerm.add_forces`.
         """
         self.evaluate(positions)
-        add_enthalpy_forces(
+        _add_enthalpy_forces(
             self.unknowns, self._gradient, self._by_unknowns, self._weights, self._axes,
             self._centres, self._levers, self._shares, forces,
         )  # fmt: skip
@@ -639,7 +639,7 @@ class Superelements(ForceTerm):
             curvature = np.ascontiguousarray(
                 (axes * np.abs(stretches)[:, None, :]) @ axes.transpose(0, 2, 1)
             )
-        add_enthalpy_stiffness(
+        _add_enthalpy_stiffness(
             self._bound.order, self._ends, self._gradient, curvature, self._slopes,
             self._by_unknowns, self._weights, self._axes, self._centres, self._centre_slopes,
             self._levers, self._shares, self._drawn, projected, self._bound.offsets,

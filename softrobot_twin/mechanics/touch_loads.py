@@ -1,8 +1,8 @@
 """Loads of touches: a measured force at a point of a body, or a point that a finger holds in place.
 
 A measured force is a given load. Where a displacement is measured, the point x = Σ w_a x_a is held at
-its measured place p along some axes, by the augmented Lagrangian method (Nocedal and Wright,
-Numerical Optimization, 2006, section 17.3): the force
+its measured place p along some axes, by the augmented Lagrangian method (Nocedal and Wright
+2006, section 17.3): the force
 
     f = f₀ + s (p - x)
 

@@ -96,33 +96,33 @@ class ViscousPoint(NamedTuple):
 
 
 @njit(**GENERIC)
-def viscous_at(law, k, q, e):
+def _viscous_at(law, k, q, e):
     """The law at a point; see `register_law`."""
     base = law_at(law.base, k, q, e)
     return ViscousPoint(base, law.scale, matrix_at(law.memory[k, q], 0, e))
 
 
 @njit(**GENERIC)
-def viscous_energy(law, F):
+def _viscous_energy(law, F):
     """The potential of the step [J/m³]."""
     strain = plus_identity(transposed_product(F, F), -1.0)
     return law.scale * energy_density(law.base, F) + 0.5 * inner(strain, law.memory)
 
 
 @njit(**GENERIC)
-def viscous_stress(law, F):
+def _viscous_stress(law, F):
     """P [Pa]."""
     return add_scaled_matrix(product(F, law.memory), stress(law.base, F), law.scale)
 
 
 @njit(**GENERIC)
-def viscous_linearize(law, F, upright, projected):
+def _viscous_linearize(law, F, upright, projected):
     """What the differential of the law needs."""
     return linearize(law.base, F, upright, False)
 
 
 @njit(**GENERIC)
-def viscous_differential(law, linearized, dF):
+def _viscous_differential(law, linearized, dF):
     """dP [Pa]."""
     dP = differential(law.base, linearized, dF)
     return add_scaled_matrix(product(dF, law.memory), dP, law.scale)
@@ -175,8 +175,8 @@ def step_factors(series: tuple[ViscousTerm, ...], time_step: float) -> StepFacto
     return StepFactors(np.exp(-ratios), even * instant_shares(series))
 
 
-for _parameters, _at_point in ((ViscousLaw, viscous_at), (ViscousPoint, None)):
+for _parameters, _at_point in ((ViscousLaw, _viscous_at), (ViscousPoint, None)):
     register_law(
-        f"viscous ({_parameters.__name__})", _parameters, viscous_energy, viscous_stress,
-        viscous_differential, viscous_linearize, at_point=_at_point, is_law_of_scenes=False,
+        f"viscous ({_parameters.__name__})", _parameters, _viscous_energy, _viscous_stress,
+        _viscous_differential, _viscous_linearize, at_point=_at_point, is_law_of_scenes=False,
     )

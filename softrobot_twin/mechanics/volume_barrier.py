@@ -6,7 +6,7 @@ in which such a law is valid, the energy per volume
 
     Ψ_b = κ b(J/J₀),    b(s) = -(1 - s)² ln s
 
-is added (Li et al., Incremental Potential Contact, 2020, eq. 6, with a volume in place of a distance).
+is added (Li et al. 2020, eq. 6, with a volume in place of a distance).
 It is twice continuously differentiable at J₀, and κ is the stiffness of the law against a uniaxial
 stretch. Elsewhere nothing is added, to the bit. With c_a = cof(F) ∇N_a, the derivative of J by node a,
 

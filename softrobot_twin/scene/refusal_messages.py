@@ -108,7 +108,7 @@ def _one_error(
     if copy is not None and len(alike) < copy.count:
         reason += f" (copy {copy.number} of {copy.count})"
     return SceneError(path, dotted((*above, *written)) or "scene", short(value),
-                      own_unit or unit_at(root, location), reason)  # fmt: skip
+                      own_unit or _unit_at(root, location), reason)  # fmt: skip
 
 
 def _also(as_written: Callable, location: list) -> str:
@@ -122,23 +122,23 @@ def nearest(name: object, known) -> str:
     return f"; is {found[0]} meant?" if found else ""
 
 
-def unit_at(root: type[BaseModel], location: tuple) -> str:
+def _unit_at(root: type[BaseModel], location: tuple) -> str:
     """The unit of the innermost named value that contains a location."""
     names = [part for part in location if not isinstance(part, int)]
-    model = model_at(root, tuple(names[:-1])) if names else None
+    model = _model_at(root, tuple(names[:-1])) if names else None
     field = model.model_fields.get(names[-1]) if model else None
     return _unit_of(field.json_schema_extra, field.annotation, field.metadata) if field else ""
 
 
-def model_at(root: type[BaseModel], location: tuple) -> type[BaseModel] | None:
+def _model_at(root: type[BaseModel], location: tuple) -> type[BaseModel] | None:
     """The type of the entry at a location, through lists and optional entries."""
-    found = annotation_at(root, location)
+    found = _annotation_at(root, location)
     item = item_of_list(found)
     found = plain(found) if item is None else item
     return found if is_entry(found) else None
 
 
-def annotation_at(root: type[BaseModel], location: tuple) -> Any:
+def _annotation_at(root: type[BaseModel], location: tuple) -> Any:
     """The annotation at a location; None for an unknown location."""
     found: Any = root
     for part in location:
@@ -186,7 +186,7 @@ def short(value: Any) -> Any:
 def _missing(root, location: tuple, value: Any) -> tuple[tuple, Any, str]:
     if isinstance(location[-1], int):  # a list that is too short
         whole = location[:-1]
-        return whole, value, f"must be {_kind(annotation_at(root, whole))}; it has {len(value)}"
+        return whole, value, f"must be {_kind(_annotation_at(root, whole))}; it has {len(value)}"
     return location, "(nothing)", "is required"
 
 
@@ -194,7 +194,7 @@ def _unknown_key(root, location: tuple) -> str:
     key = str(location[-1])
     if key in NOT_BUILT:
         return f"{NOT_BUILT[key]} are not available in this version"
-    model = model_at(root, location[:-1])
+    model = _model_at(root, location[:-1])
     known = [name for name in model.model_fields if name != "path"] if model else []
     if key == "repeat":
         return _not_repeated(location)
@@ -235,7 +235,7 @@ def _sections_with(model, key: str, place: str) -> list[str]:
 def _reason(root, location: tuple, details: Any) -> str:
     """What is required at a location with an invalid value."""
     kind, context, value = details["type"], details.get("ctx", {}), details.get("input")
-    unit = unit_at(root, location)
+    unit = _unit_at(root, location)
     if kind in _LIMITS:
         word, name = _LIMITS[kind]
         return f"must be {word} {context[name]:g}"
@@ -253,7 +253,7 @@ def _reason(root, location: tuple, details: Any) -> str:
         return f"must have at least {least} entries; it has {length}"
     if kind == "value_error":
         return _lower(str(context.get("error", details["msg"])))
-    expected = annotation_at(root, location)
+    expected = _annotation_at(root, location)
     if kind == "too_long" and expected is not None:
         return f"must be {_kind(expected)}; it has {context['actual_length']}"
     if kind == "invalid_key":
@@ -268,7 +268,7 @@ def _reason(root, location: tuple, details: Any) -> str:
 
 
 def _words_at(root, location: tuple) -> tuple:
-    return get_args(plain(annotation_at(root, location))) or ()
+    return get_args(plain(_annotation_at(root, location))) or ()
 
 
 def _kind(annotation: Any) -> str:

@@ -21,7 +21,7 @@ _VACUUM, _NOTHING, _MIDDLE, _MOST = ([43, 98, 201], [150, 152, 158], [226, 176, 
 _NOT_FINITE_COLOUR = np.array([255, 0, 255, 255], dtype=np.uint8)
 _SCALE_SIZE = 256
 
-# Oklab (B. Ottosson, "A perceptual color space for image processing", 2020): first matrix: linear
+# Oklab (Ottosson 2020): first matrix: linear
 # sRGB to cone responses; second: their cube roots to lightness and two opponent colours.
 _CONES = np.array([[0.4122214708, 0.5363325363, 0.0514459929],
                    [0.2119034982, 0.6806995451, 0.1073969566],

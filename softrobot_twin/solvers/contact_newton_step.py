@@ -10,7 +10,7 @@ system of equations remains, with one unknown for each active row:
     sliding along -d           λ_t = µ λ_n d, and d turns with δ_t: τ·δ_t + s τ·λ_t = 0 with
                                τ ⊥ d, s = ‖δ_t‖ / (µ λ_n)
 
-This is the semi-smooth Newton step of Alart & Curnier (1991) with d eliminated. The states follow
+This is the semi-smooth Newton step of Alart and Curnier 1991 with d eliminated. The states follow
 from the natural map. A proximal share of the diagonal makes redundant contacts share their load.
 """
 

@@ -7,8 +7,8 @@ With the rows h in S and C = diag(1/k), A + Sᵀ C⁻¹ S has the inverse that t
 
 have, so S is condensed above the rows H of each system, and eliminated from it, rows of positive k
 first. The whole is positive definite where as many pivots of C + S A⁻¹ Sᵀ are positive as k are, less
-the negative eigenvalues of A (the inertia of the system from both sides; Nocedal and Wright, Numerical
-Optimization, 2006, section 16.3).
+the negative eigenvalues of A (the inertia of the system from both sides; Nocedal and Wright
+2006, section 16.3).
 """
 
 from __future__ import annotations

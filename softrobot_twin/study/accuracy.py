@@ -60,7 +60,7 @@ _CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces presc
                "weightless": "displacements, no gravity"}
 
 
-def mesh_table(rows: Sequence[AccuracyRow]) -> Table:
+def _mesh_table(rows: Sequence[AccuracyRow]) -> Table:
     """Table of the error and time of every mesh, element and law."""
     return table(
         "Error of the effector, % of its displacement, and time of a step", "mesh", "element",
@@ -76,7 +76,7 @@ def _times_and_errors(row: AccuracyRow) -> list[str]:
             *(f"{error:.2f}" if np.isfinite(error) else "not converged" for error in errors)]
 
 
-def reduced_table(rows: Sequence[AccuracyRow]) -> Table | None:
+def _reduced_table(rows: Sequence[AccuracyRow]) -> Table | None:
     """Table of the reduced models, each beside the full model of its mesh; None without any."""
     reduced = [row for row in rows if row.knob == REDUCED]
     if not reduced:
@@ -104,7 +104,7 @@ def full_row(rows: Sequence[AccuracyRow], reduced: AccuracyRow) -> AccuracyRow |
                  and row.knob == MESH), None)
 
 
-def knob_table(rows: Sequence[AccuracyRow]) -> Table:
+def _knob_table(rows: Sequence[AccuracyRow]) -> Table:
     """Table of the errors that are added by the other settings."""
     return table(
         "Error added by other settings, on the scene's own mesh", "varied", "setting", "step [ms]",
@@ -113,7 +113,7 @@ def knob_table(rows: Sequence[AccuracyRow]) -> Table:
               for row in rows if row.knob not in (MESH, REDUCED)))
 
 
-def reference_table(references: dict[str, Reference]) -> Table:
+def _reference_table(references: dict[str, Reference]) -> Table:
     """Table of the reference solutions and their uncertainty."""
     made = table("Reference: quadratic meshes, extrapolated", "case", "displacement [mm]",
                  "extrapolated by", "uncertainty [%]", "meshes")
@@ -389,8 +389,8 @@ def accuracy(
         shown.print("The force of a cable at a point acts on the material within "
                     f"{1e3 * held.cables[0].hold_radius:.1f} mm.")
     shown.print()
-    print_apart(reference_table(study.references), mesh_table(rows), reduced_table(rows),
-                knob_table(rows))
+    print_apart(_reference_table(study.references), _mesh_table(rows), _reduced_table(rows),
+                _knob_table(rows))
     write_rows(output / "accuracy.csv", rows)
     draw_accuracy(output / "accuracy.png", scene.name, rows, conditions)
     shown.print(f"written: {output / 'accuracy.csv'}, {output / 'accuracy.png'}")

@@ -302,7 +302,7 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
         limits: Size limits of the study.
     """
     probe = levels[0].with_element("quadratic")
-    simulation = Simulation(with_newton(probe.scene, 1, 1.0e-300))
+    simulation = Simulation(_with_newton(probe.scene, 1, 1.0e-300))
     simulation.step(Hold(1.0))
     times = [simulation.step(Hold(1.0)).report.compute_time for _ in range(_PROBES)]
     unit, size = median(times), dof_count(probe)
@@ -589,7 +589,7 @@ def exact_simulation(scene: Scene) -> Simulation:
     material = scene.body.material
     stiffness = law_at_rest(material, material.law).young_modulus * size**2
     free = unlimited(scene, exact=True)
-    exact = with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness)
+    exact = _with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness)
     return Simulation(exact, with_warnings=False)
 
 
@@ -738,7 +738,7 @@ def rounds_of(
 
 def _ready(scene: Scene, iterations: int, parts: dict) -> Simulation:
     # With a tolerance that is never reached, every step makes all its iterations.
-    timed = with_newton(unlimited(scene), iterations, 1.0e-300)
+    timed = _with_newton(unlimited(scene), iterations, 1.0e-300)
     simulation = Simulation(timed, with_warnings=False, **parts)
     simulation.warm_up()
     return simulation

@@ -41,13 +41,13 @@ from softrobot_twin.study.terminal import (
 from softrobot_twin.study.timing import Spread
 
 
-def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
+def _write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
     """Writes all sizes as CSV; unknown values are left empty.
 
     Raises:
         OutputError: The file cannot be written.
     """
-    families = families_of(sizes)
+    families = _families_of(sizes)
     rows = [_row(size, stage, exponent(families[size.case.family], stage), full_size(size, sizes))
             for size in sizes for stage in size.stages]
     with csv_output(path, list(rows[0])) as write:
@@ -96,7 +96,7 @@ def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
     """Median, 99th percentile and maximum of each stage of each size."""
     return table("Time of a step in ms: median / p99 / max", "stage", *map(_title, sizes),
                  rows=([stage, *(_times(size.times.get(stage)) for size in sizes)]
-                       for stage in (*stage_names(sizes), SUPERLU)))
+                       for stage in (*_stage_names(sizes), SUPERLU)))
 
 
 def _title(size: SizeMeasurement) -> str:
@@ -104,7 +104,7 @@ def _title(size: SizeMeasurement) -> str:
     return f"{size.case.name}\n{unknowns}"
 
 
-def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
+def _size_table(sizes: Sequence[SizeMeasurement]) -> Table:
     """Table of the other measurements of each size."""
     cells = (
         ("nodes, tets", lambda size: f"{size.node_count}, {size.tet_count}"),
@@ -138,19 +138,19 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
                  rows=([what, *map(words, sizes)] for what, words in cells))
 
 
-def growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
+def _growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
     """Exponent of each stage over each family; None when no family has two sizes."""
-    families = {family: members for family, members in families_of(sizes).items()
+    families = {family: members for family, members in _families_of(sizes).items()
                 if len({size.dof_count for size in members}) > 1}
     if not families:
         return None
     return table("Growth: time ~ dof^p, p fitted to medians", "stage", *(
         f"{family} ({len(members)} sizes)" for family, members in families.items()),
         rows=([stage, *(_number(exponent(members, stage), "{:.2f}") for members in families.values())]
-              for stage in (*stage_names(sizes), SUPERLU)))
+              for stage in (*_stage_names(sizes), SUPERLU)))
 
 
-def families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
+def _families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
     """Sizes by family, in their order."""
     return by_key((size.case.family, size) for size in sizes)
 
@@ -165,7 +165,7 @@ def _medians(sizes: Sequence[SizeMeasurement], stage: str) -> list[float]:
     return [size.times[stage].median if stage in size.times else np.nan for size in sizes]
 
 
-def stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
+def _stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
     """All stages in their order, then the time outside them, then the whole step."""
     inner = dict.fromkeys(name for size in sizes for name in size.stages)
     return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
@@ -183,7 +183,7 @@ def check_requirements(size: SizeMeasurement) -> list[str]:
     ]
 
 
-def compare_with_full(size: SizeMeasurement, full: SizeMeasurement | None) -> str:
+def _compare_with_full(size: SizeMeasurement, full: SizeMeasurement | None) -> str:
     """A reduced model's step beside that of its full one, and its tail beside the required one."""
     step = size.stages[WHOLE_STEP]
     beside = "give its full scene too to compare them"
@@ -289,10 +289,10 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
 
 def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
     """Medians of each stage, one line for each family of meshes."""
-    inner = [name for name in stage_names(sizes) if name != WHOLE_STEP]
+    inner = [name for name in _stage_names(sizes) if name != WHOLE_STEP]
     colours = dict(zip(inner, _STAGE_COLOURS * 2))
     colours |= {WHOLE_STEP: _STEP_COLOUR, SUPERLU: _SUPERLU_COLOUR}
-    families = families_of(sizes)
+    families = _families_of(sizes)
     longest = max(families.values(), key=len)
     for members, style in zip(families.values(), _styles(families), strict=True):
         ordered = sorted(members, key=lambda size: size.dof_count)
@@ -315,7 +315,7 @@ def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
 
     Reduced models, of which none is factorized, are left out.
     """
-    families = families_of([size for size in sizes if size.superlu_count])
+    families = _families_of([size for size in sizes if size.superlu_count])
     for (family, members), style in zip(families.items(), _styles(families), strict=True):
         ordered = sorted(members, key=lambda size: size.dof_count)
         dofs = [size.dof_count for size in ordered]
@@ -385,7 +385,7 @@ def read_earlier(path: Path) -> dict[str, tuple[float, float]]:
         raise TableFileError(path, f"is no bench.csv of this version: {error!r}") from error
 
 
-def compare_with_earlier(
+def _compare_with_earlier(
     sizes: Sequence[SizeMeasurement], earlier: dict[str, tuple[float, float]]
 ) -> Table:
     """Each step beside that of an earlier run, by SuperLU's time in the same run and by calls."""
@@ -433,7 +433,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
                 "does not include other processes. Reduced models are compared with full ones of\n"
                 "the same mesh and element in the same run.")
     shown.print(conditions + "\n")
-    print_apart(stage_table(sizes), size_table(sizes), growth_table(sizes))
+    print_apart(stage_table(sizes), _size_table(sizes), _growth_table(sizes))
     for size in sizes:
         if size.case.has_requirements:
             for words in check_requirements(size):
@@ -441,11 +441,11 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         if size.case.paper is not None:
             shown.print(compare_with_paper(size))
         if size.is_reduced:
-            shown.print(compare_with_full(size, full_size(size, sizes)))
+            shown.print(_compare_with_full(size, full_size(size, sizes)))
     if earlier:
-        shown.print(compare_with_earlier(sizes, earlier))
+        shown.print(_compare_with_earlier(sizes, earlier))
     if output is not None:
-        write_bench(output / "bench.csv", sizes)
+        _write_bench(output / "bench.csv", sizes)
         draw_bench(output / "bench.png", sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")
     return 0

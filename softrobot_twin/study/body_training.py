@@ -9,8 +9,8 @@
 
 With a wanted error the training grows by need. In each round many candidates are solved by the
 reduced model, with the modes in use and with the spare ones too; where the two differ most, the
-full model is solved and the states are added (greedy sampling; Paul-Dubois-Taine and Amsallem, Int.
-J. Numer. Meth. Engng 102, 2015). Some fresh states judge each round before they are added in turn.
+full model is solved and the states are added (greedy sampling; Paul-Dubois-Taine and Amsallem
+2015). Some fresh states judge each round before they are added in turn.
 """
 
 from __future__ import annotations
@@ -457,7 +457,7 @@ class Round(NamedTuple):
     estimate: float
 
 
-def train_by_need(training: Training) -> tuple[Trained, States, list[Round], bool]:
+def _train_by_need(training: Training) -> tuple[Trained, States, list[Round], bool]:
     """Add states, modes and points until the wanted error is met at fresh states.
 
     Returns:
@@ -574,7 +574,7 @@ def reduce(path: Path, options: TrainingOptions) -> int:
     try:
         rounds, is_met = [], True
         if options.error is not None:
-            trained, states, rounds, is_met = train_by_need(training)
+            trained, states, rounds, is_met = _train_by_need(training)
         else:
             trained, states = train_once(training)
         training_time = time.perf_counter() - begin

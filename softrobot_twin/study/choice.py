@@ -205,7 +205,7 @@ class NoSettingError(SoftRobotTwinError):
         reason = "none could be tried"
         if nearest is not None:
             possible = MARGIN / nearest.measured.p99
-            reason = (f"the fastest, {describe_setting(nearest.setting)}, takes "
+            reason = (f"the fastest, {_describe_setting(nearest.setting)}, takes "
                     f"{1e3 * nearest.measured.p99:.2f} ms (p99), which keeps {possible:.0f} Hz")
         super().__init__(f"no setting keeps {rate:g} Hz within {MARGIN:g} of its period of "
                          f"{1e3 / rate:.2f} ms on this machine: {reason}")
@@ -214,7 +214,7 @@ class NoSettingError(SoftRobotTwinError):
 Measure = Callable[[Setting], Measured]
 
 
-def describe_setting(setting: Setting) -> str:
+def _describe_setting(setting: Setting) -> str:
     """A setting as text."""
     plural = "" if setting.iterations == 1 else "s"
     reduced = f"reduced by {setting.reduced}, " if setting.reduced else ""
@@ -511,7 +511,7 @@ def choose(
     clock = None if measure is not None else SettingClock(held, rate, models.scene)
 
     def measure_setting(setting: Setting) -> Measured:
-        report_activity(describe_setting(setting))
+        report_activity(_describe_setting(setting))
         if clock is not None:
             return clock.measure(setting)
         return measure(models.scene(setting), rate, setting.iterations)
@@ -650,7 +650,7 @@ def _training_command(
     words = ["choose", str(scene), "--rate", f"{rate:g}"]
     for option, values in (
         ("--accuracy", [accuracy_file] * (accuracy_file is not None)), ("--reduced", reduced),
-        ("--range", options.ranges), ("--targets", map(box_text, options.targets)),
+        ("--range", options.ranges), ("--targets", map(_box_text, options.targets)),
         ("--loads", [f"{options.load:g}"] * bool(options.load)),
         ("--tilts", [f"{math.degrees(options.tilt):g}"] * bool(options.tilt)),
     ):  # fmt: skip
@@ -659,7 +659,7 @@ def _training_command(
     return "softrobot_twin " + shlex.join([*words, "--write", str(write), "--train"])
 
 
-def box_text(box: TargetBox) -> str:
+def _box_text(box: TargetBox) -> str:
     """A box of targets as the command line has it."""
     sides = zip(box.low, box.high, strict=True)
     return f"{box.effector}=" + ",".join(f"{low:g}:{high:g}" for low, high in sides)
@@ -721,7 +721,7 @@ def _remarks(
     return [
         f"Made from {original.name} by 'choose' for {rate:g} Hz on "
         f"{describe_machine(NUMERICAL_LIBRARIES)}",
-        f"{describe_setting(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of "
+        f"{_describe_setting(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of "
         f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of the period is allowed.",
         f"Expected error of the effector for given {moved}: {100 * best.error:.2f} % of its "
         f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
@@ -743,7 +743,7 @@ def _table(
     lines = []
     for one in candidates:
         mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"
-        lines.append((one.error, describe_setting(one.setting), one.measured, mark))
+        lines.append((one.error, _describe_setting(one.setting), one.measured, mark))
     for one in foreseen[:_LINES]:
         row = one.row
         name = f"{describe_mesh(row.mesh, row.element)}, {row.law} law, reduced, not trained"

@@ -93,7 +93,7 @@ def reduce_and_export(path: Path, options: TrainingOptions, output: Path) -> int
         SoftRobotTwinError: The scene, an option or a file cannot be used.
     """
     scene, code = load_scene(path), 0
-    refuse_unexportable(scene)
+    _refuse_unexportable(scene)
     entry = scene.deformables[0].reduced
     if entry is None or not scene.file_path(entry.file).is_file() or options != TrainingOptions():
         # Before the training, which takes minutes.
@@ -111,7 +111,7 @@ def reduce_and_export(path: Path, options: TrainingOptions, output: Path) -> int
     return code
 
 
-def refuse_unexportable(scene: Scene) -> None:
+def _refuse_unexportable(scene: Scene) -> None:
     """Refuse a scene that the lines of numpy cannot step.
 
     Raises:
@@ -165,7 +165,7 @@ def export_controller(scene: Scene, output: Path) -> dict[str, np.ndarray]:
 
 def controller_arrays(scene: Scene) -> dict[str, np.ndarray]:
     """All that steps a reduced robot; see `export_controller`."""
-    refuse_unexportable(scene)
+    _refuse_unexportable(scene)
     (entry,) = scene.deformables
     if entry.reduced is None:
         key = "body" if scene.body is not None else "bodies[0]"

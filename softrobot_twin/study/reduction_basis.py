@@ -5,9 +5,9 @@ the body's stiffness at rest. In that norm a force is as large as the displaceme
 so points that are sampled for forces are sampled for displacements.
 
 Points and weights are sampled so that they do the same virtual work along the modes as all points
-together, at states of the training: energy-conserving sampling and weighting (Farhat, Avery,
-Chapman, Cortial, Int. J. Numer. Meth. Engng 98, 2014), a sparse solution of non-negative least
-squares (Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23).
+together, at states of the training: energy-conserving sampling and weighting (Farhat et al.
+2014), a sparse solution of non-negative least
+squares (Lawson and Hanson 1974, chapter 23).
 """
 
 from __future__ import annotations

@@ -311,7 +311,7 @@ class DaskWorkers:
         client, self._client = self._client or self._connected(), None
         futures = {
             client.submit(
-                compute_on_cluster, job, setpoints, pure=False, retries=MOST_TRIES - 1
+                _compute_on_cluster, job, setpoints, pure=False, retries=MOST_TRIES - 1
             ): index
             for index, setpoints in samples
         }
@@ -333,7 +333,7 @@ class DaskWorkers:
 _of_thread = threading.local()
 
 
-def compute_on_cluster(job: Job, setpoints: np.ndarray) -> object:
+def _compute_on_cluster(job: Job, setpoints: np.ndarray) -> object:
     """Computes one sample on a worker of a cluster, each of whose threads builds the scene once."""
     made = getattr(_of_thread, "made", None)
     if made is None or made[0] != job:

@@ -130,7 +130,7 @@ def column_drives(
         ActuationError: The column is unknown, or the numbers are none, not finite or not in order.
     """
     named, _, ends = text.partition("=")
-    columns, given = actuator_column_places(simulation), f"{option} {text}"
+    columns, given = _actuator_column_places(simulation), f"{option} {text}"
     if named not in columns:
         raise ActuationError(given, f"is no column of {', '.join(columns)}")
     try:
@@ -149,7 +149,7 @@ def column_drives(
     return places, sorted(drives)
 
 
-def actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:
+def _actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:
     """Columns of a commands file: the actuators that each moves, and whether it is a setpoint."""
     actuators, columns = simulation.actuators, {}
     names = list(actuators.names)

@@ -119,7 +119,7 @@ def brought_to(simulation: Simulation, setpoints: np.ndarray) -> bool:
     return not result.status.is_failure and result.report.residual <= tolerance
 
 
-def rigid_pose(points: np.ndarray, at_rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rigid_pose(points: np.ndarray, at_rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotation from rest and middle of points that move nearly as a rigid body."""
     middle = points.mean(axis=0)
     turn, _ = Rotation.align_vectors(points - middle, at_rest - at_rest.mean(axis=0))
@@ -133,7 +133,7 @@ def occurring_deformations(division: Division, positions: np.ndarray) -> np.ndar
         division: The body, divided.
         positions: Its node positions [m], shape (node_count, 3).
     """
-    poses = [rigid_pose(positions[own], division.positions[own]) for own in division.nodes]
+    poses = [_rigid_pose(positions[own], division.positions[own]) for own in division.nodes]
     found = []
     for part in division.parts:
         a, b = part.ends

@@ -200,7 +200,7 @@ _UPPER = np.triu_indices(3)
 FINER = 4
 
 
-def workspace_header(simulation: Simulation) -> list[str]:
+def _workspace_header(simulation: Simulation) -> list[str]:
     """Columns of the file: those of runs, and stiffness [N/m] and compliance [m/N] of effectors."""
     names, pairs = simulation.effector_names, pair_names(simulation)
     return [
@@ -479,7 +479,7 @@ def workspace(
     axes = sampled_axes(simulation, ranges)
     setpoints = sampled_setpoints(simulation, axes, samples, seed)
     content = scene_fingerprint(simulation.scene)
-    header = workspace_header(simulation)
+    header = _workspace_header(simulation)
     run = {"scene": content, "seed": seed, "number of samples": samples,
            "range": [[axis.name, axis.low, axis.high] for axis in axes],
            "columns": hashlib.sha256(",".join(header).encode()).hexdigest()}  # fmt: skip

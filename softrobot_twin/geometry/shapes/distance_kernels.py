@@ -28,7 +28,7 @@ HALF_SPACE, CAPSULE, CYLINDER, BOX = range(4)
 
 
 @njit(**INNER)
-def capsule_distance(radius, half_length, p):
+def _capsule_distance(radius, half_length, p):
     """Signed distance [m] of a point to a capsule, and its unit gradient."""
     x, y, z = p
     if z > half_length:
@@ -46,7 +46,7 @@ def capsule_distance(radius, half_length, p):
 
 
 @njit(**INNER)
-def cylinder_distance(radius, half_length, p):
+def _cylinder_distance(radius, half_length, p):
     """Signed distance [m] of a point to a cylinder with flat caps, and its unit gradient."""
     x, y, z = p
     from_axis = np.sqrt(x * x + y * y)
@@ -67,7 +67,7 @@ def cylinder_distance(radius, half_length, p):
 
 
 @njit(**INNER)
-def box_distance(half, p):
+def _box_distance(half, p):
     """Signed distance [m] of a point to a box of given half sides, and its unit gradient."""
     sign_x = 1.0 if p[0] >= 0.0 else -1.0
     sign_y = 1.0 if p[1] >= 0.0 else -1.0
@@ -101,10 +101,10 @@ def shape_distance(kind, extents, p):
     if kind == HALF_SPACE:
         return p[2], (0.0, 0.0, 1.0)
     if kind == CAPSULE:
-        return capsule_distance(extents[0], extents[1], p)
+        return _capsule_distance(extents[0], extents[1], p)
     if kind == CYLINDER:
-        return cylinder_distance(extents[0], extents[1], p)
-    return box_distance(extents, p)
+        return _cylinder_distance(extents[0], extents[1], p)
+    return _box_distance(extents, p)
 
 
 @njit(**KERNEL)

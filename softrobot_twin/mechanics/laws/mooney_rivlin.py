@@ -5,8 +5,8 @@
     dP = 2 c₁₀ (m dF + m' J̇ F) + 2 c₀₁ (n dG + n' J̇ G) + p dC
          + (2 c₁₀ m' F : dF + 2 c₀₁ n' G : dF + p' J̇) C,    p' = c₁₀ m'' I₁ + c₀₁ n'' I₂ + κ U''
 
-with the invariants and G of `invariants.py`. It fits rubber up to about 100 % strain (Rivlin, Philosophical
-Transactions A 241, 1948).
+with the invariants and G of `invariants.py`. It fits rubber up to about 100 % strain (Rivlin
+1948).
 
 Arguments of the kernels here:
     F: A matrix, three rows of three numbers.

@@ -2,8 +2,8 @@
 
     Ψ = Σ_p µ_p/α_p (g_p Σ_i λ_i^α_p - 3) + κ U(J),    g_p = J^(-α_p/3),    µ = ½ Σ_p µ_p α_p at rest
 
-g_p makes the stretches independent of volume. Three terms fit rubber up to 700 % strain (Ogden,
-Proceedings of the Royal Society A 326, 1972); α = 2 is the Neo-Hookean law, and α = 2 with α = -2 that of
+g_p makes the stretches independent of volume. Three terms fit rubber up to 700 % strain (Ogden
+1972); α = 2 is the Neo-Hookean law, and α = 2 with α = -2 that of
 Mooney and Rivlin. A term with α < 0 is the same in the areas A_k = λ_i λ_j, because the stretches without
 their volume have the product one:
 

@@ -3,8 +3,8 @@
     Ψ = c₁ (Ī₁ - 3) + c₂ (Ī₁ - 3)² + c₃ (Ī₁ - 3)³ + κ U(J),    µ = 2 c₁ at rest
 
 `invariants.py` gives stress and differential. It is fitted to a tensile curve alone with less risk than
-the law of Mooney and Rivlin, because Ī₁ says nothing of the kind of deformation (Yeoh, Rubber
-Chemistry and Technology 66, 1993).
+the law of Mooney and Rivlin, because Ī₁ says nothing of the kind of deformation (Yeoh
+1993).
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ the mesh as points (`asked`); surfaces for pictures are placed when they are ask
 A file of such a body is saved by ``python -m softrobot_twin reduce``. The displacement of every node is u = Φ q: a mode is a displacement of all nodes, and q are its
 coordinates (proper orthogonal decomposition of states of the full model). Elastic forces are sums
 over few quadrature points with weights of their own, so that they do nearly the same work along the
-basis as all points together (energy-conserving sampling; Farhat et al., Int. J. Numer. Meth. Engng
-98, 2014; points in place of elements: Hernández et al., Comput. Methods Appl. Mech. Engng 313, 2017).
+basis as all points together (energy-conserving sampling; Farhat et al. 2014;
+points in place of elements: Hernández et al. 2017).
 
 Further modes, the spare ones, and points of their own tell the error: see `reduction_error.py`.
 

@@ -6,8 +6,8 @@ prescribed efforts is indefinite. With the rows H of the actuators and a stiffne
     (A + Hᵀ ρ H) dq = b + Hᵀ (λ + ρ H dq)
 
 has the same solutions dq as A dq = b + Hᵀ λ. Its matrix is positive definite wherever held
-actuators stabilise the body (it is the Hessian of the augmented Lagrangian; Nocedal and Wright,
-Numerical Optimization, 2006, theorem 17.5). An optimisation then solves for
+actuators stabilise the body (it is the Hessian of the augmented Lagrangian; Nocedal and Wright
+2006, theorem 17.5). An optimisation then solves for
 
     λ̂ = λ + ρ (δ - δ_ref),     δ = δ(q) + H dq,
 

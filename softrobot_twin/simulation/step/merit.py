@@ -7,7 +7,7 @@ contacts allow. The merit of a state is
 
 (in place of the penalty, for an actuator that stretches the energy of its stretch, and for one at
 a given effort λ the work -λ δ), with exact penalties µ, 1.5 times the multipliers of the
-linearization (Nocedal and Wright, Numerical Optimization, 2006, section 17.2). Overlaps are
+linearization (Nocedal and Wright 2006, section 17.2). Overlaps are
 detected anew at the tried state, because contacts of other edges and facets are what the
 linearization does not know. The change of E is the work of the forces along the move, by Simpson's
 rule. A move is shortened until it lowers φ by a share of what the linearization promises (Armijo's

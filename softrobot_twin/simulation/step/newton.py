@@ -41,7 +41,7 @@ LONGEST_MOVE = 0.1
 INERTIAL_SHARE = 1.5
 # A correction by the factor of an earlier state is kept when what the same factor would correct
 # next is at most this share of it. That is the natural monotonicity test of simplified Newton methods
-# (Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 2.1). It measures displacements:
+# (Deuflhard 2011, section 2.1). It measures displacements:
 # a stale factor leaves small forces on soft directions, which are large displacements.
 GREATEST_CONTRACTION = 0.5
 # Beyond this share the factor is worn out: the next linearization makes a new one.

@@ -3,7 +3,7 @@
 Where a target is out of reach, the remaining error bends the problem as much as its linear part
 does (the large-residual case of Gauss-Newton), and a full step of the inverse problem overshoots.
 So what a step promises is compared with what came of it, as in every trust region method (Nocedal
-and Wright, Numerical Optimization, 2006, section 4.1). With the tracking term
+and Wright 2006, section 4.1). With the tracking term
 
     T = ½ Σ q (x - x_d)²,     gain = (T_before - T_now) / (T_before - T_promised)
 

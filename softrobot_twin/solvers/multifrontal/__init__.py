@@ -2,9 +2,8 @@
 
 Eliminating a node changes only its neighbours. So a sparse factorization is a tree of small dense
 ones, the *fronts*: each takes the matrix's entries of the nodes it eliminates, adds what its
-children left, eliminates, and leaves the rest to its parent (Duff & Reid 1983; Liu, "The
-multifrontal method for sparse matrix solution", SIAM Review 34, 1992). The tree depends only on the
-mesh and is found once; a step's time is spent in the fronts.
+children left, eliminates, and leaves the rest to its parent (Duff and Reid 1983; Liu
+1992). The tree depends only on the mesh and is found once; a step's time is spent in the fronts.
 
 Read in this order:
 

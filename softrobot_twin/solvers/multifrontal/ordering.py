@@ -245,8 +245,8 @@ def vertex_cover(graph: sp.csr_array, side: np.ndarray) -> np.ndarray:
 def distances_as_places(graph: sp.csr_array) -> np.ndarray:
     """Positions that show a connected graph's distances, shape (node_count, 3).
 
-    Classical scaling of the distances to a few pivots far from each other (Brandes & Pich,
-    "Eigensolver methods for progressive multidimensional scaling of large data", 2006).
+    Classical scaling of the distances to a few pivots far from each other (Brandes and
+    Pich 2006).
     """
     nearest = np.full(graph.shape[0], np.inf)
     pivot, distances = 0, []

@@ -2,8 +2,7 @@
 
 Eliminating a node couples all its later neighbours with each other. Column j of the factor L has an
 entry wherever this happens; the first entry below its diagonal names its *parent*, the first later
-column that needs the result of j (Liu, "The role of elimination trees in sparse factorization",
-SIAM J. Matrix Anal. Appl. 11, 1990). Columns in different subtrees never meet.
+column that needs the result of j (Liu 1990). Columns in different subtrees never meet.
 
 Columns with the same structure form a supernode, which is eliminated in one dense *front*. Small
 supernodes are merged into their parents where this saves time. A supernode has costs besides its
@@ -174,7 +173,7 @@ def postorder(parent, precedence):
 
 
 @njit(**KERNEL)
-def column_counts(indptr, indices, parent):
+def _column_counts(indptr, indices, parent):
     """Entries of each column of L below its diagonal, shape (node_count,).
 
     Row i of L is the part of the tree between i and its earlier neighbours.
@@ -363,7 +362,7 @@ def analyse(graph: sp.csr_array, order: np.ndarray) -> Elimination:
     order = order[postorder(parent, np.arange(len(order))[::-1].copy())]
     structure = renumbered(graph, order)
     parent = elimination_tree(*structure)
-    counts = column_counts(*structure, parent)
+    counts = _column_counts(*structure, parent)
     supernode = fundamental_supernodes(parent, counts)
 
     count = int(supernode[-1]) + 1 if len(supernode) else 0
