@@ -8,7 +8,11 @@ from softrobot_twin.errors import SoftRobotTwinError
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs one command and returns its exit code."""
+    """Runs one command and returns its exit code.
+
+    Args:
+        arguments: Words after the program's name; None for those of the process.
+    """
     is_module = Path(sys.argv[0]).name == "__main__.py"
     name = "python -m softrobot_twin" if is_module else "softrobot_twin"
     parser = program(name)

@@ -64,6 +64,9 @@ def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
     """Compiles a kernel as `numba.njit` does, with the options above.
 
     A kernel from outside of this package is not kept on disk; see `kernel_cache.py`.
+
+    Args:
+        **options: One of the sets above, such as `KERNEL`.
     """
 
     is_inner = bool(options.pop("only_kernels_call", False))
@@ -103,7 +106,11 @@ class CompilationProgress(events.Listener):
         self._depth = 0
 
     def on_start(self, event: events.Event) -> None:
-        """Before a kernel is compiled, or one that it calls."""
+        """Before a kernel is compiled, or one that it calls.
+
+        Args:
+            event: numba's event; its data name the kernel.
+        """
         now = self._clock()
         if self._depth == 0:
             self._began = now
@@ -120,7 +127,11 @@ class CompilationProgress(events.Listener):
         )  # fmt: skip
 
     def on_end(self, event: events.Event) -> None:
-        """After it, or after it failed."""
+        """After it, or after it failed.
+
+        Args:
+            event: numba's event; its data name the kernel.
+        """
         self._depth -= 1
         # numba compiles functions of its own, too.
         if isinstance(event.data["dispatcher"], (Kernel, InnerKernel)):

@@ -99,5 +99,9 @@ class ParameterError(SoftRobotTwinError):
 
 
 def one_line(error: Exception) -> str:
-    """What an exception says, in one line."""
+    """What an exception says, in one line.
+
+    Args:
+        error: The exception.
+    """
     return " ".join(str(error).split())

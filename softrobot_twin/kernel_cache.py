@@ -85,7 +85,11 @@ def closure(module: str) -> frozenset[str]:
 
 @cache
 def closure_hash(module: str) -> str:
-    """Hash of the sources of a module's closure."""
+    """Hash of the sources of a module's closure.
+
+    Args:
+        module: Its full name.
+    """
     state = sha256()
     for name in sorted(closure(module)):
         state.update(name.encode() + b"\0" + _source(name) + b"\0")
@@ -162,6 +166,7 @@ class KernelCache(_Cache):
 
     @property
     def cache_path(self) -> str:
+        """The folder of all entries."""
         return str(kernel_folder())
 
     def _entry(self, signature, codegen) -> Path | None:
@@ -182,7 +187,12 @@ class KernelCache(_Cache):
         return kernel_folder() / f"{name}-{self._own[:_SHORT]}-{rest[:_SHORT]}.nbc"
 
     def load_overload(self, sig, target_context):
-        """The compiled kernel for a signature; None where it is not kept or its file is damaged."""
+        """The compiled kernel for a signature; None where it is not kept or its file is damaged.
+
+        Args:
+            sig: Types of the arguments, as numba gives them.
+            target_context: numba's, of the machine that the code is for.
+        """
         target_context.refresh()
         entry = self._entry(sig, target_context.codegen())
         if entry is None or not entry.is_file():
@@ -196,7 +206,12 @@ class KernelCache(_Cache):
         return CompileResult._rebuild(target_context, *pickle.loads(code))
 
     def save_overload(self, sig, data) -> None:
-        """Keeps a compiled kernel."""
+        """Keeps a compiled kernel.
+
+        Args:
+            sig: Types of the arguments, as numba gives them.
+            data: The compiled kernel.
+        """
         entry = self._entry(sig, data.codegen)
         if entry is None:
             return

@@ -49,9 +49,17 @@ class ScenePath(Path):
         return ScenePath, (str(self), self.changes)
 
     def with_segments(self, *segments) -> Path:  # type: ignore[override]
-        """A path made from this one, such as that of a file beside it: without changes."""
+        """A path made from this one, such as that of a file beside it: without changes.
+
+        Args:
+            *segments: Its parts, as of `Path`.
+        """
         return Path(*segments)
 
     def resolve(self, strict: bool = False) -> ScenePath:
-        """The absolute path of the file, with the same changes."""
+        """The absolute path of the file, with the same changes.
+
+        Args:
+            strict: Whether the file must exist, as of `Path.resolve`.
+        """
         return ScenePath(super().resolve(strict), self.changes)

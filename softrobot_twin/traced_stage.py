@@ -191,7 +191,11 @@ class Trace:
             pass  # It cannot be run by the driver.
 
     def is_same(self, other: Trace | None) -> bool:
-        """Whether another one called the same kernels with the same arrays and numbers."""
+        """Whether another one called the same kernels with the same arrays and numbers.
+
+        Args:
+            other: Another trace; None for none.
+        """
         return other is not None and self.words == other.words and all(
             one[0] is another[0] for one, another in zip(self.calls, other.calls)
         )

@@ -54,7 +54,11 @@ class Explained(NamedTuple):
 
 
 def explained(function: Callable) -> Explained:
-    """The docstring of a function in its parts."""
+    """The docstring of a function in its parts.
+
+    Args:
+        function: A function with a docstring in Google's style.
+    """
     text, *rest = re.split(r"^(\S[^\n]*):\n(?=    )", inspect.getdoc(function) or "", flags=re.M)
     sections = {title: re.split(r"\n(?=\S)", dedent(body).strip())
                 for title, body in zip(rest[::2], rest[1::2], strict=True)}
@@ -66,7 +70,12 @@ class Parser(argparse.ArgumentParser):
     """A parser that tells the nearest word it knows to a mistyped one."""
 
     def parse_known_args(self, args=None, namespace=None):
-        """See `argparse`; a mistyped option is told before what is missing for it."""
+        """See `argparse`; a mistyped option is told before what is missing for it.
+
+        Args:
+            args: Words of the command line; None for those of the process.
+            namespace: What the values are added to; None for a new one.
+        """
         args = sys.argv[1:] if args is None else list(args)
         known = [flag for action in self._actions for flag in action.option_strings]
         for word in takewhile(self._is_before_others, args):
@@ -80,7 +89,11 @@ class Parser(argparse.ArgumentParser):
         return word != "--" and (self._subparsers is None or word.startswith("-"))
 
     def error(self, message: str) -> NoReturn:
-        """See `argparse`."""
+        """See `argparse`.
+
+        Args:
+            message: What is wrong.
+        """
         if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             message += _meant(found[1], re.findall(r"[\w-]+", found[2]))
         super().error(message)

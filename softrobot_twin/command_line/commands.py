@@ -44,7 +44,13 @@ class OptionError(NamedError):
 
 
 def refuse(reason: str, **given: object) -> None:
-    """Refuses options, by their names, that have no effect in this combination."""
+    """Refuses options, by their names, that have no effect in this combination.
+
+    Args:
+        reason: Why they have none here.
+        **given: Value of each option by its name; None, False and () stand for one that was not
+            given.
+    """
     for option, value in given.items():
         if value not in (None, False, ()):
             raise OptionError(f"--{option.rstrip('_').replace('_', '-')}", reason)
@@ -54,41 +60,69 @@ def refuse(reason: str, **given: object) -> None:
 
 
 def count(text: str) -> int:
-    """Parses an integer of at least 0."""
+    """Parses an integer of at least 0.
+
+    Args:
+        text: The word of the command line.
+    """
     return _accepted(int(text), int(text) >= 0, f"{text} must not be negative")
 
 
 def positive_count(text: str) -> int:
-    """Parses an integer of at least 1."""
+    """Parses an integer of at least 1.
+
+    Args:
+        text: The word of the command line.
+    """
     return _accepted(count(text), int(text) > 0, f"{text} must be above zero")
 
 
 def rate(text: str) -> float:
-    """Parses a rate between 0.1 and 10000 Hz."""
+    """Parses a rate between 0.1 and 10000 Hz.
+
+    Args:
+        text: The word of the command line [Hz].
+    """
     number = float(text)
     return _accepted(number, 0.1 <= number <= 10_000.0, f"{text} must lie in 0.1..10000 Hz")
 
 
 def seconds(text: str) -> float:
-    """Parses the length of a run [s]."""
+    """Parses the length of a run [s].
+
+    Args:
+        text: The word of the command line [s].
+    """
     number = float(text)
     return _accepted(number, 1.0 <= number <= 3600.0, f"{text} must lie in 1..3600 s")
 
 
 def duration(text: str) -> float:
-    """Parses the duration of a run without commands [s]."""
+    """Parses the duration of a run without commands [s].
+
+    Args:
+        text: The word of the command line [s].
+    """
     number = float(text)
     return _accepted(
         number, 0.0 < number <= 86_400.0, f"{text} must lie above 0 and up to 86400 s")
 
 
 def length(text: str) -> float:
-    """Parses a length with its unit, such as 6mm, 0.006m or, in metres, 6e-3 [m]."""
+    """Parses a length with its unit, such as 6mm, 0.006m or, in metres, 6e-3 [m].
+
+    Args:
+        text: The word of the command line.
+    """
     return _with_unit(text, UNITS, "a length such as 6mm, 0.6cm, 0.006m or 6e-3 (metres)")
 
 
 def step_time(text: str) -> float:
-    """Parses a time with its unit, such as 2ms or, in seconds, 0.002 [s]."""
+    """Parses a time with its unit, such as 2ms or, in seconds, 0.002 [s].
+
+    Args:
+        text: The word of the command line.
+    """
     return _with_unit(text, {"s": 1.0, "ms": 1e-3, "us": 1e-6},
                       "a time such as 2ms, 0.002s or 2e-3 (seconds)")
 
@@ -105,33 +139,54 @@ def _with_unit(text: str, units: dict[str, float], expected: str) -> float:
 
 
 def positive(text: str) -> float:
-    """Parses a finite number above zero."""
+    """Parses a finite number above zero.
+
+    Args:
+        text: The word of the command line.
+    """
     number = float(text)
     return _accepted(number, 0.0 < number < math.inf, f"{text} must be above zero")
 
 
 def share(text: str) -> float:
-    """Parses a percentage, such as 1%, as a share."""
+    """Parses a percentage, such as 1%, as a share.
+
+    Args:
+        text: The word of the command line [%].
+    """
     number = positive(text.removesuffix("%")) / 100.0
     return _accepted(number, number <= 1.0, f"{text} must be at most 100 %")
 
 
 def tilt(text: str) -> float:
-    """Parses an angle in degrees; gives it in radians."""
+    """Parses an angle in degrees; gives it in radians.
+
+    Args:
+        text: The word of the command line [degrees].
+    """
     number = float(text)
     return _accepted(math.radians(number), 0.0 < number <= 180.0,
                      f"{text} must lie above 0 and up to 180 degrees")
 
 
 def point(text: str) -> tuple[float, float, float]:
-    """Parses a point [m], such as 0,0,0.1."""
+    """Parses a point [m], such as 0,0,0.1.
+
+    Args:
+        text: The word of the command line: three numbers with commas between [m].
+    """
     values = tuple(map(float, text.split(",")))
     is_point = len(values) == 3 and all(map(math.isfinite, values))
     return _accepted(values, is_point, f"{text} must be three numbers, X,Y,Z [m]")
 
 
 def target_box(text: str) -> TargetBox:
-    """Parses a box of an effector's targets."""
+    """Parses a box of an effector's targets.
+
+    Args:
+        text: The word of the command line: an effector's name, ``=``, and three ranges ``FROM:TO``
+            [m] with commas between.
+    """
     name, _, ranges = text.partition("=")
     bounds = [tuple(map(float, part.split(":"))) for part in ranges.split(",")]
     is_box = len(bounds) == 3 and all(len(pair) == 2 and pair[0] <= pair[1] for pair in bounds)

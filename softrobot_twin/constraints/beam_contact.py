@@ -121,7 +121,11 @@ class RoundBeam:
         )
 
     def axis(self, positions: np.ndarray) -> RoundAxis:
-        """Its axis at a state; the next call overwrites it."""
+        """Its axis at a state; the next call overwrites it.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         write_axis(
             writable(positions), self._frames, self._local_places, self._local_tangents,
             self._axis.places, self._axis.tangents,

@@ -76,7 +76,11 @@ class CablePath(NamedTuple):
     pull_point: np.ndarray | None
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """The whole path, pull point first [m], shape (point_count, 3)."""
+        """The whole path, pull point first [m], shape (point_count, 3).
+
+        Args:
+            node_positions: Node positions [m], shape (node_count, 3).
+        """
         points = self.points.positions(node_positions)
         if self.pull_point is None:
             return points
@@ -349,7 +353,11 @@ class Cables(ConstraintTerm):
         self._lay_out_entries()
 
     def lengths(self, positions: np.ndarray) -> np.ndarray:
-        """Lengths of the paths [m], shape (row_count,)."""
+        """Lengths of the paths [m], shape (row_count,).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         lengths = np.zeros(self.row_count)
         blocks = np.empty((len(self.entry_rows), 3))
         self._evaluate(positions, blocks, lengths)

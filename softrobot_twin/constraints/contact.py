@@ -360,7 +360,11 @@ class ContactMemory:
         self.guess, self._start, self.expected = values
 
     def remember(self, multipliers: np.ndarray) -> None:
-        """Take in λ of the contacts recognised last [N], shape (row_count,)."""
+        """Take in λ of the contacts recognised last [N], shape (row_count,).
+
+        Args:
+            multipliers: λ of the contacts' rows [N], shape (row_count,).
+        """
         self._before = self._known
         self._tables = np.zeros((3, len(self._row_starts) - 1, self._most_rows))
         fill_tables(self._row_starts, multipliers, self._start, self._tables)
@@ -648,7 +652,11 @@ class Contacts(VaryingTerm):
         self.memory.forget()
 
     def gaps(self, positions: np.ndarray) -> np.ndarray:
-        """Gap of each contact at a state, its normal as detected [m], shape (count,)."""
+        """Gap of each contact at a state, its normal as detected [m], shape (count,).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         gaps = np.empty(self.count)
         write_gaps(
             writable(positions), self.nodes, self.coefficients, self.directions, self._anchors,

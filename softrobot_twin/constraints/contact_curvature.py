@@ -315,7 +315,11 @@ class RoundPair(NamedTuple):
         return len(self.carrier.nodes) == 0
 
     def axis_at(self, positions: np.ndarray) -> np.ndarray:
-        """Direction of its straight side now, shape (3,); zero where it has none."""
+        """Direction of its straight side now, shape (3,); zero where it has none.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         if self.axis is None:
             return np.zeros(3)
         return self.carrier.pose(positions)[1] @ self.axis
@@ -430,6 +434,9 @@ class ContactCurvature:
         """Whether the row of each contact couples nodes of one facet only, shape (count,).
 
         So it is where a facet of free and fixed nodes presses on a shape that stands still.
+
+        Args:
+            contacts: The contacts detected last, a `Contacts`.
         """
         standing = np.array([pair.index for pair in self._pairs if pair.stands], np.int64)
         nodes = contacts.nodes[: contacts.count, :3]

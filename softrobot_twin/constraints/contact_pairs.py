@@ -139,7 +139,11 @@ class DeformableSurface:
         self.nodes, self._points = self.point_nodes, np.empty((self.point_count, 3))
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """Where its points are [m], shape (point_count, 3); the next call overwrites them."""
+        """Where its points are [m], shape (point_count, 3); the next call overwrites them.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         gather_vectors(writable(positions), self.point_nodes, self._points)
         return self._points
 
@@ -178,7 +182,11 @@ class CarriedSurface:
         self.width = 1 + int(np.sum(np.diff(own, axis=1) != 0, axis=1).max(initial=0))
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """See `DeformableSurface.points`."""
+        """See `DeformableSurface.points`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         write_points(writable(positions), self._nodes, self._weights, self._points)
         return self._points
 
@@ -208,17 +216,29 @@ class RigidSurface:
         self._points, self._pose = np.empty((len(points), 3)), (np.empty(3), np.empty((3, 3)))
 
     def pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origin [m] and rotation of its frame, (3,) and (3, 3)."""
+        """Origin [m] and rotation of its frame, (3,) and (3, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         frame = positions[self._frame : self._frame + 4]
         return frame[0], (frame[1:] - frame[0]).T
 
     def kept_pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same in arrays that the next call overwrites; may be traced."""
+        """The same in arrays that the next call overwrites; may be traced.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         read_pose(writable(positions), self._frame, *self._pose)
         return self._pose
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """See `DeformableSurface.points`; may not be traced."""
+        """See `DeformableSurface.points`; may not be traced.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         origin, rotation = self.pose(positions)
         return np.add(self._local @ rotation.T, origin, out=self._points)
 
@@ -249,17 +269,29 @@ class StandingSurface:
         self.nodes = np.empty(0, np.int64)
 
     def pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origin [m] and rotation of its frame, (3,) and (3, 3)."""
+        """Origin [m] and rotation of its frame, (3,) and (3, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); not read.
+        """
         return self._pose
 
     kept_pose = pose
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """Where its points are [m], shape (point_count, 3)."""
+        """Where its points are [m], shape (point_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); not read.
+        """
         return self._points
 
     def carry(self, *_) -> None:
-        """Nothing carries it."""
+        """Nothing carries it.
+
+        Args:
+            *_: Arguments of `DeformableSurface.carry`; not read.
+        """
 
 
 class ContactPair:
@@ -281,7 +313,12 @@ class ContactPair:
         self.friction, self.names = friction, names
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
+        """What is nearer than a margin [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            margin: Distance below which points count as near [m].
+        """
         return found_by(self.write, positions, margin=margin)
 
     def write(self, positions: np.ndarray, reach, rows: Proximities, span: np.ndarray) -> None:
@@ -340,7 +377,12 @@ class TwoBoxes(ContactPair):
         self._faces, self._general, self._has_searched = faces, general, False
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
+        """What is nearer than a margin [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            margin: Distance below which points count as near [m].
+        """
         found = self._faces.detect(self.first.pose(positions), self.second.pose(positions), margin)
         # The general search runs in the first call too: it is compiled before bodies touch.
         if found is None or not self._has_searched:
@@ -389,7 +431,12 @@ class BallAndShape(ContactPair):
         self._radius, self._centre, self._shape = radius, np.asarray(centre, float), shape
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
+        """What is nearer than a margin [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            margin: Distance below which points count as near [m].
+        """
         at, turned = self.first.pose(positions)
         origin, rotation = self.second.pose(positions)
         centre = at + turned @ self._centre
@@ -429,7 +476,12 @@ class RoundAndPlane(ContactPair):
         self._half_length = shape.extents()[1]
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m]."""
+        """What is nearer than a margin [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            margin: Distance below which points count as near [m].
+        """
         at, turned = self.first.pose(positions)
         origin, rotation = self.second.pose(positions)
         normal = rotation @ self._plane.normal

@@ -140,7 +140,11 @@ class Effectors(ConstraintTerm):
         return places.take(self._row_place)
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Positions of the effectors [m], shape (effector_count, 3)."""
+        """Positions of the effectors [m], shape (effector_count, 3).
+
+        Args:
+            node_positions: Node positions [m], shape (node_count, 3).
+        """
         means = np.empty((len(self.effectors), 3))
         write_means(
             writable(node_positions), self._nodes, self._weights, self._point_ends,

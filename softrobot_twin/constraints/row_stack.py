@@ -232,7 +232,11 @@ class RowStack:
                 self.blocks = carried.blocks[:count]
 
     def knows(self, positions: np.ndarray) -> bool:
-        """Whether the rows are those at some node positions [m], shape (node_count, 3)."""
+        """Whether the rows are those at some node positions [m], shape (node_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         return self._at is not None and are_same(writable(positions), self._at)
 
     def actuator_blocks_at(self, positions: np.ndarray) -> np.ndarray:

@@ -67,7 +67,11 @@ class CellGrid(NamedTuple):
 
 
 def empty_grid(item_count: int) -> CellGrid:
-    """Allocates a grid for a number of items."""
+    """Allocates a grid for a number of items.
+
+    Args:
+        item_count: How many items, such as triangles, are sorted into cells.
+    """
     return CellGrid(
         frame=np.zeros((3, 3)),
         counts=np.ones(3, dtype=np.int64),
@@ -246,7 +250,12 @@ def fill_grid(x, corners, width, reach, region, keep, grid):
 
 
 def have_room(grids: list[CellGrid], needed: tuple[int, ...]) -> bool:
-    """Whether the item lists of grids are long enough; those that are not become longer."""
+    """Whether the item lists of grids are long enough; those that are not become longer.
+
+    Args:
+        grids: The grids of a search; one whose list was too short is replaced.
+        needed: Entries that the list of each grid needs, as the search counted them.
+    """
     short = [place for place, grid in enumerate(grids) if needed[place] > len(grid.items)]
     for place in short:
         items = np.zeros(2 * needed[place], dtype=np.int64)

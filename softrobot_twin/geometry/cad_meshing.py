@@ -67,7 +67,11 @@ class CadMesh(NamedTuple):
     version: str
 
     def cavity_volume(self, name: str) -> float:
-        """Volume enclosed by a cavity [m³]."""
+        """Volume enclosed by a cavity [m³].
+
+        Args:
+            name: Name of the cavity.
+        """
         return enclosed_volume(self.mesh.node_positions, self.cavities[name])
 
 
@@ -138,7 +142,11 @@ class PartSize(NamedTuple):
     volume: float
 
     def size_for(self, tet_count: float) -> float:
-        """Edge of the tetrahedra that about so many of them have [m]."""
+        """Edge of the tetrahedra that about so many of them have [m].
+
+        Args:
+            tet_count: Wanted number of tetrahedra.
+        """
         size = (gmsh_mesher.TETS_PER_VOLUME * self.volume / tet_count) ** (1.0 / 3.0)
         return min(size, 0.5 * float(self.extents.max()))
 

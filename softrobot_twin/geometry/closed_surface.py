@@ -100,7 +100,12 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
 
 
 def triangle_fans(triangles: np.ndarray, point_count: int) -> np.ndarray:
-    """Computes `ClosedSurface.fans`, triangles ascending; unused entries are -1."""
+    """Computes `ClosedSurface.fans`, triangles ascending; unused entries are -1.
+
+    Args:
+        triangles: Points of each triangle, shape (triangle_count, 3).
+        point_count: Number of points of the surface.
+    """
     points = triangles.ravel()
     order = np.argsort(points, kind="stable")
     counts = np.bincount(points, minlength=point_count)
@@ -115,7 +120,12 @@ def triangle_fans(triangles: np.ndarray, point_count: int) -> np.ndarray:
 
 
 def mean_edge_length(surface: ClosedSurface, points: np.ndarray) -> float:
-    """Mean length of the edges [m]; points [m], shape (point_count, 3)."""
+    """Mean length of the edges [m]; points [m], shape (point_count, 3).
+
+    Args:
+        surface: The surface.
+        points: Its points [m], shape (point_count, 3).
+    """
     ends = np.asarray(points, dtype=float)[surface.edges[:, :2]]
     return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()) if len(ends) else 0.0
 

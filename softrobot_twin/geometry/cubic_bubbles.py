@@ -50,14 +50,22 @@ class CubicMesh(QuadraticMesh):
 
 
 def cubic_values(barycentric_coordinates: np.ndarray) -> np.ndarray:
-    """The twenty functions at points L of shape (point_count, 4), shape (point_count, 20)."""
+    """The twenty functions at points L of shape (point_count, 4), shape (point_count, 20).
+
+    Args:
+        barycentric_coordinates: L of each point, shape (point_count, 4).
+    """
     L = np.asarray(barycentric_coordinates, dtype=float)
     a, b = L[:, EDGES[:, 0]], L[:, EDGES[:, 1]]
     return np.hstack([quadratic_values(L), a * b * (a - b), L[:, FACES].prod(axis=2)])
 
 
 def cubic_slopes(barycentric_coordinates: np.ndarray) -> np.ndarray:
-    """∂N/∂L of the twenty functions, shape (point_count, 20, 4)."""
+    """∂N/∂L of the twenty functions, shape (point_count, 20, 4).
+
+    Args:
+        barycentric_coordinates: L of each point, shape (point_count, 4).
+    """
     L = np.asarray(barycentric_coordinates, dtype=float)
     slopes = np.zeros((len(L), FUNCTION_COUNT, 4))
     slopes[:, :FIRST_EDGE] = quadratic_slopes(L)

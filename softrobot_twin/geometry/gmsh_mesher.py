@@ -28,7 +28,12 @@ class Refused(Exception):
 
 
 def main(folder: Path) -> int:
-    """Meshes the part of a folder and returns the exit code."""
+    """Meshes the part of a folder and returns the exit code.
+
+    Args:
+        folder: Folder with the file ``job.json`` and the part; the mesh or the error is written
+            there.
+    """
     job = json.loads((folder / "job.json").read_text())
     try:
         import gmsh

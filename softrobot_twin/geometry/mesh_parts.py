@@ -77,15 +77,27 @@ class MeshParts(NamedTuple):
     unnamed: str
 
     def region(self, name: str) -> np.ndarray:
-        """Cells of a region; raises `MeshError` where the file has no such region."""
+        """Cells of a region; raises `MeshError` where the file has no such region.
+
+        Args:
+            name: Its name in the file.
+        """
         return self._part("regions", name)
 
     def surface(self, name: str) -> np.ndarray:
-        """Triangles of a surface; raises `MeshError` where the file has no such surface."""
+        """Triangles of a surface; raises `MeshError` where the file has no such surface.
+
+        Args:
+            name: Its name in the file.
+        """
         return self._part("surfaces", name)
 
     def edge_set(self, name: str) -> np.ndarray:
-        """Edges of a set; raises `MeshError` where the file has no such set."""
+        """Edges of a set; raises `MeshError` where the file has no such set.
+
+        Args:
+            name: Its name in the file.
+        """
         return self._part("edges", name)
 
     def _part(self, kind: str, name: str) -> np.ndarray:

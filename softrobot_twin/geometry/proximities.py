@@ -49,7 +49,11 @@ class Proximities(NamedTuple):
 
 
 def empty_proximities(capacity: int) -> Proximities:
-    """Room for a number of pairs."""
+    """Room for a number of pairs.
+
+    Args:
+        capacity: How many pairs there is room for.
+    """
     return Proximities(
         np.zeros((capacity, 3), np.int64), np.zeros((capacity, 3)),
         np.zeros((capacity, 3), np.int64), *np.zeros((4, capacity, 3)), np.zeros(capacity),
@@ -74,7 +78,13 @@ def found_by(write: Callable, *places: np.ndarray, margin: float) -> Proximities
 
 
 def put_pairs(near: Proximities, rows: Proximities, span: np.ndarray) -> None:
-    """Write pairs that a detector returned."""
+    """Write pairs that a detector returned.
+
+    Args:
+        near: The pairs that were found.
+        rows: Room for the pairs of all detectors; written where there is enough of it.
+        span: First row of these pairs, and the row after the last, which is written, shape (2,).
+    """
     first, end = span[0], span[0] + len(near.gaps)
     span[1] = end
     if end <= len(rows.gaps):

@@ -45,11 +45,19 @@ class ShapeFunctions(Protocol):
     gradient_degree: int | None
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """N at reference coordinates (point_count, 3), shape (point_count, node_count)."""
+        """N at reference coordinates (point_count, 3), shape (point_count, node_count).
+
+        Args:
+            points: Reference coordinates ξ, shape (point_count, 3).
+        """
         ...
 
     def slopes(self, points: np.ndarray) -> np.ndarray:
-        """∂N/∂ξ there, shape (point_count, node_count, 3)."""
+        """∂N/∂ξ there, shape (point_count, node_count, 3).
+
+        Args:
+            points: Reference coordinates ξ, shape (point_count, 3).
+        """
         ...
 
 
@@ -61,11 +69,19 @@ class LinearTetrahedron:
     quadrature = tetrahedron_rule(1)
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """N at reference coordinates (point_count, 3), shape (point_count, 4)."""
+        """N at reference coordinates (point_count, 3), shape (point_count, 4).
+
+        Args:
+            points: Reference coordinates ξ, shape (point_count, 3).
+        """
         return barycentric_coordinates(points)
 
     def slopes(self, points: np.ndarray) -> np.ndarray:
-        """∂N/∂ξ there, shape (point_count, 4, 3)."""
+        """∂N/∂ξ there, shape (point_count, 4, 3).
+
+        Args:
+            points: Reference coordinates ξ, shape (point_count, 3).
+        """
         slopes = np.vstack([np.full(3, -1.0), np.eye(3)])
         return np.broadcast_to(slopes, (len(points), 4, 3))
 
@@ -83,11 +99,19 @@ class QuadraticTetrahedron:
     quadrature = tetrahedron_rule(2)
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """N at reference coordinates (point_count, 3), shape (point_count, 10)."""
+        """N at reference coordinates (point_count, 3), shape (point_count, 10).
+
+        Args:
+            points: Reference coordinates ξ, shape (point_count, 3).
+        """
         return quadratic_values(barycentric_coordinates(points))
 
     def slopes(self, points: np.ndarray) -> np.ndarray:
-        """∂N/∂ξ there, shape (point_count, 10, 3)."""
+        """∂N/∂ξ there, shape (point_count, 10, 3).
+
+        Args:
+            points: Reference coordinates ξ, shape (point_count, 3).
+        """
         slopes = quadratic_slopes(barycentric_coordinates(points))
         return slopes[:, :, 1:] - slopes[:, :, :1]
 
@@ -100,11 +124,19 @@ class TrilinearHexahedron:
     quadrature = hexahedron_rule(2)
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """N at reference coordinates (point_count, 3), shape (point_count, 8)."""
+        """N at reference coordinates (point_count, 3), shape (point_count, 8).
+
+        Args:
+            points: Reference coordinates ξ, -1 to 1, shape (point_count, 3).
+        """
         return (1.0 + _signed(points)).prod(axis=2) / 8.0
 
     def slopes(self, points: np.ndarray) -> np.ndarray:
-        """∂N/∂ξ there, shape (point_count, 8, 3)."""
+        """∂N/∂ξ there, shape (point_count, 8, 3).
+
+        Args:
+            points: Reference coordinates ξ, -1 to 1, shape (point_count, 3).
+        """
         factors = 1.0 + _signed(points)
         others = np.stack(
             [np.delete(factors, axis, axis=2).prod(axis=2) for axis in range(3)], axis=2
@@ -131,12 +163,20 @@ class EnhancedHexahedron:
     quadrature = hexahedron_rule(2)
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """N at reference coordinates (point_count, 3), zero for inner nodes, (point_count, 13)."""
+        """N at reference coordinates (point_count, 3), zero for inner nodes, (point_count, 13).
+
+        Args:
+            points: Reference coordinates ξ, -1 to 1, shape (point_count, 3).
+        """
         corners = TRILINEAR_HEXAHEDRON.values(points)
         return np.hstack([corners, np.zeros((len(corners), MODE_COUNT))])
 
     def slopes(self, points: np.ndarray) -> np.ndarray:
-        """∂N/∂ξ there, with the fields of inner nodes as in a cube, (point_count, 13, 3)."""
+        """∂N/∂ξ there, with the fields of inner nodes as in a cube, (point_count, 13, 3).
+
+        Args:
+            points: Reference coordinates ξ, -1 to 1, shape (point_count, 3).
+        """
         return with_modes(TRILINEAR_HEXAHEDRON.slopes(points), modes(points))
 
 

@@ -68,7 +68,11 @@ class SmoothedMesh(TetMesh):
 
 
 def smooth(mesh: TetMesh) -> SmoothedMesh:
-    """The same tetrahedra, with smoothed strain."""
+    """The same tetrahedra, with smoothed strain.
+
+    Args:
+        mesh: The tetrahedra.
+    """
     return SmoothedMesh(mesh.node_positions, mesh.cells)
 
 

@@ -62,7 +62,11 @@ def checked_triangles(triangles: np.ndarray, point_count: int, least: int = 0) -
 
 
 def half_edges(triangles: np.ndarray) -> HalfEdges:
-    """The edges of triangles, of shape (triangle_count, 3)."""
+    """The edges of triangles, of shape (triangle_count, 3).
+
+    Args:
+        triangles: Points of each triangle, shape (triangle_count, 3).
+    """
     halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
     edges, place, counts = np.unique(
         np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -71,7 +75,11 @@ def half_edges(triangles: np.ndarray) -> HalfEdges:
 
 
 def single_rows(faces: np.ndarray) -> np.ndarray:
-    """Indices of the faces whose nodes no other face has, of faces of shape (face_count, width)."""
+    """Indices of the faces whose nodes no other face has, of faces of shape (face_count, width).
+
+    Args:
+        faces: Nodes of each face, shape (face_count, width).
+    """
     _, first, counts = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
     )

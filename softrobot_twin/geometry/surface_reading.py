@@ -39,7 +39,11 @@ class SolidSurface:
     triangles: np.ndarray
 
     def surface(self, resolution: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
-        """Returns points and triangles; the resolution has no effect."""
+        """Returns points and triangles; the resolution has no effect.
+
+        Args:
+            resolution: Wanted length of edges [m]; not read, because the triangles are given.
+        """
         return self.points, self.triangles
 
     def mass_properties(self) -> MassProperties:

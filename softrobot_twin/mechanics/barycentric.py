@@ -20,7 +20,11 @@ NO_LEVER = 1.0e-12
 
 
 def writable(array: np.ndarray) -> np.ndarray:
-    """The array, or a copy if it is read-only: a kernel is compiled again for read-only arrays."""
+    """The array, or a copy if it is read-only: a kernel is compiled again for read-only arrays.
+
+    Args:
+        array: The array, of any shape.
+    """
     return array if array.flags.writeable else array.copy()
 
 
@@ -72,7 +76,11 @@ class BarycentricMapping:
         return points
 
     def followed_by(self, other: BarycentricMapping) -> BarycentricMapping:
-        """These points and then those of another; narrower rows are padded with zero weights."""
+        """These points and then those of another; narrower rows are padded with zero weights.
+
+        Args:
+            other: Points of the same nodes.
+        """
         width = max(self.nodes.shape[1], other.nodes.shape[1])
         widened = [mapping._widened(width) for mapping in (self, other)]
         return BarycentricMapping(

@@ -83,6 +83,9 @@ class BeamMasses(NamedTuple):
 def hermite(s: np.ndarray) -> tuple:
     """For each end of an element: its number, and the weights at shares s of its place, of its
     tangent times the length, and of what turns with it.
+
+    Args:
+        s: Shares of the element's length, 0 to 1, shape (count,).
     """
     late = s * s * (3.0 - 2.0 * s)
     return (

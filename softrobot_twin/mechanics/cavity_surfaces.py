@@ -267,7 +267,11 @@ class CavitySurfaces:
         self.stencils = np.where(ordered >= 0, free_index[ordered], -1)
 
     def vertices(self, positions: np.ndarray) -> list[np.ndarray]:
-        """Vertices of each cavity [m], each of shape (vertex_count, 3)."""
+        """Vertices of each cavity [m], each of shape (vertex_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         return [surface.vertices.positions(positions) for surface in self.surfaces]
 
     def place(self, positions: np.ndarray) -> np.ndarray:

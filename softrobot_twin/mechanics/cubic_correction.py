@@ -216,11 +216,19 @@ class CubicCorrection:
         self._preconditioner = np.linalg.inv(blocks)
 
     def weight(self, gravity: np.ndarray) -> np.ndarray:
-        """Weight on the bubbles [N] under an acceleration [m/s²], shape (bubble_count, 3)."""
+        """Weight on the bubbles [N] under an acceleration [m/s²], shape (bubble_count, 3).
+
+        Args:
+            gravity: The acceleration [m/s²], shape (3,).
+        """
         return np.outer(self._masses, gravity)
 
     def multiply(self, move: np.ndarray) -> np.ndarray:
-        """The elements' stiffness times a move of all unknowns [m], (unknown_count, 3) [N]."""
+        """The elements' stiffness times a move of all unknowns [m], (unknown_count, 3) [N].
+
+        Args:
+            move: Move of nodes and bubbles [m], shape (unknown_count, 3).
+        """
         tet_count = len(self._gradients)
         local = (self._gather @ move).reshape(FUNCTION_COUNT, 3 * tet_count)
         np.matmul(_FROM_FUNCTIONS, local, out=self._slopes.reshape(-1, 3 * tet_count))

@@ -415,7 +415,11 @@ def find_state(law, F, R, upright):
 
 
 def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
-    """Energy of all elements [J]."""
+    """Energy of all elements [J].
+
+    Args:
+        law, moves, cells, gradients, weights, rotations, uprights: See `add_forces`.
+    """
     point_count, width = weights.shape[1], gradients.shape[2]
     U, F = np.empty(width), scratch(9)
     total = 0.0

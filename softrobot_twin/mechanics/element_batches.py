@@ -111,7 +111,14 @@ def put_matrix(A, index, e, matrix):
 
 
 def rows_at(A, first, like, e):
-    """Rows from number `first` on of element e, as many as the tuple `like` has, inside kernels."""
+    """Rows from number `first` on of element e, as many as the tuple `like` has, inside kernels.
+
+    Args:
+        A: As of `matrix_at`.
+        first: Number of the first row.
+        like: A tuple of as many rows; its values are not read.
+        e: Place of the element in the batch.
+    """
     raise NotImplementedError("only inside compiled kernels")
 
 
@@ -125,7 +132,14 @@ def _rows_at(A, first, like, e):
 
 
 def put_rows(A, first, rows, e):
-    """Write what `rows_at` reads, inside kernels."""
+    """Write what `rows_at` reads, inside kernels.
+
+    Args:
+        A: As of `put_matrix`; written.
+        first: Number of the first row.
+        rows: The rows, each of three numbers.
+        e: Place of the element in the batch.
+    """
     raise NotImplementedError("only inside compiled kernels")
 
 

@@ -78,6 +78,9 @@ def element_names() -> tuple[str, ...]:
 def element_named(name: str) -> ElementKind:
     """The kind of a name.
 
+    Args:
+        name: Its name in scenes, such as ``linear``.
+
     Raises:
         KeyError: There is none.
     """

@@ -462,6 +462,10 @@ class FoldBarrier:
 
     def add_forces(self, stiffness: float, forces: np.ndarray) -> None:
         """Add the forces at the state that was taken last, where the barrier acts; see the kernel.
+
+        Args:
+            stiffness: κ of the barrier [Pa].
+            forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
         """
         self.acting_count = add_forces(
             stiffness, self._batches.free, self._gradients, self._triples, self._weights, self._places,
@@ -469,7 +473,13 @@ class FoldBarrier:
         )  # fmt: skip
 
     def add_stiffness(self, stiffness: float, projected: bool, storage: np.ndarray) -> None:
-        """Add the stiffness at the state that was taken last; see the kernel."""
+        """Add the stiffness at the state that was taken last; see the kernel.
+
+        Args:
+            stiffness: κ of the barrier [Pa].
+            projected: True for a part of it that is never negative.
+            storage: The factorization's storage [N/m]; added to.
+        """
         add_stiffness(
             stiffness, self._gradients, self._triples, self._weights, self._places, self._least,
             projected, self._batches.offsets, self._batches.strides, storage,

@@ -397,13 +397,21 @@ class HingedFrames(RigidFrames):
         return out
 
     def world_axes(self, positions: np.ndarray) -> np.ndarray:
-        """Axis of each hinge in the world, zero of ball joints, shape (hinge_count, 3)."""
+        """Axis of each hinge in the world, zero of ball joints, shape (hinge_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         turned = [self.pose(positions, self.body_count + k)[1] @ axis
                   for k, axis in enumerate(self.hinges.axes)]  # fmt: skip
         return np.array(turned).reshape(-1, 3)
 
     def relative(self, positions: np.ndarray) -> np.ndarray:
-        """Rotation of each hinged frame in its parent's, shape (hinge_count, 3, 3)."""
+        """Rotation of each hinged frame in its parent's, shape (hinge_count, 3, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         out = np.empty((self.hinge_count, 3, 3))
         _write_relative(positions, self.hinged_nodes, self.hinges.parents, out)
         return out
@@ -572,11 +580,19 @@ class HingedTwists:
         self.turning_columns = np.concatenate([rotations, frames.own[self._with_free]])
 
     def place(self, hinge: int) -> int:
-        """Index of the place of a hinged frame; that of its turn comes next."""
+        """Index of the place of a hinged frame; that of its turn comes next.
+
+        Args:
+            hinge: Number of the hinge.
+        """
         return self.free_count + 2 * hinge
 
     def update(self, positions: np.ndarray) -> None:
-        """Compute D at a state: node positions [m], shape (node_count, 3)."""
+        """Compute D at a state: node positions [m], shape (node_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         frames = self._frames
         _write_twist_maps(
             writable(positions), frames.hinged_nodes, frames.hinges.parents, frames.hinges.axes,
@@ -591,7 +607,13 @@ class HingedTwists:
         """None: their derivatives are not constant; see `CarriedPoints`."""
 
     def turning(self, positions: np.ndarray, twists: np.ndarray) -> np.ndarray:
-        """Turning terms of forces and moments, shape (turning_count, 3, 3)."""
+        """Turning terms of forces and moments, shape (turning_count, 3, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            twists: Force [N] and moment [N m] on each hinged frame in turn, shape (2 hinge_count,
+                3).
+        """
         frames, own = self._frames, self._with_free
         blocks = np.zeros((2 * len(own), 3, 3))
         pairs = np.ascontiguousarray(twists.reshape(-1, 2, 3)[own].reshape(-1, 3))

@@ -168,6 +168,10 @@ def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
     Where nodes are attached to a free rigid body, their mass is added to the body, and the mass of
     these elements is lumped: a consistent mass matrix would couple the nodes to their neighbours,
     and this part of the momentum would be lost.
+
+    Args:
+        mesh: The mesh.
+        nodes: Numbers of the nodes, shape (count,).
     """
     return np.isin(mesh.cells, nodes).any(axis=1)
 

@@ -132,7 +132,12 @@ class UnknownKind(Protocol):
         """
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
-        """Write D of every carried point, shape (carried_count, width, 3, 3)."""
+        """Write D of every carried point, shape (carried_count, width, 3, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            out: D, shape (carried_count, width, 3, 3); overwritten.
+        """
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
         """Add the symmetric part of -Σ (∂Dᵀ/∂q) f at each pair of `turning_unknowns` and columns.
@@ -246,7 +251,11 @@ class Nodes:
         return displacement
 
     def longest(self, move: np.ndarray) -> float:
-        """Longest displacement of a point in a move [m]; not finite if any component is not."""
+        """Longest displacement of a point in a move [m]; not finite if any component is not.
+
+        Args:
+            move: Displacement of the unknowns [m], shape (free_node_count, 3).
+        """
         largest = np.empty(1)
         self.write_largest(writable(move), False, largest)
         return float(largest[0])
@@ -351,6 +360,9 @@ class CarriedPoints:
         """Compute D at a state: node positions [m], shape (node_count, 3).
 
         Several terms ask for the same state one after the other: it is computed once.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
         """
         if not self._changing or are_same(self._known_at, positions):
             return
@@ -757,17 +769,30 @@ class CommonUnknowns:
         self._offsets, self._strides = clique_slots(unknowns, rank, slots)
 
     def take_segments(self, ends: np.ndarray) -> None:
-        """Take E of segments in place of D, three rows each, shape (3 segment_count, size)."""
+        """Take E of segments in place of D, three rows each, shape (3 segment_count, size).
+
+        Args:
+            ends: E, shape (3 segment_count, size).
+        """
         self.D = np.ascontiguousarray(ends)
         self.half, self._loaded = np.empty_like(self.D), np.empty_like(self.D)
 
     def add(self, storage: np.ndarray) -> None:
-        """Add Dᵀ (K D) to the system matrix; `half` holds the product K D."""
+        """Add Dᵀ (K D) to the system matrix; `half` holds the product K D.
+
+        Args:
+            storage: The factorization's storage [N/m]; added to.
+        """
         multiply_transposed(self.D, self.half, self._folded)
         add_clique(self._offsets, self._strides, self._folded, storage)
 
     def add_segments(self, matrices: np.ndarray, storage: np.ndarray) -> None:
-        """Add Eᵀ K E with a matrix K of each segment, shape (segment_count, 3, 3)."""
+        """Add Eᵀ K E with a matrix K of each segment, shape (segment_count, 3, 3).
+
+        Args:
+            matrices: K of each segment [N/m], shape (segment_count, 3, 3).
+            storage: The factorization's storage [N/m]; added to.
+        """
         count = 3 * multiply_segments(matrices, self.D, self._loaded, self.half)
         if count:
             multiply_transposed(self._loaded[:count], self.half[:count], self._folded)

@@ -139,6 +139,9 @@ def law_names() -> tuple[str, ...]:
 def law_named(name: str) -> PointLaw:
     """The law of a name.
 
+    Args:
+        name: Its name in scenes, such as ``neo_hookean``.
+
     Raises:
         KeyError: There is none.
     """
@@ -171,6 +174,9 @@ def can_divide(parameters: type) -> bool:
 def law_of(parameters: tuple) -> PointLaw:
     """The law that parameters belong to.
 
+    Args:
+        parameters: Parameters of a law, as its kernels take them.
+
     Raises:
         KeyError: Their type is not registered.
     """
@@ -189,22 +195,45 @@ def law_at(law, k, q, e):
 
 
 def energy_density(law, F):
-    """Ψ of the law at F, inside kernels."""
+    """Ψ of the law at F, inside kernels.
+
+    Args:
+        law: Parameters of the law.
+        F: The deformation gradient, three rows of three numbers.
+    """
     raise NotImplementedError("only inside compiled kernels")
 
 
 def stress(law, F):
-    """P of the law at F, inside kernels."""
+    """P of the law at F, inside kernels.
+
+    Args:
+        law: Parameters of the law.
+        F: The deformation gradient, three rows of three numbers.
+    """
     raise NotImplementedError("only inside compiled kernels")
 
 
 def linearize(law, F, upright, projected):
-    """The rows that `differential` gets for F, inside kernels."""
+    """The rows that `differential` gets for F, inside kernels.
+
+    Args:
+        law: Parameters of the law.
+        F: The deformation gradient, three rows of three numbers.
+        upright: Whether the point is not inside out.
+        projected: Whether the differential must be positive semidefinite.
+    """
     raise NotImplementedError("only inside compiled kernels")
 
 
 def differential(law, linearized, dF):
-    """dP of the law, inside kernels."""
+    """dP of the law, inside kernels.
+
+    Args:
+        law: Parameters of the law.
+        linearized: What `linearize` returned, rows of three numbers.
+        dF: Change of the deformation gradient, three rows of three numbers.
+    """
     raise NotImplementedError("only inside compiled kernels")
 
 

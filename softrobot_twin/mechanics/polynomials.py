@@ -61,7 +61,11 @@ class Monomials:
         return len(self.exponents)
 
     def count_up_to(self, degree: int) -> int:
-        """Number of monomials up to a degree; they come first."""
+        """Number of monomials up to a degree; they come first.
+
+        Args:
+            degree: The greatest degree that is counted.
+        """
         return int((self.exponents.sum(axis=1) <= degree).sum())
 
     @cached_property
@@ -106,15 +110,27 @@ class Monomials:
         return matrices
 
     def slopes(self, points: np.ndarray) -> np.ndarray:
-        """∂/∂z_k of every monomial at every point, shape (point_count, n, count)."""
+        """∂/∂z_k of every monomial at every point, shape (point_count, n, count).
+
+        Args:
+            points: Places z, shape (point_count, n).
+        """
         lower = self.values(points)[:, : self.count_up_to(self.degree - 1)]
         return np.einsum("pl,klm->pkm", lower, self.derivatives, optimize=True)
 
     def gradient_coefficients(self, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients of ∂/∂z_k, shape (..., n, count of one degree less)."""
+        """Coefficients of ∂/∂z_k, shape (..., n, count of one degree less).
+
+        Args:
+            coefficients: Coefficients of polynomials of this degree, shape (..., count).
+        """
         return np.einsum("klm,...m->...kl", self.derivatives, coefficients, optimize=True)
 
     def curvature_coefficients(self, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients of ∂²/∂z_k∂z_l, shape (..., n, n, count of two degrees less)."""
+        """Coefficients of ∂²/∂z_k∂z_l, shape (..., n, n, count of two degrees less).
+
+        Args:
+            coefficients: Coefficients of polynomials of this degree, shape (..., count).
+        """
         lower = Monomials(self.variable_count, self.degree - 1)
         return lower.gradient_coefficients(self.gradient_coefficients(coefficients))

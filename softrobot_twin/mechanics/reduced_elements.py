@@ -92,7 +92,11 @@ class SampledPoints(NamedTuple):
 
 
 def all_points(block: CellBlock) -> SampledPoints:
-    """All quadrature points of a block of cells, by their own volumes."""
+    """All quadrature points of a block of cells, by their own volumes.
+
+    Args:
+        block: The cells.
+    """
     points = points_of(block.mesh)
     cell_count, point_count = points.weights.shape
     return SampledPoints(
@@ -545,7 +549,11 @@ class ReducedElements(ForceTerm):
         _add_to_storage(*self._bound, self._padded_stiffness(projected), storage)
 
     def stiffness(self, projected: bool) -> np.ndarray:
-        """K at the state evaluated last [N/m], shape (mode_count, mode_count)."""
+        """K at the state evaluated last [N/m], shape (mode_count, mode_count).
+
+        Args:
+            projected: True for a part of it that is never negative.
+        """
         return self._padded_stiffness(projected)[: self.mode_count, : self.mode_count].copy()
 
     def _padded_stiffness(self, projected: bool) -> np.ndarray:

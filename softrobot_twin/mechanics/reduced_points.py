@@ -158,7 +158,7 @@ class ReducedPoints:
         self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
 
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
-        """Place the points, after the coordinates were moved; see `UnknownKind.advance`."""
+        """Place the points, after the coordinates were moved; see `Nodes.advance`."""
         self.place(positions)
 
     def place(self, positions: np.ndarray) -> None:
@@ -177,11 +177,11 @@ class ReducedPoints:
             np.add(self._rest, moved, out=positions[self._points])
 
     def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
-        """Writes nothing: coordinates are free nodes."""
+        """Writes nothing: coordinates are free nodes; see `Nodes.displacement`."""
 
     def raise_largest(self, vectors: np.ndarray, are_forces: bool, largest: np.ndarray) -> None:
         """Raise a number to the longest displacement of a point; forces on coordinates are those on
-        free nodes."""
+        free nodes; see `UnknownKind`."""
         if not are_forces and len(self._rest):
             raise_to_points(
                 vectors, self._unknowns, self._by_coordinate, self._measured, self._moved,
@@ -195,4 +195,4 @@ class ReducedPoints:
         out[:, :width] = by_block
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
-        """Adds nothing: D does not depend on the state."""
+        """Adds nothing: D does not depend on the state; see `UnknownKind`."""

@@ -339,7 +339,12 @@ class RigidFrames:
         return nodes
 
     def pose(self, positions: np.ndarray, body: int) -> tuple[np.ndarray, np.ndarray]:
-        """Origin [m], shape (3,), and rotation, shape (3, 3), of one of all bodies."""
+        """Origin [m], shape (3,), and rotation, shape (3, 3), of one of all bodies.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            body: Number of the body.
+        """
         n = self.first_node + 4 * body
         return positions[n].copy(), (positions[n + 1 : n + 4] - positions[n]).T.copy()
 
@@ -672,7 +677,12 @@ class RigidInertia(RigidMotion, InertiaTerm):
         return np.linalg.inv(self.inertias)
 
     def angular_momenta(self, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
-        """Angular momentum of each body about its centre [N m s], shape (count, 3)."""
+        """Angular momentum of each body about its centre [N m s], shape (count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            velocities: Of the unknowns [m/s, rad/s], shape (free_node_count, 3).
+        """
         momenta = np.empty((len(self.masses), 3))
         self._write_momenta(positions, velocities, momenta)
         return momenta

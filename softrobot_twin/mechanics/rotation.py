@@ -125,12 +125,20 @@ def orthonormalised(R):
 
 
 def rotation_from_vector(vector) -> np.ndarray:
-    """Matrix of a rotation vector [rad], shape (3, 3)."""
+    """Matrix of a rotation vector [rad], shape (3, 3).
+
+    Args:
+        vector: Axis times angle [rad], shape (3,).
+    """
     return np.array(exponential(tuple(np.asarray(vector, dtype=float).tolist())))
 
 
 def vector_from_rotation(rotation) -> np.ndarray:
-    """Rotation vector of a matrix [rad], shape (3,), no longer than π."""
+    """Rotation vector of a matrix [rad], shape (3,), no longer than π.
+
+    Args:
+        rotation: The matrix, shape (3, 3).
+    """
     return np.array(logarithm(_as_rows(rotation)))
 
 
@@ -161,7 +169,11 @@ def rotation_from_quaternion(quaternion) -> np.ndarray:
 
 
 def quaternion_from_rotation(rotation) -> np.ndarray:
-    """Quaternion (x, y, z, w) of a matrix, as in ROS, w not negative, shape (4,)."""
+    """Quaternion (x, y, z, w) of a matrix, as in ROS, w not negative, shape (4,).
+
+    Args:
+        rotation: The matrix, shape (3, 3).
+    """
     return np.array(unit_quaternion(_as_rows(rotation)))
 
 

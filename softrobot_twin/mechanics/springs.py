@@ -278,7 +278,11 @@ class Springs(ForceTerm):
         self._first, self._second = first, second
 
     def ends(self, positions: np.ndarray) -> np.ndarray:
-        """Both ends of each spring [m], shape (spring_count, 2, 3), at node positions [m]."""
+        """Both ends of each spring [m], shape (spring_count, 2, 3), at node positions [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         second = self._constants
         if self._second is not None:
             second = second + self._second.positions(positions)
@@ -314,7 +318,11 @@ class Springs(ForceTerm):
             np.divide(self.damping, span, out=self._laws[:, 2])
 
     def lengths(self, positions: np.ndarray) -> np.ndarray:
-        """Lengths [m], shape (spring_count,)."""
+        """Lengths [m], shape (spring_count,).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         lengths = np.empty(self.spring_count)
         self._write_lengths(positions, lengths)
         return lengths
@@ -384,7 +392,11 @@ def segments(
 
 
 def distinct_points(path: np.ndarray) -> list[int]:
-    """Indices of the points of a path [m], shape (point_count, 3), without repeated points."""
+    """Indices of the points of a path [m], shape (point_count, 3), without repeated points.
+
+    Args:
+        path: Points of the path in order [m], shape (point_count, 3).
+    """
     least = NO_LENGTH * size_of_points(path)
     kept = [0]
     for index in range(1, len(path)):

@@ -52,7 +52,11 @@ class BoundStencils(NamedTuple):
 
 
 def lower_pairs(width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Local (row, column) of the lower triangle's pairs, column by column."""
+    """Local (row, column) of the lower triangle's pairs, column by column.
+
+    Args:
+        width: Number of nodes of the stencil.
+    """
     columns, rows = np.triu_indices(width)
     return rows, columns
 

@@ -671,7 +671,11 @@ class Superelements(ForceTerm):
         return self._bare_enthalpy() - weight
 
     def curvature(self, positions: np.ndarray) -> np.ndarray:
-        """∂²Π/∂(e, p)² of each superelement at a state, shape (count, n, n)."""
+        """∂²Π/∂(e, p)² of each superelement at a state, shape (count, n, n).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         self.evaluate(positions)
         return self._curvature
 

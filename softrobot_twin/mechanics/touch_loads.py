@@ -39,7 +39,11 @@ class TouchState(NamedTuple):
 
     @classmethod
     def of(cls, memory: Mapping[str, np.ndarray]) -> TouchState | None:
-        """That in the memory of a state; None in a scene without touches."""
+        """That in the memory of a state; None in a scene without touches.
+
+        Args:
+            memory: Arrays of all that remembers, by name; see `State`.
+        """
         keys = [f"touches.{field}" for field in cls._fields]
         return cls(*(memory[key] for key in keys)) if keys[0] in memory else None
 
@@ -116,11 +120,19 @@ class TouchLoads(ForceTerm):
         return changes
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """Where the points are [m], shape (touch_count, 3), at node positions [m]."""
+        """Where the points are [m], shape (touch_count, 3), at node positions [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         return self._points.positions(positions)
 
     def forces(self, positions: np.ndarray) -> np.ndarray:
-        """Forces of the touches on the bodies [N], shape (touch_count, 3), at node positions [m]."""
+        """Forces of the touches on the bodies [N], shape (touch_count, 3), at node positions [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         return self.loads + self._held_stiffness() * (self.places - self.points(positions))
 
     def _held_stiffness(self) -> np.ndarray:

@@ -123,7 +123,11 @@ class Comparison:
         return self.first is None and not self.refused
 
     def add(self, difference: Difference) -> None:
-        """Takes a difference."""
+        """Takes a difference.
+
+        Args:
+            difference: The difference.
+        """
         if self.first is None:
             self.first = difference
         known = self.by_quantity.get(difference.quantity)

@@ -34,7 +34,11 @@ class PlayedClock:
         self._place, self._mean = 0, 0.0
 
     def play(self, readings: list[float]) -> None:
-        """Gives these readings from now on [s]."""
+        """Gives these readings from now on [s].
+
+        Args:
+            readings: The readings in their order [s].
+        """
         self._readings, self._place = readings, 0
         if len(readings) > 1:
             self._mean = (readings[-1] - readings[0]) / (len(readings) - 1)

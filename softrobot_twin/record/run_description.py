@@ -76,6 +76,9 @@ class RunDescription:
     def from_json(cls, values: dict[str, Any]) -> RunDescription:
         """The description from its JSON.
 
+        Args:
+            values: What its JSON holds.
+
         Raises:
             TypeError: An entry is missing or unknown.
         """
@@ -105,12 +108,20 @@ def describe(
 
 
 def scene_text(mapping: Any) -> str:
-    """A scene as YAML, which is read back to the bit."""
+    """A scene as YAML, which is read back to the bit.
+
+    Args:
+        mapping: The scene as a mapping.
+    """
     return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
 
 
 def names_of(simulation: Simulation) -> dict[str, list[str]]:
-    """Names of the rows of quantities."""
+    """Names of the rows of quantities.
+
+    Args:
+        simulation: The simulation.
+    """
     return {
         ACTUATORS: list(map(str, simulation.actuator_names)),
         EFFECTORS: list(map(str, simulation.effector_names)),
@@ -121,7 +132,11 @@ def names_of(simulation: Simulation) -> dict[str, list[str]]:
 
 
 def units_of(simulation: Simulation) -> dict[str, list[str]]:
-    """Units of the setpoints and efforts of the actuators."""
+    """Units of the setpoints and efforts of the actuators.
+
+    Args:
+        simulation: The simulation.
+    """
     kinds = simulation.actuators.kinds
     return {
         "setpoint": [kind.setpoint.unit for kind in kinds],
@@ -130,14 +145,22 @@ def units_of(simulation: Simulation) -> dict[str, list[str]]:
 
 
 def recorded_files(scene: Scene) -> Iterator[RecordedFile]:
-    """The files that a scene names, each once."""
+    """The files that a scene names, each once.
+
+    Args:
+        scene: The scene.
+    """
     for name in dict.fromkeys(files_named(scene)):
         path = scene.file_path(name).resolve()
         yield RecordedFile(str(name), str(path), digest_of(path))
 
 
 def files_named(entry: object) -> Iterator[Path]:
-    """All paths in an entry of a scene, in its order; not that of the scene itself."""
+    """All paths in an entry of a scene, in its order; not that of the scene itself.
+
+    Args:
+        entry: A scene, an entry of it, or a list or dict of these.
+    """
     if isinstance(entry, Path):
         yield entry
     elif isinstance(entry, BaseModel):
@@ -154,6 +177,9 @@ def files_named(entry: object) -> Iterator[Path]:
 
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's content.
+
+    Args:
+        path: The file.
 
     Raises:
         OSError: It cannot be read.

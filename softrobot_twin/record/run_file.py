@@ -65,13 +65,21 @@ class RunFileError(SoftRobotTwinError):
 
 
 def text_to_cdr(text: str) -> bytes:
-    """A text as a serialized `std_msgs/String`."""
+    """A text as a serialized `std_msgs/String`.
+
+    Args:
+        text: The text.
+    """
     content = text.encode() + b"\0"
     return _ENCAPSULATION + struct.pack("<I", len(content)) + content
 
 
 def text_of_cdr(data: bytes) -> str:
-    """The text of a serialized `std_msgs/String`, the inverse of `text_to_cdr`."""
+    """The text of a serialized `std_msgs/String`, the inverse of `text_to_cdr`.
+
+    Args:
+        data: The bytes of the message.
+    """
     return data[len(_ENCAPSULATION) + 4 : -1].decode()
 
 
@@ -128,7 +136,11 @@ class RunWriter:
         self._channels: dict[str, tuple[int, int]] = {}
 
     def begin(self, description: RunDescription) -> None:
-        """Writes the description, for a replay and, as attachment and metadata, for other tools."""
+        """Writes the description, for a replay and, as attachment and metadata, for other tools.
+
+        Args:
+            description: The description.
+        """
         began = description.began
         self._writer.add_attachment(
             began, began, Path(description.scene_path).name, "application/yaml",

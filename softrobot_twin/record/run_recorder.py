@@ -95,7 +95,12 @@ class RunRecorder:
         return self._queue.qsize()
 
     def note_message(self, topic: Topic, message: object) -> None:
-        """Notes a message that came or went; it must not be changed any more."""
+        """Notes a message that came or went; it must not be changed any more.
+
+        Args:
+            topic: Where it came or went.
+            message: The message.
+        """
         time = max(0, self._ros_time())  # MCAP has no times before its epoch.
         self._add(Noted(False, time, lambda: self.writer.add_message(
             topic, time, self._to_bytes(message))))
@@ -178,7 +183,11 @@ class RunRecorder:
             return []
 
     def write(self, noted: Noted) -> None:
-        """Writes what was noted, in the recorder's thread."""
+        """Writes what was noted, in the recorder's thread.
+
+        Args:
+            noted: What was noted.
+        """
         self._newest = noted.time
         noted.write()
 

@@ -50,7 +50,11 @@ def _guided_poses(tick: TickOutcome) -> dict[str, list[np.ndarray]]:
 
 
 def of_channels(given: Iterable[Channel]) -> dict[str, Quantity]:
-    """Channels as quantities of ticks: what the model tells and, with most, what is measured."""
+    """Channels as quantities of ticks: what the model tells and, with most, what is measured.
+
+    Args:
+        given: The channels.
+    """
     found, rows = {}, {"effector_names": EFFECTORS, "touch_names": TOUCHES}
     for one in given:
         told = Quantity(one.unit, rows.get(one.objects, one.objects), one.parts,
@@ -120,6 +124,9 @@ def plain(value: object) -> object:
     """A value as JSON writes it: the shortest decimals that give each number back to the bit.
 
     JSON has no other numbers than finite ones: a NaN becomes null, ∞ a word.
+
+    Args:
+        value: A number, text, array, enumeration or dataclass, or a dict, list or tuple of these.
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else _word(value)
@@ -147,12 +154,20 @@ def _word(value: float) -> str | None:
 
 
 def number(value: object) -> float:
-    """The number of `plain`."""
+    """The number of `plain`.
+
+    Args:
+        value: What JSON holds.
+    """
     return math.nan if value is None else float(value)
 
 
 def numbers(value: object) -> np.ndarray:
-    """The array of `plain`: null is NaN, and ``inf`` and ``-inf`` are ±∞."""
+    """The array of `plain`: null is NaN, and ``inf`` and ``-inf`` are ±∞.
+
+    Args:
+        value: What JSON holds, a list of any depth.
+    """
     return np.array(value, dtype=float)
 
 
@@ -180,7 +195,11 @@ def _value(outcome: TickOutcome, path: str | Callable[[TickOutcome], object]) ->
 
 
 def state_digest(state: State) -> str:
-    """A word that differs for any two states, even in one bit of one node."""
+    """A word that differs for any two states, even in one bit of one node.
+
+    Args:
+        state: The state.
+    """
     made = hashlib.blake2b(digest_size=16)
     for array in (state.positions, state.velocities, *state.memory.values()):
         made.update(np.ascontiguousarray(array).data)

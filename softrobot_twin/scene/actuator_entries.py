@@ -60,7 +60,12 @@ class ActuatorEntry(Entry):
         """
 
     def check_body(self, scene, key: str) -> None:
-        """Refuses an unknown `body`; without a name the only deformable body is meant."""
+        """Refuses an unknown `body`; without a name the only deformable body is meant.
+
+        Args:
+            scene: The scene.
+            key: Key of this entry in it, for the error.
+        """
         deformable = [body.name for body in scene.deformables]
         framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
         body = self.body  # type: ignore[attr-defined]  # entries that call this have one

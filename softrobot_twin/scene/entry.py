@@ -74,7 +74,11 @@ class Entry(BaseModel):
         """
 
     def given(self, keys: Iterable[str]) -> list[str]:
-        """Those of some keys that have a value."""
+        """Those of some keys that have a value.
+
+        Args:
+            keys: Names of keys.
+        """
         return [key for key in keys if getattr(self, key) is not None]
 
     def changed(self, **values: Any) -> Self:
@@ -82,6 +86,10 @@ class Entry(BaseModel):
 
         A dict has values of keys of the entry inside, or of each of a list of them; a function makes
         them of it. An entry that is not there stays so.
+
+        Args:
+            **values: New value of each key, a dict for a key that is an entry, or a function of the
+                old value.
         """
         return self.model_copy(update={
             key: _inside(getattr(self, key), value) for key, value in values.items()
@@ -145,12 +153,21 @@ def refusal(
 
 
 def unit(name: str, **limits) -> object:
-    """A field with a unit, which the message about a refused value contains."""
+    """A field with a unit, which the message about a refused value contains.
+
+    Args:
+        name: The unit, such as ``m``; empty for a number.
+        **limits: Limits, as of pydantic's `Field`.
+    """
     return Field(json_schema_extra={"unit": name}, **limits)
 
 
 def check_name(name: str) -> str:
-    """Checks a name, because it becomes part of a ROS topic."""
+    """Checks a name, because it becomes part of a ROS topic.
+
+    Args:
+        name: The name.
+    """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise ValueError("a name must start with a letter and contain only letters, digits and "
                          "underscores")
@@ -186,7 +203,11 @@ OpenNumber = Annotated[float, Field(allow_inf_nan=True)]
 
 
 def check_range(bounds: Range) -> Range:
-    """Checks that limits are in order; they are not swapped, which would hide a mistake."""
+    """Checks that limits are in order; they are not swapped, which would hide a mistake.
+
+    Args:
+        bounds: The lower and the upper limit.
+    """
     if any(math.isnan(bound) for bound in bounds):
         raise ValueError("a limit must be a number; .inf for no limit")
     if bounds[0] > bounds[1]:
@@ -197,18 +218,31 @@ def check_range(bounds: Range) -> Range:
 
 
 def allows_zero(what: str, limits: str = "its limits") -> AfterValidator:
-    """Refuses limits that 0, which is what a quantity is at rest, does not lie within."""
+    """Refuses limits that 0, which is what a quantity is at rest, does not lie within.
+
+    Args:
+        what: What the quantity is at rest, for the error.
+        limits: What the limits are called in the error.
+    """
     return _required(lambda bounds: bounds[0] <= 0.0 <= bounds[1],
                      f"{what}, 0, must lie within {limits}")
 
 
 def not_below_zero(words: str) -> AfterValidator:
-    """Refuses limits of which the lower one is negative, with these words."""
+    """Refuses limits of which the lower one is negative, with these words.
+
+    Args:
+        words: Text of the error.
+    """
     return _required(lambda bounds: bounds[0] >= 0.0, words)
 
 
 def not_zero(words: str) -> AfterValidator:
-    """Refuses a vector that is zero, with these words."""
+    """Refuses a vector that is zero, with these words.
+
+    Args:
+        words: Text of the error.
+    """
     return _required(lambda vector: vector is None or any(vector), words)
 
 
@@ -318,7 +352,11 @@ def _places_of_numbers(kind: Any) -> Any:
 
 
 def plain(annotation: Any) -> Any:
-    """The type of an annotation, without limits, unit, and the alternative None."""
+    """The type of an annotation, without limits, unit, and the alternative None.
+
+    Args:
+        annotation: The annotation of a field.
+    """
     while True:
         origin = get_origin(annotation)
         if origin is Annotated:
@@ -330,19 +368,31 @@ def plain(annotation: Any) -> Any:
 
 
 def may_be_none(annotation: Any) -> bool:
-    """Whether None is allowed."""
+    """Whether None is allowed.
+
+    Args:
+        annotation: The annotation of a field.
+    """
     return get_origin(annotation) in (Union, UnionType) and type(None) in get_args(annotation)
 
 
 def item_of_list(annotation: Any) -> Any:
-    """The type of the items of a list of any length; None for other annotations."""
+    """The type of the items of a list of any length; None for other annotations.
+
+    Args:
+        annotation: The annotation of a field.
+    """
     arguments = get_args(plain(annotation))
     is_list = get_origin(plain(annotation)) is tuple and len(arguments) == 2
     return plain(arguments[0]) if is_list and arguments[1] is Ellipsis else None
 
 
 def is_entry(annotation: Any) -> bool:
-    """Whether an annotation is an entry, a section of keys."""
+    """Whether an annotation is an entry, a section of keys.
+
+    Args:
+        annotation: The plain type of a field.
+    """
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 

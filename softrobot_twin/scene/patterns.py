@@ -184,7 +184,11 @@ class Motion(NamedTuple):
     shift: tuple[float, ...]
 
     def point(self, place: tuple[float, ...]) -> tuple[float, ...]:
-        """A point [m] moved."""
+        """A point [m] moved.
+
+        Args:
+            place: The point [m], three numbers.
+        """
         if self.rows is not None:
             (x, y, z), (a, b, c) = place, self.centre
             x, y, z = self.direction((x - a, y - b, z - c))
@@ -195,7 +199,11 @@ class Motion(NamedTuple):
         return place
 
     def direction(self, vector: tuple[float, ...]) -> tuple[float, ...]:
-        """A vector turned."""
+        """A vector turned.
+
+        Args:
+            vector: The vector, three numbers.
+        """
         if self.rows is None:
             return vector
         x, y, z = vector
@@ -203,7 +211,11 @@ class Motion(NamedTuple):
         return tuple([sum((a * x, b * y, c * z)) + 0.0 for a, b, c in self.rows])
 
     def angles(self, angles: tuple[float, ...]) -> tuple[float, ...]:
-        """Angles [rad] about the world's x, y and z axes in this order, of something turned."""
+        """Angles [rad] about the world's x, y and z axes in this order, of something turned.
+
+        Args:
+            angles: The angles [rad], three numbers.
+        """
         if self.rows is None:
             return angles
         for place, later in ((2, ()), (1, angles[2:]), (0, angles[1:])):

@@ -130,7 +130,11 @@ def check_known(key: str, what: str, name: str, known: list[str]) -> None:
 
 
 def is_pattern(word: str) -> bool:
-    """Whether a word is a pattern, and no name."""
+    """Whether a word is a pattern, and no name.
+
+    Args:
+        word: The word.
+    """
     return any(letter in word for letter in "*?[")
 
 

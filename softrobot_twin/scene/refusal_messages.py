@@ -108,7 +108,7 @@ def _one_error(
     if copy is not None and len(alike) < copy.count:
         reason += f" (copy {copy.number} of {copy.count})"
     return SceneError(path, dotted((*above, *written)) or "scene", short(value),
-                      own_unit or _unit_at(root, location), reason)  # fmt: skip
+                      own_unit or unit_at(root, location), reason)  # fmt: skip
 
 
 def _also(as_written: Callable, location: list) -> str:
@@ -117,13 +117,23 @@ def _also(as_written: Callable, location: list) -> str:
 
 
 def nearest(name: object, known) -> str:
-    """A hint at the known name most similar to an unknown one; empty when none is similar."""
+    """A hint at the known name most similar to an unknown one; empty when none is similar.
+
+    Args:
+        name: The unknown name.
+        known: The known ones.
+    """
     found = get_close_matches(str(name), [str(word) for word in known], n=1, cutoff=0.6)
     return f"; is {found[0]} meant?" if found else ""
 
 
-def _unit_at(root: type[BaseModel], location: tuple) -> str:
-    """The unit of the innermost named value that contains a location."""
+def unit_at(root: type[BaseModel], location: tuple) -> str:
+    """The unit of the innermost named value that contains a location.
+
+    Args:
+        root: Type of the whole, such as a scene.
+        location: Names of keys and places in lists, from the whole inwards.
+    """
     names = [part for part in location if not isinstance(part, int)]
     model = _model_at(root, tuple(names[:-1])) if names else None
     field = model.model_fields.get(names[-1]) if model else None
@@ -154,7 +164,11 @@ def _annotation_at(root: type[BaseModel], location: tuple) -> Any:
 
 
 def parts(key: str) -> list:
-    """A key, such as ``cables[0].rate``, as a location."""
+    """A key, such as ``cables[0].rate``, as a location.
+
+    Args:
+        key: The key.
+    """
     parts: list = []
     for word in key.split("."):
         name, *indices = word.replace("]", "").split("[")
@@ -163,7 +177,11 @@ def parts(key: str) -> list:
 
 
 def dotted(location: tuple) -> str:
-    """A location as a key, such as ``cables[0].rate``."""
+    """A location as a key, such as ``cables[0].rate``.
+
+    Args:
+        location: Names of keys and places in lists, from the whole inwards.
+    """
     key = ""
     for part in location:
         key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
@@ -171,7 +189,11 @@ def dotted(location: tuple) -> str:
 
 
 def short(value: Any) -> Any:
-    """A value for a message; of a section only the number of keys."""
+    """A value for a message; of a section only the number of keys.
+
+    Args:
+        value: The value, of any type.
+    """
     if isinstance(value, dict):
         return f"(a section of {len(value)} keys)"
     shown = _repr.repr(value)
@@ -235,7 +257,7 @@ def _sections_with(model, key: str, place: str) -> list[str]:
 def _reason(root, location: tuple, details: Any) -> str:
     """What is required at a location with an invalid value."""
     kind, context, value = details["type"], details.get("ctx", {}), details.get("input")
-    unit = _unit_at(root, location)
+    unit = unit_at(root, location)
     if kind in _LIMITS:
         word, name = _LIMITS[kind]
         return f"must be {word} {context[name]:g}"

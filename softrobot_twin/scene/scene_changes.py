@@ -17,33 +17,63 @@ MOST_ITERATIONS, EXACT = 60, 1.0e-3
 
 
 def without_reductions(scene: Scene) -> Scene:
-    """The same scene with all nodes of its reduced bodies as unknowns."""
+    """The same scene with all nodes of its reduced bodies as unknowns.
+
+    Args:
+        scene: The scene.
+    """
     return with_reduced_entries(scene, None)
 
 
 def with_reduced_entries(scene: Scene, changes: dict | None) -> Scene:
-    """The same scene with some keys of `reduced` of its reduced bodies changed, or without these."""
+    """The same scene with some keys of `reduced` of its reduced bodies changed, or without these.
+
+    Args:
+        scene: The scene.
+        changes: New values of keys; None for no reduction.
+    """
     return scene.with_deformables({"reduced": changes})
 
 
 def with_entries(scene: Scene, reduced: dict) -> Scene:
-    """The same scene with other entries `reduced` of some bodies, by their names."""
+    """The same scene with other entries `reduced` of some bodies, by their names.
+
+    Args:
+        scene: The scene.
+        reduced: Entry of each body that gets another one, by the body's name; None for no
+            reduction.
+    """
     return scene.with_deformables(
         lambda body: body.changed(reduced=reduced.get(body.name, body.reduced)))  # fmt: skip
 
 
 def without_vertebrae(scene: Scene) -> Scene:
-    """The same scene with all nodes of its bodies as unknowns."""
+    """The same scene with all nodes of its bodies as unknowns.
+
+    Args:
+        scene: The scene.
+    """
     return scene.with_deformables({"vertebrae": None})
 
 
 def with_mesh_file(scene: Scene, file: Path) -> Scene:
-    """The same scene with another mesh file, placed by the same transformation."""
+    """The same scene with another mesh file, placed by the same transformation.
+
+    Args:
+        scene: A scene with one body.
+        file: The mesh file, absolute or relative to the scene's folder.
+    """
     return scene.changed(body={"mesh": {"file": file}})
 
 
 def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
-    """The same scene with a number of linearizations per step and a residual tolerance [N]."""
+    """The same scene with a number of linearizations per step and a residual tolerance [N].
+
+    Args:
+        scene: The scene.
+        iterations: Linearizations in a step at most.
+        tolerance: Largest residual force [N].
+    """
     return scene.changed(solver={"newton_iterations": iterations, "residual_tolerance": tolerance})
 
 
@@ -65,7 +95,11 @@ def unlimited(scene: Scene, exact: bool = False) -> Scene:
 
 
 def full_scene(scene: Scene) -> Scene:
-    """The scene in statics with all nodes free, without rates and contact, solved exactly."""
+    """The scene in statics with all nodes free, without rates and contact, solved exactly.
+
+    Args:
+        scene: The scene.
+    """
     def freed(entry):
         return entry.changed(rate=None) if hasattr(entry, "rate") else entry
 
@@ -78,5 +112,11 @@ def full_scene(scene: Scene) -> Scene:
 
 
 def reduced_scene(scene: Scene, body: str, file: Path) -> Scene:
-    """A scene in which a body is reduced by a file."""
+    """A scene in which a body is reduced by a file.
+
+    Args:
+        scene: The scene of the full model.
+        body: Name of the body.
+        file: File of its reduced model.
+    """
     return with_entries(scene, {body: Reduced(file=file.resolve())})

@@ -37,7 +37,11 @@ class Parameter(NamedTuple):
     unit: str
 
     def read(self, scene: Scene) -> float:
-        """Its value in a scene, in its unit."""
+        """Its value in a scene, in its unit.
+
+        Args:
+            scene: The scene.
+        """
         return float(value_at(scene, self.key))
 
     def set(self, scene: Scene, value: float) -> Scene:
@@ -88,6 +92,10 @@ def parameters(scene: Scene, *keys: str) -> tuple[Parameter, ...]:
 
 def value_at(scene: Scene, key: str) -> Any:
     """The value at a key of a scene.
+
+    Args:
+        scene: The scene.
+        key: The key, such as ``cables[0].rate``.
 
     Raises:
         SceneError: The scene has no such key.

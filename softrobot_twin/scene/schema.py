@@ -311,11 +311,19 @@ class Scene(Entry):
             yield "body" if is_single else f"{word}[{index}]", entry
 
     def with_deformables(self, change: dict | Callable[[Body], Body]) -> Scene:
-        """The same scene with all deformable bodies changed; see `changed`."""
+        """The same scene with all deformable bodies changed; see `changed`.
+
+        Args:
+            change: New values of keys of each body, or a function of a body that gives another.
+        """
         return self.changed(body=change, bodies=change)
 
     def file_path(self, file: Path) -> Path:
-        """The path of a file in an entry, relative to the folder of the scene file."""
+        """The path of a file in an entry, relative to the folder of the scene file.
+
+        Args:
+            file: The path as the entry has it.
+        """
         if file.is_absolute() or self.path is None:
             return file
         return (self.path.parent / file).resolve()
@@ -334,7 +342,11 @@ class Scene(Entry):
         return "box" if self.deformables[0].mesh.file is None else self.mesh_path.stem
 
     def mesh_folder(self, body: Body) -> Path:
-        """Folder of a body's mesh file; that of the scene for a box."""
+        """Folder of a body's mesh file; that of the scene for a box.
+
+        Args:
+            body: A deformable body of this scene.
+        """
         if body.mesh.file is not None:
             return self.file_path(body.mesh.file).parent
         return Path() if self.path is None else self.path.resolve().parent

@@ -311,7 +311,7 @@ class CommandReader:
                     raise CommandError(
                         name, f"drives {actuators.names[place]}, as {driven_by[place]} does")
                 driven_by[place] = name
-                yield place, float(drive.commanded(number, actuators.rest_setpoints[place]))
+                yield place, drive.commanded(number, actuators.rest_setpoints[place])
 
     def _refused(self, name: str, word: str, allowed: tuple[str, ...]) -> CommandError:
         simulation = self._simulation
@@ -480,6 +480,10 @@ def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:
 
 def one_number(name: str, numbers: Numbers) -> float:
     """The only number of some.
+
+    Args:
+        name: Name of the value, for the error.
+        numbers: The numbers.
 
     Raises:
         CommandError: There are several, or none.

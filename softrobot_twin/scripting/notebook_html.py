@@ -35,13 +35,22 @@ class Actuator(NamedTuple):
 
 
 def actuators_of(simulation: Simulation) -> tuple[Actuator, ...]:
-    """The actuators of a simulation, in its order."""
+    """The actuators of a simulation, in its order.
+
+    Args:
+        simulation: The simulation.
+    """
     return tuple(Actuator(name, kind.noun, (kind.setpoint, kind.displacement, kind.effort))
                  for name, kind in simulation.actuators.kind_of.items())  # fmt: skip
 
 
 def table_html(header: Iterable[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A table; texts are escaped, and of many rows the first and the last are shown."""
+    """A table; texts are escaped, and of many rows the first and the last are shown.
+
+    Args:
+        header: Titles of the columns.
+        rows: Cells of each row, of any type; numbers are shown with few digits.
+    """
     lines = [list(map(_cell, row)) for row in rows]
     if len(lines) > _MOST_ROWS:
         half = _MOST_ROWS // 2
@@ -63,7 +72,12 @@ def _row(tag: str, cells: Iterable[str]) -> str:
 
 
 def text_html(text: str, tag: str = "p") -> str:
-    """A text as a paragraph, or within another tag."""
+    """A text as a paragraph, or within another tag.
+
+    Args:
+        text: The text; it is escaped.
+        tag: Name of the tag, such as ``p``.
+    """
     return f"<{tag}>{escape(text)}</{tag}>"
 
 
@@ -110,6 +124,11 @@ def effectors_html(
 
 
 def figure_html(figure: Any, text: str) -> str:
-    """A matplotlib figure as an image inside the page, with a text for who does not see it."""
+    """A matplotlib figure as an image inside the page, with a text for who does not see it.
+
+    Args:
+        figure: The figure.
+        text: The text.
+    """
     picture = base64.b64encode(png_of(figure, _SHARPNESS)).decode()
     return f'<img alt="{escape(text)}" src="data:image/png;base64,{picture}">'

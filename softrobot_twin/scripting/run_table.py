@@ -96,7 +96,11 @@ class ColumnsOfSteps:
         self._known: dict[tuple[bytes, ...], RunColumns] = {}
 
     def of(self, command: Command) -> RunColumns:
-        """The columns of a step by a command."""
+        """The columns of a step by a command.
+
+        Args:
+            command: The command of the step.
+        """
         followed = command if isinstance(command, FollowTargets) else None
         key = () if followed is None else _named(followed)
         if key not in self._known:

@@ -92,6 +92,9 @@ class Terms(NamedTuple):
 def build_terms(scene: Scene) -> Terms:
     """The terms of a scene alone, which tell forces and rows at a state.
 
+    Args:
+        scene: The scene.
+
     Raises:
         SceneError: An entry does not fit the mesh.
         MeshError: The mesh cannot be used.

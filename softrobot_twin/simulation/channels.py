@@ -76,15 +76,28 @@ class Channel(NamedTuple):
         return f"measured_{self.name}"
 
     def names(self, simulation: Simulation) -> Sequence[str]:
-        """Names of the objects of its kind."""
+        """Names of the objects of its kind.
+
+        Args:
+            simulation: The simulation.
+        """
         return getattr(simulation, self.objects)
 
     def are_asked(self, simulation: Simulation) -> Sequence[bool]:
-        """Whether each of the objects has it."""
+        """Whether each of the objects has it.
+
+        Args:
+            simulation: The simulation.
+        """
         return getattr(simulation, self.asked) if self.asked else [True] * len(self.names(simulation))
 
     def of(self, result: StepResult, index: int) -> Sequence[float] | np.ndarray:
-        """Its numbers of an object in a result; NaN in one that does not tell them."""
+        """Its numbers of an object in a result; NaN in one that does not tell them.
+
+        Args:
+            result: The result of a step.
+            index: Number of the object.
+        """
         values = self.read(result)
         return [math.nan] * self.width if values is None else values[index]
 
@@ -161,5 +174,9 @@ def register_channel(channel: Channel) -> None:
 
 
 def withdraw_channel(channel: Channel) -> None:
-    """Removes a channel that `register_channel` added."""
+    """Removes a channel that `register_channel` added.
+
+    Args:
+        channel: The channel.
+    """
     _REGISTERED.remove(channel)

@@ -32,13 +32,21 @@ _OPPONENTS = np.array([[0.2104542553, 0.7936177850, -0.0040720468],
 
 
 def to_oklab(srgb: np.ndarray) -> np.ndarray:
-    """Colours of sRGB from 0 to 1 in OKLab, shape (count, 3)."""
+    """Colours of sRGB from 0 to 1 in OKLab, shape (count, 3).
+
+    Args:
+        srgb: The colours, 0 to 1, shape (count, 3).
+    """
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return np.cbrt(linear @ _CONES.T) @ _OPPONENTS.T
 
 
 def from_oklab(lab: np.ndarray) -> np.ndarray:
-    """Colours of OKLab in sRGB from 0 to 1, shape (count, 3)."""
+    """Colours of OKLab in sRGB from 0 to 1, shape (count, 3).
+
+    Args:
+        lab: Lightness and two opponent colours of each, shape (count, 3).
+    """
     cones = np.linalg.solve(_OPPONENTS, lab.T) ** 3
     linear = np.clip(np.linalg.solve(_CONES, cones).T, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
@@ -102,7 +110,11 @@ def _colours(shares: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 
 def pressure_legend(pressure_range: tuple[float, float]) -> str:
-    """The colour scale of pressures in words, such as ``blue -20, grey 0, red 20 kPa``."""
+    """The colour scale of pressures in words, such as ``blue -20, grey 0, red 20 kPa``.
+
+    Args:
+        pressure_range: Deepest vacuum and greatest pressure [Pa], gauge.
+    """
     vacuum, limit = pressure_range
     end = 1e-3 * max(-vacuum, limit)
     words = ([f"blue {-end:g}"] if vacuum < 0.0 else []) + ["grey 0"]

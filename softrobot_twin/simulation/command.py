@@ -94,7 +94,11 @@ TIMES = ("time_step", "reach_time")
 
 
 def may_move(command: Command) -> bool:
-    """Whether a command leaves the actuators time to move at their rates."""
+    """Whether a command leaves the actuators time to move at their rates.
+
+    Args:
+        command: The command.
+    """
     reach_time = getattr(command, "reach_time", None)
     return (command.time_step if reach_time is None else reach_time) > 0.0
 

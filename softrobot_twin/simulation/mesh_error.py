@@ -117,7 +117,11 @@ def _refuse_hexahedra(scene: Scene) -> None:
 
 
 def still(scene: Scene) -> Scene:
-    """The scene in statics, without contact, with its actuators without limits."""
+    """The scene in statics, without contact, with its actuators without limits.
+
+    Args:
+        scene: The scene.
+    """
     anything = (-np.inf, np.inf)
     # Free rigid bodies are fixed: without contact they are not supported.
     return scene.with_deformables({"mass": None}).changed(
@@ -138,7 +142,12 @@ def _position_of(effector):
 
 
 def with_element(scene: Scene, element: str) -> Scene:
-    """The scene with all deformable bodies of one kind of element, its volumes kept as usual."""
+    """The scene with all deformable bodies of one kind of element, its volumes kept as usual.
+
+    Args:
+        scene: The scene.
+        element: Kind of the elements.
+    """
     return scene.with_deformables({"element": element, "volume": None})
 
 
@@ -175,7 +184,12 @@ def _size(layout, name: str | None) -> float:
 
 
 def step_time(scene: Scene, now: Callable[[], float]) -> float:
-    """Median time of a step of one linearization at rest, of the scene itself [s]."""
+    """Median time of a step of one linearization at rest, of the scene itself [s].
+
+    Args:
+        scene: The scene.
+        now: The clock [s].
+    """
     simulation = Simulation(scene.changed(solver={"newton_iterations": 1}), now, with_warnings=False)
     before = simulation.state
     times = []
@@ -360,7 +374,12 @@ class CubicBody:
 
 
 def response(newton: Newton, model) -> Response:
-    """Compliances at rest, by one linearization."""
+    """Compliances at rest, by one linearization.
+
+    Args:
+        newton: The linearizations of the model.
+        model: The model of a simulation.
+    """
     rest = model.nodes.rest_positions.copy()
     linear = newton.linearize(rest, np.zeros(len(model.actuators.names)), StageClock(perf_counter))
     if linear is None or newton.projected_tangent:
@@ -460,7 +479,12 @@ class ActuatorLoads(NamedTuple):
 
     @classmethod
     def of(cls, simulation: Simulation, forces_given: bool) -> ActuatorLoads:
-        """Those of the current state of a simulation."""
+        """Those of the current state of a simulation.
+
+        Args:
+            simulation: The simulation.
+            forces_given: Whether efforts are held, in place of setpoints.
+        """
         state, poses = simulation.state, simulation.poses()
         guided = (part.name for part in simulation.model.rigid if not part.is_free)
         poses = {name: poses[name] for name in guided}
@@ -576,6 +600,9 @@ class MeshErrorEstimator:
 
 def check_judges_states(scene: Scene) -> None:
     """Refuses scenes whose states cannot be solved with other elements.
+
+    Args:
+        scene: The scene.
 
     Raises:
         MeshErrorUnknown: The scene has contact.

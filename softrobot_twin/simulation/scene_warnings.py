@@ -265,6 +265,9 @@ def expected_sag(model: Model) -> float | None:
 def linear_sag(model: Model) -> float | None:
     """Largest displacement of bodies and beams under gravity, by one linear solve [m].
 
+    Args:
+        model: The model of a simulation.
+
     Returns:
         None where a body floats.
     """
@@ -273,6 +276,9 @@ def linear_sag(model: Model) -> float | None:
 
 def equilibrium_sag(model: Model) -> float | None:
     """Largest displacement of bodies and beams in equilibrium under gravity, by Newton [m].
+
+    Args:
+        model: The model of a simulation.
 
     Returns:
         None where a body floats or no equilibrium was found.

@@ -125,7 +125,11 @@ class AtState(NamedTuple):
     scene: Scene
 
     def loads(self, holds_setpoints: bool) -> Loads:
-        """The same as loads, whose changes move the equilibrium."""
+        """The same as loads, whose changes move the equilibrium.
+
+        Args:
+            holds_setpoints: Whether actuators hold their setpoints, in place of their efforts.
+        """
         held = self.drives if holds_setpoints else 0.0
         return Loads(self.forces, held - self.paths, self.effectors)
 

@@ -53,7 +53,12 @@ class Compliance:
         return self.Yt[rows] @ (multipliers @ self.Yt)
 
     def without(self, first: int, stop: int) -> Compliance:
-        """Without the rows from `first` to before `stop`."""
+        """Without the rows from `first` to before `stop`.
+
+        Args:
+            first: First row that is left out.
+            stop: The row after the last one that is left out.
+        """
         if first == stop:
             return self
         if self.Yt is None:

@@ -288,5 +288,9 @@ def laid_out_alike(factorization: Factorization) -> tuple[Factorization, np.ndar
 
 
 def without_rows(factorization: Factorization) -> Factorization:
-    """The factorization of what is assembled, without dense rows."""
+    """The factorization of what is assembled, without dense rows.
+
+    Args:
+        factorization: A factorization, with dense rows or without.
+    """
     return factorization._inner if isinstance(factorization, DenseStiffness) else factorization

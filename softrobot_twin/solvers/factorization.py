@@ -29,7 +29,11 @@ class NodeRows(NamedTuple):
     row_count: int
 
     def transposed(self, node_count: int) -> np.ndarray:
-        """Hᵀ as a dense array, shape (3 node_count, row_count)."""
+        """Hᵀ as a dense array, shape (3 node_count, row_count).
+
+        Args:
+            node_count: Number of nodes of the system.
+        """
         dense = np.zeros((node_count, 3, self.row_count))
         np.add.at(dense, (self.node_index, slice(None), self.row_index), self.blocks)
         return dense.reshape(3 * node_count, self.row_count)
@@ -105,10 +109,19 @@ class Factorization(Protocol):
         """Factorize what was assembled; False if it is not positive definite."""
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
-        """W and the free violation of rows H for a right-hand side b, shape (node_count, 3)."""
+        """W and the free violation of rows H for a right-hand side b, shape (node_count, 3).
+
+        Args:
+            H: The rows.
+            b: Right-hand side [N], shape (node_count, 3).
+        """
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
         """The same by a factor of W, without forming W.
+
+        Args:
+            H: The rows.
+            b: Right-hand side [N], shape (node_count, 3).
 
         Returns:
             The factor; None where W's rank may be above half of its rows, or no factor is
@@ -119,10 +132,17 @@ class Factorization(Protocol):
         """A⁻¹ (b + Hᵀ λ) for the H and b condensed last, shape (node_count, 3).
 
         The result may be overwritten by the next call.
+
+        Args:
+            multipliers: λ of the rows condensed last, shape (row_count,).
         """
 
     def solve(self, b: np.ndarray) -> np.ndarray:
-        """A⁻¹ b, shape (node_count, 3)."""
+        """A⁻¹ b, shape (node_count, 3).
+
+        Args:
+            b: Right-hand side [N], shape (node_count, 3).
+        """
 
 
 def block_slots(

@@ -80,7 +80,14 @@ class InverseSystem(NamedTuple):
     def without_contacts(
         cls, W_e: np.ndarray, W_a: np.ndarray, effectors: np.ndarray, actuators: np.ndarray
     ) -> InverseSystem:
-        """A system without contacts and moves; see the attributes."""
+        """A system without contacts and moves; see the attributes.
+
+        Args:
+            W_e: Effector displacement by the unknowns λ_a, shape (e, a).
+            W_a: Actuator displacement by these, shape (a, a).
+            effectors: δ_e,free [m], shape (e,).
+            actuators: δ_a,free [m], shape (a,).
+        """
         count = len(W_a)
         none, is_move = np.empty((0, count)), np.zeros(count, dtype=bool)
         return cls(W_e, W_a, none, is_move, effectors, actuators, np.empty(0))

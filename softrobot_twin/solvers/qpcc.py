@@ -114,7 +114,11 @@ class QPCC(NamedTuple):
             raise ValueError("a contact's force starts at zero, and so does its bound")
 
     def objective(self, z: np.ndarray) -> float:
-        """½ zᵀPz + gᵀz."""
+        """½ zᵀPz + gᵀz.
+
+        Args:
+            z: The unknowns, shape (n,).
+        """
         return float(0.5 * z @ self.P @ z + self.g @ z)
 
     def whitening(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -129,19 +133,35 @@ class QPCC(NamedTuple):
         return scale, factor, scale[:, None] * np.linalg.inv(factor).T
 
     def gaps(self, z: np.ndarray) -> np.ndarray:
-        """Gaps C z + d, shape (contact_count,)."""
+        """Gaps C z + d, shape (contact_count,).
+
+        Args:
+            z: The unknowns, shape (n,).
+        """
         return self.C @ z + self.d
 
     def forces(self, z: np.ndarray) -> np.ndarray:
-        """Contact forces: the last unknowns, shape (contact_count,)."""
+        """Contact forces: the last unknowns, shape (contact_count,).
+
+        Args:
+            z: The unknowns, shape (n,).
+        """
         return z[len(z) - self.contact_count :]
 
     def force_excess(self, z: np.ndarray) -> np.ndarray:
-        """Excess of contact forces over their limits, shape (contact_count,)."""
+        """Excess of contact forces over their limits, shape (contact_count,).
+
+        Args:
+            z: The unknowns, shape (n,).
+        """
         return np.maximum(self.forces(z) - self.force_max, 0.0)
 
     def row_excess(self, z: np.ndarray) -> np.ndarray:
-        """Excess of rows over their bounds on either side, shape (m,)."""
+        """Excess of rows over their bounds on either side, shape (m,).
+
+        Args:
+            z: The unknowns, shape (n,).
+        """
         rows = self.A @ z
         return np.maximum(np.maximum(rows - self.row_upper, self.row_lower - rows), 0.0)
 
@@ -276,14 +296,24 @@ class Branch(NamedTuple):
     gap_duals: np.ndarray
 
     def is_better_than(self, other: Branch, by: float = ROUND_OFF) -> bool:
-        """Whether it is better by more than round-off: excess of rows, of forces, objective."""
+        """Whether it is better by more than round-off: excess of rows, of forces, objective.
+
+        Args:
+            other: The branch that it is compared with.
+            by: Share of the misfit that counts as round-off.
+        """
         for mine, others in self._excesses(other):
             if abs(mine - others) > EQUAL_EXCESS:
                 return mine < others
         return self.misfit < other.misfit - by * (1.0 + other.misfit)
 
     def is_much_better_than(self, other: Branch, share: float) -> bool:
-        """Whether its misfit is below a share of the other's, and no excess is greater."""
+        """Whether its misfit is below a share of the other's, and no excess is greater.
+
+        Args:
+            other: The branch that it is compared with.
+            share: The share, below one.
+        """
         is_worse = any(mine > others + EQUAL_EXCESS for mine, others in self._excesses(other))
         return not is_worse and self.is_better_than(other) and self.misfit < share * other.misfit
 
@@ -336,7 +366,11 @@ class BranchSolver:
         return self.at(self._reference)
 
     def at(self, z: np.ndarray) -> Branch:
-        """An admissible z as a branch without duals, shape (n,)."""
+        """An admissible z as a branch without duals, shape (n,).
+
+        Args:
+            z: The unknowns, shape (n,).
+        """
         no_duals = np.zeros(len(self._lower))
         start = Projection(self._whiten(z), no_duals)
         return self._branch(z, Optimum(start, no_duals, self._lower, self._upper))
@@ -382,13 +416,21 @@ class BranchSolver:
         return z
 
     def active(self, branch: Branch) -> np.ndarray:
-        """Active bounds, see `QPCCSolution.active`, shape (n - contact_count + m,)."""
+        """Active bounds, see `QPCCSolution.active`, shape (n - contact_count + m,).
+
+        Args:
+            branch: A branch that this solver found.
+        """
         duals = np.sign(branch.optimum.projection.duals).astype(np.int64)
         own = len(self.problem.g) - self.problem.contact_count
         return np.concatenate([duals[:own], duals[self._rows]])
 
     def row_excess(self, z: np.ndarray) -> np.ndarray:
-        """Excess of rows over their bounds, without rounding noise, shape (m,)."""
+        """Excess of rows over their bounds, without rounding noise, shape (m,).
+
+        Args:
+            z: The unknowns, shape (n,).
+        """
         excess = self.problem.row_excess(z)
         return np.where(excess > ROUNDING * self._row_unit, excess, 0.0)
 

@@ -51,7 +51,16 @@ class WhitenedQP(NamedTuple):
     T: np.ndarray
 
     def solution(self, w, duals, solved: bool, iterations: int, reason: str, solver: str):
-        """What a solver found, as a `QPSolution`; no number where it is not solved or not finite."""
+        """What a solver found, as a `QPSolution`; no number where it is not solved or not finite.
+
+        Args:
+            w: The whitened unknowns, shape (n,).
+            duals: Multipliers of the rows.
+            solved: Whether the solver says that it is solved.
+            iterations: How many iterations it took.
+            reason: Why it ended, in the solver's words.
+            solver: Name of the solver.
+        """
         solved = solved and bool(np.all(np.isfinite(w)))
         unknowns = self.T @ w if solved else np.full(len(self.q), np.nan)
         return QPSolution(unknowns, np.array(duals), solved, iterations, reason, solver)

@@ -80,7 +80,12 @@ class SuperLU:
         return self._keys % self._node_count, self._keys // self._node_count
 
     def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
-        """Nothing to prepare: every solve is a full one."""
+        """Nothing to prepare: every solve is a full one.
+
+        Args:
+            node_index: Node of each entry of the rows; not read.
+            row_count: Number of rows; not read.
+        """
 
     def clear(self) -> None:
         """See `Factorization.clear`."""

@@ -98,7 +98,12 @@ def _beside(row: AccuracyRow, full: AccuracyRow | None) -> list[str]:
 
 
 def full_row(rows: Sequence[AccuracyRow], reduced: AccuracyRow) -> AccuracyRow | None:
-    """The row of the full model of a reduced one; None where it was not measured."""
+    """The row of the full model of a reduced one; None where it was not measured.
+
+    Args:
+        rows: All rows of a study.
+        reduced: The row of the reduced model.
+    """
     own = reduced.mesh, reduced.element, reduced.law
     return next((row for row in rows if (row.mesh, row.element, row.law) == own
                  and row.knob == MESH), None)
@@ -167,7 +172,13 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
 
 
 def curve(rows: Sequence[AccuracyRow], element: str, law: str) -> list[AccuracyRow]:
-    """Meshes with one element and law, the coarsest first."""
+    """Meshes with one element and law, the coarsest first.
+
+    Args:
+        rows: All rows of a study.
+        element: Kind of the elements.
+        law: Name of the law.
+    """
     found = [row for row in rows if (row.knob, row.element, row.law) == (MESH, element, law)]
     return sorted(found, key=lambda row: row.dof_count)
 

@@ -118,12 +118,22 @@ def _own_level(scene: Scene) -> MeshLevel:
 
 
 def with_element(scene: Scene, element: str) -> Scene:
-    """The same scene with other elements of tetrahedra."""
+    """The same scene with other elements of tetrahedra.
+
+    Args:
+        scene: A scene with one body.
+        element: Kind of the elements.
+    """
     return scene.changed(body={"element": element})
 
 
 def with_law(scene: Scene, law: str) -> Scene:
-    """The same scene with another material law, of the same moduli at rest."""
+    """The same scene with another material law, of the same moduli at rest.
+
+    Args:
+        scene: A scene with one body.
+        law: Name of the law.
+    """
     material = scene.body.material
     if law == material.law:
         return scene
@@ -156,7 +166,11 @@ def with_hold_radius(scene: Scene, radius: float | None = None) -> Scene:
 
 
 def given_words(scene: Scene) -> tuple[str, str]:
-    """What displacements and efforts of a scene's actuators are, such as ``cable lengths``."""
+    """What displacements and efforts of a scene's actuators are, such as ``cable lengths``.
+
+    Args:
+        scene: The scene.
+    """
     if not scene.cavities:
         return "cable lengths", "cable tensions"
     if not scene.cables:
@@ -166,6 +180,9 @@ def given_words(scene: Scene) -> tuple[str, str]:
 
 def check_one_body(scene: Scene) -> None:
     """Refuses a scene whose mesh cannot be compared with finer ones.
+
+    Args:
+        scene: The scene.
 
     Raises:
         AccuracyError: The scene does not have exactly one body, is dynamic, or has contact.
@@ -185,6 +202,9 @@ def check_one_body(scene: Scene) -> None:
 
 def only_body(scene: Scene) -> Body:
     """The scene's only body, with its mesh read and placed.
+
+    Args:
+        scene: The scene.
 
     Raises:
         AccuracyError: See `check_one_body`.
@@ -302,7 +322,7 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
         limits: Size limits of the study.
     """
     probe = levels[0].with_element("quadratic")
-    simulation = Simulation(_with_newton(probe.scene, 1, 1.0e-300))
+    simulation = Simulation(with_newton(probe.scene, 1, 1.0e-300))
     simulation.step(Hold(1.0))
     times = [simulation.step(Hold(1.0)).report.compute_time for _ in range(_PROBES)]
     unit, size = median(times), dof_count(probe)
@@ -339,7 +359,13 @@ def shown_progress(
 def study_parts(
     levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()
 ) -> int:
-    """Number of activities of a study: reference meshes, and meshes with an element and a law."""
+    """Number of activities of a study: reference meshes, and meshes with an element and a law.
+
+    Args:
+        levels: The meshes.
+        limits: The numbers of unknowns up to which meshes are timed and are references.
+        hexahedra: Meshes of hexahedra, which are compared with them.
+    """
     every = _with_elements(levels)
     timed = [level for level in (*every, *hexahedra) if dof_count(level) <= limits.timed_dof]
     return 2 * len(timed) + len(_for_reference(every, limits))
@@ -451,6 +477,10 @@ class AccuracyRow:
 def write_rows(path: Path, rows: Sequence[AccuracyRow]) -> None:
     """Writes rows as CSV; unknown values are left empty.
 
+    Args:
+        path: The CSV file.
+        rows: The rows.
+
     Raises:
         OutputError: The file cannot be written.
     """
@@ -466,6 +496,9 @@ _LATER = ("file", "mode_count", "point_count")
 
 def read_rows(path: Path) -> list[AccuracyRow]:
     """Reads a file written by `write_rows`.
+
+    Args:
+        path: The CSV file.
 
     Raises:
         AccuracyError: The file cannot be read as such.
@@ -534,6 +567,9 @@ def displacements(scene: Scene) -> np.ndarray:
     """Shortenings of cables [m] and growths of cavities [m³] in the poses, shape (pose_count,
     actuator_count).
 
+    Args:
+        scene: A scene with one body.
+
     Raises:
         AccuracyError: The scene has neither cables nor cavities, or no effector.
     """
@@ -573,6 +609,11 @@ def _greatest_growths(scene: Scene) -> list[float]:
 def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
     """Tensions [N] and pressures [Pa] to prescribe, from those found at prescribed displacements,
     shape (pose_count, actuator_count).
+
+    Args:
+        scene: The scene.
+        efforts: Tensions [N] and pressures [Pa] that were found, shape (pose_count,
+            actuator_count).
     """
     prescribed, count = efforts.copy(), len(scene.cables)
     prescribed[:, :count] *= TENSION_SHARE
@@ -582,19 +623,29 @@ def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
 
 
 def exact_simulation(scene: Scene) -> Simulation:
-    """A simulation that solves every step to rounding error, without limits of rate or effort."""
+    """A simulation that solves every step to rounding error, without limits of rate or effort.
+
+    Args:
+        scene: A scene with one body.
+    """
     # The size is that of the corners: linear tetrahedra have no other nodes.
     by_corners = scene if scene.body.element == HEXAHEDRAL else with_element(scene, "linear")
     size = only_body(by_corners).size
     material = scene.body.material
     stiffness = law_at_rest(material, material.law).young_modulus * size**2
     free = unlimited(scene, exact=True)
-    exact = _with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness)
+    exact = with_newton(free, _MOST_ITERATIONS, _RELATIVE_TOLERANCE * stiffness)
     return Simulation(exact, with_warnings=False)
 
 
 def equilibria(scene: Scene, case: str, loads: Loads) -> Poses:
-    """Equilibria of a scene in the poses of a load case, see `CASES`."""
+    """Equilibria of a scene in the poses of a load case, see `CASES`.
+
+    Args:
+        scene: A scene with one body.
+        case: Name of the load case.
+        loads: What actuators are given in each pose.
+    """
     scene, forces_given, poses = _given(scene, case, loads)
     simulation = exact_simulation(scene)
     rest, actuators = simulation.effector_positions(), simulation.actuators
@@ -689,6 +740,10 @@ def length_path(scene: Scene, rate: float, step_count: int) -> LengthPath:
 def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
     """Follows a path with converged steps: effectors [m], shape (step_count, effector_count, 3),
     and the start.
+
+    Args:
+        scene: A scene with one body.
+        path: The displacements of its actuators over time.
     """
     simulation = exact_simulation(scene)
     for share in (0.0, 0.5, 1.0):
@@ -703,6 +758,13 @@ def follow_lengths(
 ) -> FollowedPath:
     """Follows a path of lengths with a number of linearizations per step, from an equilibrium at
     its start.
+
+    Args:
+        scene: A scene with one body.
+        path: The displacements of its actuators over time.
+        start: The equilibrium at the beginning.
+        iterations: Linearizations in each step.
+        **parts: Arguments of `Simulation` besides, by name.
     """
     simulation = _ready(scene, iterations, parts)
     return _follow(simulation, start, _along(simulation, path))
@@ -711,7 +773,15 @@ def follow_lengths(
 def follow_targets(
     scene: Scene, path: LengthPath, targets: np.ndarray, start: State, **parts
 ) -> FollowedPath:
-    """Follows targets [m] by the inverse problem, with one linearization per step."""
+    """Follows targets [m] by the inverse problem, with one linearization per step.
+
+    Args:
+        scene: A scene with one body.
+        path: The path that the targets were taken from; gives the time step.
+        targets: Targets of the effectors [m], shape (step_count, effector_count, 3).
+        start: The equilibrium at the beginning.
+        **parts: Arguments of `Simulation` besides, by name.
+    """
     commands = [FollowTargets(target, path.time_step) for target in targets]
     return _follow(_ready(scene, 1, parts), start, commands)
 
@@ -738,7 +808,7 @@ def rounds_of(
 
 def _ready(scene: Scene, iterations: int, parts: dict) -> Simulation:
     # With a tolerance that is never reached, every step makes all its iterations.
-    timed = _with_newton(unlimited(scene), iterations, 1.0e-300)
+    timed = with_newton(unlimited(scene), iterations, 1.0e-300)
     simulation = Simulation(timed, with_warnings=False, **parts)
     simulation.warm_up()
     return simulation
@@ -837,7 +907,11 @@ class MeshLevel(NamedTuple):
     bounds: np.ndarray
 
     def with_element(self, element: str) -> MeshLevel:
-        """The mesh with other elements of tetrahedra."""
+        """The mesh with other elements of tetrahedra.
+
+        Args:
+            element: Kind of the elements.
+        """
         return self._replace(scene=with_element(self.scene, element))
 
 
@@ -949,7 +1023,12 @@ def _level(name: str, scene: Scene, is_own: bool, element: str = "linear") -> Me
 
 
 def write_mesh(path: Path, mesh: TetMesh) -> None:
-    """Writes a mesh as binary VTK."""
+    """Writes a mesh as binary VTK.
+
+    Args:
+        path: The file.
+        mesh: The mesh.
+    """
     import meshio
 
     content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)])
@@ -1065,6 +1144,9 @@ class Reference(NamedTuple):
     def error(self, poses: Poses) -> float:
         """Error of effector positions: root mean square over poses and effectors, relative to the
         displacement.
+
+        Args:
+            poses: The equilibria that are judged.
         """
         return mean_distance(poses.positions - self.limit.value) / self.displacement
 
@@ -1130,7 +1212,11 @@ def study_meshes(
 
 
 def dof_count(level: MeshLevel) -> int:
-    """Number of unknowns, without building the whole simulation."""
+    """Number of unknowns, without building the whole simulation.
+
+    Args:
+        level: The mesh, with its scene.
+    """
     return 3 * int(np.count_nonzero(~only_body(level.scene).fixed))
 
 
@@ -1262,7 +1348,12 @@ class Differences(NamedTuple):
 
 
 def differences(scene: Scene, other: Scene) -> Differences:
-    """Compares two models of one robot in the poses of a study."""
+    """Compares two models of one robot in the poses of a study.
+
+    Args:
+        scene: A scene with one body.
+        other: The same robot by another model.
+    """
     loads = Loads(displacements(scene))
     own, others = (equilibria(one, "lengths", loads) for one in (scene, other))
     loads = loads._replace(pressed=prescribed_efforts(scene, own.efforts))
@@ -1276,5 +1367,9 @@ def _apart(poses: Poses, others: Poses) -> float:
 
 
 def mean_distance(apart: np.ndarray) -> float:
-    """Root mean square of the lengths of vectors, shape (..., 3)."""
+    """Root mean square of the lengths of vectors, shape (..., 3).
+
+    Args:
+        apart: The vectors, shape (..., 3).
+    """
     return float(np.linalg.norm(apart) / np.sqrt(apart[..., 0].size))

@@ -93,7 +93,11 @@ _QUIET_SHARE = 0.005
 
 
 def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
-    """Median, 99th percentile and maximum of each stage of each size."""
+    """Median, 99th percentile and maximum of each stage of each size.
+
+    Args:
+        sizes: What was measured.
+    """
     return table("Time of a step in ms: median / p99 / max", "stage", *map(_title, sizes),
                  rows=([stage, *(_times(size.times.get(stage)) for size in sizes)]
                        for stage in (*_stage_names(sizes), SUPERLU)))
@@ -156,7 +160,12 @@ def _families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasure
 
 
 def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
-    """Growth exponent of one stage's median over sizes."""
+    """Growth exponent of one stage's median over sizes.
+
+    Args:
+        sizes: What was measured, of one family.
+        stage: Name of the stage.
+    """
     return growth_exponent([size.dof_count for size in sizes], _medians(sizes, stage))
 
 
@@ -172,7 +181,11 @@ def _stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
 
 
 def check_requirements(size: SizeMeasurement) -> list[str]:
-    """Compares a step with the requirements of the default Diamond, one sentence for each."""
+    """Compares a step with the requirements of the default Diamond, one sentence for each.
+
+    Args:
+        size: What was measured of the Diamond.
+    """
     step = size.stages[WHOLE_STEP]
     return [
         f"required {REQUIRED_RATIO}: {_met(size.ratio <= REQUIRED_RATIO)}: a whole step on "
@@ -203,7 +216,11 @@ def _full_ratio(size: SizeMeasurement, full: SizeMeasurement | None) -> str:
 
 
 def compare_with_paper(size: SizeMeasurement) -> str:
-    """Compares a robot's step with the paper's divided by `PAPER_FACTOR`, with both mesh sizes."""
+    """Compares a robot's step with the paper's divided by `PAPER_FACTOR`, with both mesh sizes.
+
+    Args:
+        size: What was measured of a robot with published values.
+    """
     paper, step = size.case.paper, size.stages[WHOLE_STEP]
     required = paper.step / PAPER_FACTOR if paper.required is None else paper.required
     touching = " in contact" if size.contact_count else ""

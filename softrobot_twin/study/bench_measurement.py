@@ -411,12 +411,21 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
 
 
 def is_reduced(scene: Scene) -> bool:
-    """Whether a body of a scene is reduced to modes."""
+    """Whether a body of a scene is reduced to modes.
+
+    Args:
+        scene: The scene.
+    """
     return any(body.reduced is not None for body in scene.deformables)
 
 
 def full_size(size: SizeMeasurement, sizes: Sequence[SizeMeasurement]) -> SizeMeasurement | None:
-    """The full model of a reduced one among measured sizes; None where there is none."""
+    """The full model of a reduced one among measured sizes; None where there is none.
+
+    Args:
+        size: What was measured of a model.
+        sizes: All that was measured.
+    """
     if not size.is_reduced:
         return None
     own = _bodies(size.case.scene)

@@ -192,7 +192,14 @@ def train(
 def reduction_of(
     body: Body, trained: Trained, measured: np.ndarray, training: dict
 ) -> BodyReduction:
-    """The reduced model as it is saved, in mesh coordinates."""
+    """The reduced model as it is saved, in mesh coordinates.
+
+    Args:
+        body: The body.
+        trained: Modes and sampled points.
+        measured: Errors that were measured.
+        training: How it was made, for the file.
+    """
     turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()
     basis = np.einsum("ji,njm->nim", turn, trained.modes.basis)
     basis[body.fixed] = 0.0
@@ -236,7 +243,11 @@ class Training:
     way: TargetWay | None = None
 
     def training_samples(self, count: int) -> np.ndarray:
-        """Samples of a training: with the corners of the box, or from wider boxes of targets."""
+        """Samples of a training: with the corners of the box, or from wider boxes of targets.
+
+        Args:
+            count: Number of samples.
+        """
         return self.samples(count, self.options.seed, MARGIN, with_corners=True)
 
     def samples(
@@ -291,7 +302,11 @@ class Training:
         return samples
 
     def tours(self, samples: np.ndarray) -> list[np.ndarray]:
-        """Indices of the samples of each chain, shape (count, width): passes along a path."""
+        """Indices of the samples of each chain, shape (count, width): passes along a path.
+
+        Args:
+            samples: The samples, shape (count, width).
+        """
         if self.way is not None:
             return passes(len(samples))
         return chains(samples, spread_of(samples))
@@ -320,7 +335,12 @@ class Training:
         return made
 
     def finder(self, reduction: BodyReduction, name: str) -> StateFinder:
-        """Finds states of a reduced model, which is saved beside those of the full one."""
+        """Finds states of a reduced model, which is saved beside those of the full one.
+
+        Args:
+            reduction: The reduced model.
+            name: Name of its file, without an ending.
+        """
         file = self.store.path / f"{name}.reduced"
         with open(file, "wb") as stream:
             write_body_reduction(stream, reduction, reduction_fingerprints(self.body))
@@ -328,12 +348,24 @@ class Training:
         return StateFinder(training_scene(scene, self.sampling), "")
 
     def solve(self, reduction: BodyReduction, name: str, samples: np.ndarray) -> States:
-        """States of a reduced model, each begun at the one before it."""
+        """States of a reduced model, each begun at the one before it.
+
+        Args:
+            reduction: The reduced model.
+            name: Name of its file, without an ending.
+            samples: The samples, shape (count, width).
+        """
         finder = self.finder(reduction, name)
         return joined([finder(samples[tour]) for tour in self.tours(samples)])
 
     def judge(self, reduction: BodyReduction, name: str, truth: States) -> Judgement:
-        """A reduced model against states of the full one, at the same setpoints and loads."""
+        """A reduced model against states of the full one, at the same setpoints and loads.
+
+        Args:
+            reduction: The reduced model.
+            name: Name of its file, without an ending.
+            truth: States of the full model.
+        """
         truth = truth.found() if self.way is None else truth  # a pass keeps its states apart
         held, finder = truth.held(columns_of(self.simulation)), self.finder(reduction, name)
         tours = [tour[truth.is_found[tour]] for tour in self.tours(held)]
@@ -432,7 +464,13 @@ def _sampling(scene: Scene, body: Body, options: TrainingOptions) -> Sampling:
 
 def output_path(scene: Scene, body: Body, options: TrainingOptions) -> Path:
     """The file that is written: beside the mesh, by the name of the scene and, of several, the
-    body."""
+    body.
+
+    Args:
+        scene: The scene.
+        body: The body that is reduced.
+        options: Options of the training; its `output` comes first.
+    """
     if options.output is not None:
         return options.output
     name = scene.name if len(scene.deformables) == 1 else f"{scene.name}_{body.name}"
@@ -542,7 +580,11 @@ def _tell_round(number: int, done: Round) -> None:
 
 
 def train_once(training: Training) -> tuple[Trained, States]:
-    """Train with a given number of states."""
+    """Train with a given number of states.
+
+    Args:
+        training: The training.
+    """
     options = training.options
     groups = [training.training_samples(options.snapshots or SNAPSHOTS)]
     if options.states:
@@ -611,7 +653,14 @@ def reduce(path: Path, options: TrainingOptions) -> int:
 def tell_whether_met(
     options: TrainingOptions, rounds: list[Round], is_met: bool, judgement: Judgement | None
 ) -> bool:
-    """Say where a wanted error is not met; gives whether it is."""
+    """Say where a wanted error is not met; gives whether it is.
+
+    Args:
+        options: Options of the training.
+        rounds: The rounds that were made.
+        is_met: Whether the last round is good enough.
+        judgement: The final judgement by fresh states; None for none.
+    """
     if options.error is None:
         return True
     wanted = f"the wanted error of {100.0 * options.error:g} %"
@@ -700,5 +749,9 @@ def _print_result(
 
 
 def point_count(body: Body) -> int:
-    """Number of quadrature points of a body."""
+    """Number of quadrature points of a body.
+
+    Args:
+        body: The body.
+    """
     return sum(points_of(block.mesh).weights.size for block, _ in blocks_of(body))

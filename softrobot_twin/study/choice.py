@@ -106,7 +106,11 @@ class SettingClock:
         self.timing = RobustTiming(rounds_of(reference, path, 1))
 
     def measure(self, setting: Setting) -> Measured:
-        """Time of a step on this machine, and the linearization error."""
+        """Time of a step on this machine, and the linearization error.
+
+        Args:
+            setting: Mesh, element, law and number of linearizations.
+        """
         steps = self._rounds(setting)
         for _ in range(FIRST_ROUNDS):
             self.timing.add_round(setting, steps)
@@ -122,7 +126,11 @@ class SettingClock:
         return Measured(times.median, times.p99, added)
 
     def confirm(self, candidates: list[Candidate]) -> list[Candidate]:
-        """Times the best candidates again, in turns, and evaluates all rounds together."""
+        """Times the best candidates again, in turns, and evaluates all rounds together.
+
+        Args:
+            candidates: What was measured.
+        """
         ranked = sorted(candidates, key=lambda one: one.error)
         near = [one for one in ranked if one.keeps_rate][:FINALISTS]
         missed = [one for one in ranked if one.measured.p99 <= 1.5 * MARGIN / self._rate
@@ -223,7 +231,12 @@ def _describe_setting(setting: Setting) -> str:
 
 
 def describe_mesh(mesh: str, element: str) -> str:
-    """A mesh and its elements as text."""
+    """A mesh and its elements as text.
+
+    Args:
+        mesh: Name of the mesh.
+        element: Kind of its elements.
+    """
     return f"{mesh}, " + ("hexahedra" if element == HEXAHEDRAL else f"{element} tets")
 
 
@@ -257,7 +270,11 @@ def measure_candidates(
 
 
 def reference_uncertainty(rows: Iterable[AccuracyRow]) -> float:
-    """Uncertainty of the reference: smaller differences of errors are not significant."""
+    """Uncertainty of the reference: smaller differences of errors are not significant.
+
+    Args:
+        rows: The rows of a study.
+    """
     return max((row.uncertainty for row in rows if np.isfinite(row.uncertainty)), default=0.0)
 
 
@@ -413,19 +430,31 @@ class Models:
         return mesh in self._by_name
 
     def add(self, model: ReducedModel) -> None:
-        """Add a reduced model; of two files with one name the first is kept."""
+        """Add a reduced model; of two files with one name the first is kept.
+
+        Args:
+            model: The reduced model.
+        """
         if self.reduced.setdefault(model.name, model) is not model:
             warn(f"{model.path} is left out: {self.reduced[model.name].path} has the same name")
 
     def scene(self, setting: Setting) -> Scene:
-        """The scene of a setting."""
+        """The scene of a setting.
+
+        Args:
+            setting: Mesh, element and law, or a reduced model.
+        """
         if setting.reduced:
             return self.reduced[setting.reduced].scene
         scene = self._by_name[setting.mesh].scene
         return with_law(with_element(scene, setting.element), setting.law)
 
     def level(self, row: AccuracyRow) -> MeshLevel:
-        """The full model of a row, with its element."""
+        """The full model of a row, with its element.
+
+        Args:
+            row: A row of a study.
+        """
         level = self._by_name[row.mesh]
         return level.with_element(row.element)
 
@@ -572,7 +601,11 @@ def choose(
 
 
 def judged_by_forces(row: AccuracyRow) -> AccuracyRow:
-    """A row whose `error` is that at given forces, and the other way round."""
+    """A row whose `error` is that at given forces, and the other way round.
+
+    Args:
+        row: A row of a study.
+    """
     return replace(
         row, error_lengths=row.error_tensions, error_weightless=row.error_tensions,
         uncertainty_lengths=row.uncertainty_tensions, uncertainty_weightless=row.uncertainty_tensions,

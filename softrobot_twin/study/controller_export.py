@@ -201,7 +201,11 @@ class PointModes(NamedTuple):
         return self.nodes.mode_count
 
     def of(self, mapping: BarycentricMapping) -> tuple[np.ndarray, np.ndarray]:
-        """Positions at rest [m] and Φ of points, shape (n, 3) and (n, 3, mode_count)."""
+        """Positions at rest [m] and Φ of points, shape (n, 3) and (n, 3, mode_count).
+
+        Args:
+            mapping: The points.
+        """
         own = self.nodes.point_modes()[1]
         shapes = np.zeros((mapping.point_count, 3, self.count))
         for nodes, weights in zip(mapping.nodes.T, mapping.barycentric_weights.T, strict=True):

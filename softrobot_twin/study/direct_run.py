@@ -68,7 +68,11 @@ DEFAULT_RATE = 1.0 / DEFAULT_TIME_STEP
 
 
 def commands_of(table: CommandTable) -> Iterator[Command]:
-    """The commands of the rows of a commands file."""
+    """The commands of the rows of a commands file.
+
+    Args:
+        table: The rows of the file.
+    """
     return (table.command(float(time), DEFAULT_TIME_STEP) for time in table.times)
 
 

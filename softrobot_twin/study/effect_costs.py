@@ -268,6 +268,10 @@ def print_effects(scene: Path, given: Sequence[str] = ()) -> int:
 
 
 def told(row: EffectCost) -> list[str]:
-    """Its numbers in µs, %, mm and N; empty where one is not known."""
+    """Its numbers in µs, %, mm and N; empty where one is not known.
+
+    Args:
+        row: What an effect costs.
+    """
     scaled = (1e6 * row.cost, 100.0 * row.share, 1e3 * row.on_the_way, 1e3 * row.at_the_end, row.force)
     return ["" if value != value else f"{value:.3g}" for value in scaled]

@@ -372,7 +372,11 @@ def source_of(
 
 
 def robot_name(stem: str) -> str:
-    """A name for a robot from the name of its file."""
+    """A name for a robot from the name of its file.
+
+    Args:
+        stem: Name of the file, without its ending.
+    """
     word = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_")
     return word if re.match(r"[A-Za-z]", word) else f"robot_{word}".rstrip("_")
 

@@ -15,7 +15,11 @@ BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 
 
 def versions(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, str | None]:
-    """Versions of the libraries; None for one that is not installed as a package."""
+    """Versions of the libraries; None for one that is not installed as a package.
+
+    Args:
+        libraries: Names of distributions.
+    """
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in ("softrobot_twin", *libraries):
         found[name.removesuffix("-sdk")] = _version(name)
@@ -47,7 +51,11 @@ def _processor_name() -> str | None:
 
 
 def describe_machine(libraries: tuple[str, ...]) -> str:
-    """Machine and versions in one line, with the requested number of BLAS threads."""
+    """Machine and versions in one line, with the requested number of BLAS threads.
+
+    Args:
+        libraries: Names of distributions.
+    """
     here = machine()
     found = {name: number for name, number in versions(libraries).items() if number}
     found.pop("rclpy", None)

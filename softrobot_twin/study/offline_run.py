@@ -52,12 +52,21 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0,
 
 
 def commands_of(table: TargetTable) -> Iterator[Command]:
-    """The commands of the rows of a targets file."""
+    """The commands of the rows of a targets file.
+
+    Args:
+        table: The rows of the file.
+    """
     return map(table.command, range(len(table.times)))
 
 
 def columns_of(simulation: Simulation, table: TargetTable) -> RunColumns:
-    """The columns of a run over a targets file."""
+    """The columns of a run over a targets file.
+
+    Args:
+        simulation: The simulation.
+        table: The rows of the file.
+    """
     return RunColumns(simulation, table.command(0))
 
 
@@ -177,7 +186,11 @@ def run_and_report(
 
 
 def load_with_notes(scene: Path) -> Simulation:
-    """Builds the simulation of a scene file and prints its notes."""
+    """Builds the simulation of a scene file and prints its notes.
+
+    Args:
+        scene: The scene file.
+    """
     simulation = Simulation.from_scene_file(scene)
     for note in simulation.notes:
         warn(note)

@@ -52,6 +52,9 @@ def writing(path: Path | str, error_too: type[Exception] = OSError) -> Iterator[
 def make_folder(folder: Path) -> None:
     """Makes a folder for results.
 
+    Args:
+        folder: The folder; one that exists stays as it is.
+
     Raises:
         OutputError: It cannot be made.
     """
@@ -122,7 +125,11 @@ def csv_output(path: Path | str, header: Sequence[str]) -> Iterator[Callable[[It
 
 
 def cell(value: object) -> str:
-    """A value of a table of measurements: six digits, empty where it is unknown or not finite."""
+    """A value of a table of measurements: six digits, empty where it is unknown or not finite.
+
+    Args:
+        value: A number, a text, or None.
+    """
     if value is None or (isinstance(value, float) and not np.isfinite(value)):
         return ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

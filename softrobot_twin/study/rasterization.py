@@ -56,7 +56,12 @@ class Camera(NamedTuple):
 
 
 def camera_at(elevation: float, azimuth: float) -> Camera:
-    """The camera that looks at the scene from a direction [degrees]."""
+    """The camera that looks at the scene from a direction [degrees].
+
+    Args:
+        elevation: Angle above the horizon [degrees].
+        azimuth: Angle about z, from x to y [degrees].
+    """
     rise, turn = np.radians([elevation, azimuth])
     outward = np.array([np.cos(turn), np.sin(turn), 0.0])
     upward = np.array([0.0, 0.0, 1.0])

@@ -65,13 +65,21 @@ STUDY = TrainingOptions(energy=1.0e-5, tolerance=5.0e-3)
 
 
 def own_file(scene: Scene) -> Path | None:
-    """File of the reduced model that the scene itself names, if any."""
+    """File of the reduced model that the scene itself names, if any.
+
+    Args:
+        scene: The scene.
+    """
     reduced = None if scene.body is None else scene.body.reduced
     return None if reduced is None else scene.file_path(reduced.file)
 
 
 def beside(*folders: Path) -> list[Path]:
-    """Files of reduced models in folders."""
+    """Files of reduced models in folders.
+
+    Args:
+        *folders: The folders; one that does not exist has no files.
+    """
     return [path for folder in folders if folder.is_dir()
             for path in sorted(folder.glob(f"*{SUFFIX}"))]  # fmt: skip
 
@@ -144,7 +152,13 @@ def _model_of(path: Path, levels: Sequence[MeshLevel]) -> ReducedModel | None:
 
 
 def reduced_row(row: AccuracyRow, model: ReducedModel, added: Differences) -> AccuracyRow:
-    """What is known of a reduced model: the errors of its full one, and how far it is from it."""
+    """What is known of a reduced model: the errors of its full one, and how far it is from it.
+
+    Args:
+        row: The row of the full model.
+        model: The reduced model.
+        added: How far it is from the full one.
+    """
     return replace(
         row, **model.columns, dof_count=model.mode_count, error_lengths=row.error_lengths + added.moved,
         error_weightless=row.error_weightless + added.moved,
@@ -197,7 +211,13 @@ def trained_model(
 
 
 def write_training_scene(path: Path, original: Path, level: MeshLevel) -> None:
-    """Write the scene of the full model of a mesh, as a study has it."""
+    """Write the scene of the full model of a mesh, as a study has it.
+
+    Args:
+        path: The file that is written.
+        original: The scene file of the study.
+        level: The mesh, with its scene.
+    """
     body = level.scene.body
     setting = Setting(level.name, body.element, body.material.law, 1)
     remark = f"Made from {original.name} for the training of a reduced model"
@@ -219,6 +239,10 @@ def with_ranges(options: TrainingOptions, scene: Scene) -> TrainingOptions:
     """Options with the range of a study, in which errors of meshes are known too.
 
     Those that say themselves what is sampled stay as they are.
+
+    Args:
+        options: Options of a training.
+        scene: The scene.
     """
     if options.ranges or options.targets:
         return options

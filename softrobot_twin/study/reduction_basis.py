@@ -48,7 +48,11 @@ STALLED = 1.0e-4
 
 
 def blocks_of(body: Body) -> Iterator[tuple[CellBlock, tuple]]:
-    """The cells of a body of one kind and one material, and the parameters of their law."""
+    """The cells of a body of one kind and one material, and the parameters of their law.
+
+    Args:
+        body: The body.
+    """
     for part in body.materials:
         for block in body.mesh.strained_blocks(part.cells):
             yield block, part.law_parameters
@@ -122,7 +126,12 @@ def proper_modes(displacements: np.ndarray, K: csr_array, most: int) -> Modes:
 
 
 def mode_count_of(shares: np.ndarray, energy: float) -> int:
-    """Fewest modes, a multiple of three, beyond which there is at most a share of the energy."""
+    """Fewest modes, a multiple of three, beyond which there is at most a share of the energy.
+
+    Args:
+        shares: Share of the energy beyond the first 0, 1, 2... modes, shape (count + 1,).
+        energy: The share that may be left out.
+    """
     enough = int(np.argmax(shares <= energy)) if (shares <= energy).any() else len(shares) - 1
     return 3 * max(1, -(-enough // 3))
 
@@ -346,5 +355,10 @@ def sampled_points(
 
 
 def leading(modes: Modes, count: int) -> Modes:
-    """The first modes."""
+    """The first modes.
+
+    Args:
+        modes: The modes, the most important first.
+        count: How many.
+    """
     return Modes(modes.basis[:, :, :count], modes.stiffness[:count], modes.shares)

@@ -113,7 +113,11 @@ class TargetWay(NamedTuple):
     radius: float
 
     def at(self, shares: np.ndarray) -> np.ndarray:
-        """Targets at shares of its duration, (count,) [m], shape (count, effector_count, 3)."""
+        """Targets at shares of its duration, (count,) [m], shape (count, effector_count, 3).
+
+        Args:
+            shares: Shares of the duration, 0 to 1, shape (count,).
+        """
         times = self.times[0] + shares * (self.times[-1] - self.times[0])
         found = between_rows(times, self.times, self.targets.reshape(len(self.times), -1))
         return found.reshape(len(shares), *self.targets.shape[1:])
@@ -141,6 +145,9 @@ class Columns(NamedTuple):
         """Setpoints, targets (effector_count, 3), forces (load_count, 3) and gravity (3,).
 
         They are views; several samples have their axis first.
+
+        Args:
+            sample: A sample, shape (width,), or several, shape (..., width).
         """
         ends = np.cumsum([self.actuator_count, 3 * self.effector_count, 3 * self.load_count])
         setpoints, targets, forces, gravity = np.split(sample, ends, axis=-1)
@@ -149,7 +156,11 @@ class Columns(NamedTuple):
 
 
 def columns_of(simulation: Simulation) -> Columns:
-    """Columns of the samples of a training scene."""
+    """Columns of the samples of a training scene.
+
+    Args:
+        simulation: The simulation of a training scene.
+    """
     return Columns(
         len(simulation.actuator_names), len(simulation.effector_names), len(simulation.touch_names)
     )
@@ -181,6 +192,10 @@ def spread_points(body: Body, count: int) -> np.ndarray:
     """Points of a body's surface far from each other, none of them fixed [m], shape (count, 3).
 
     Each is the one furthest from those before it; the first is furthest from the fixed nodes.
+
+    Args:
+        body: The body.
+        count: Number of points; fewer are given where the surface has fewer free nodes.
     """
     nodes = np.unique(body.mesh.surface_triangles)
     places = body.mesh.node_positions
@@ -339,7 +354,11 @@ def chains(samples: np.ndarray, scales: np.ndarray, length: int = CHAIN_LENGTH) 
 
 
 def spread_of(samples: np.ndarray) -> np.ndarray:
-    """Width of each column; one where all values are the same, shape (width,)."""
+    """Width of each column; one where all values are the same, shape (width,).
+
+    Args:
+        samples: The samples, shape (count, width); NaN where a value is not given.
+    """
     wide = np.ptp(np.nan_to_num(samples[1:] if len(samples) > 1 else samples), axis=0)
     return np.where(wide > 0.0, wide, 1.0)
 
@@ -377,11 +396,19 @@ class States(NamedTuple):
         return States(*(field[self.is_found] for field in self))
 
     def has_missed(self, size: float) -> np.ndarray:
-        """Which states are further from their targets than `CLOSE` of a robot's size [m]."""
+        """Which states are further from their targets than `CLOSE` of a robot's size [m].
+
+        Args:
+            size: Size of the robot [m].
+        """
         return self.missed > CLOSE * size
 
     def held(self, columns: Columns) -> np.ndarray:
-        """Samples that hold the actuators where they are in these states, without targets."""
+        """Samples that hold the actuators where they are in these states, without targets.
+
+        Args:
+            columns: Columns of the samples.
+        """
         samples = self.samples.copy()
         setpoints, targets, _, _ = columns.split(samples)
         setpoints[:], targets[:] = self.setpoints, np.nan
@@ -389,7 +416,11 @@ class States(NamedTuple):
 
 
 def joined(parts: Sequence[States]) -> States:
-    """States of several chains, one after the other."""
+    """States of several chains, one after the other.
+
+    Args:
+        parts: States of each chain.
+    """
     return States(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 
@@ -649,14 +680,23 @@ class StateStore:
         return self.path / f"{hashlib.sha256(chain.tobytes()).hexdigest()[:24]}.npz"
 
     def find(self, chain: np.ndarray) -> States | None:
-        """The states of a chain; None where they are not there, or cannot be read."""
+        """The states of a chain; None where they are not there, or cannot be read.
+
+        Args:
+            chain: Samples of the chain, shape (count, width).
+        """
         try:
             return _saved_states(ModelFile(self._file(chain)), chain)
         except ModelFileError:
             return None
 
     def add(self, chain: np.ndarray, states: States) -> None:
-        """Save the states of a chain; its file is there whole or not at all."""
+        """Save the states of a chain; its file is there whole or not at all.
+
+        Args:
+            chain: Samples of the chain, shape (count, width).
+            states: Their states.
+        """
         with output_file(self._file(chain)) as partial, open(partial, "wb") as stream:
             np.savez(stream, **states._asdict())
 
@@ -727,6 +767,10 @@ def find_states(
 
 def refuse_unreducible(scene: Scene, body: Body) -> None:
     """Refuse a body that cannot be reduced.
+
+    Args:
+        scene: The scene.
+        body: The body.
 
     Raises:
         SceneError: It names why.

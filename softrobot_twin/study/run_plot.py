@@ -60,6 +60,9 @@ class Series(NamedTuple):
 def read_series(path: Path) -> Series:
     """Reads what a run wrote, or the table of targets or commands of one.
 
+    Args:
+        path: The CSV file.
+
     Raises:
         TableFileError: The file cannot be read, or is not of this kind.
     """

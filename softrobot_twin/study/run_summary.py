@@ -68,7 +68,11 @@ class RunSummary:
         self.sampled_range, self.failed = 0.0, 0
 
     def add(self, row: RunRow) -> None:
-        """Adds one row."""
+        """Adds one row.
+
+        Args:
+            row: The row.
+        """
         report = row.result.report
         for source, names in ((row, _OF_ROW), (row.result, _OF_RESULT), (report, _OF_REPORT)):
             for name in names:

@@ -61,7 +61,11 @@ class RunError(NamedError):
 
 
 def scene_fingerprint(scene: Scene) -> str:
-    """Hash of a scene and of the content of all files that it names."""
+    """Hash of a scene and of the content of all files that it names.
+
+    Args:
+        scene: The scene.
+    """
     entries = "\n".join(f"{key}: {value!r}" for key, _, value in values_below(scene)
                         if not isinstance(value, Path))  # fmt: skip
     found = hashlib.sha256(entries.encode())
@@ -73,6 +77,10 @@ def scene_fingerprint(scene: Scene) -> str:
 
 def check_fingerprint(scene: Scene, content: str) -> None:
     """Refuses a scene that is not that of a run.
+
+    Args:
+        scene: The scene.
+        content: Its fingerprint when the run began.
 
     Raises:
         RunError: Its fingerprint is another one.

@@ -163,7 +163,12 @@ def _actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int]
 
 
 def tables(simulation: Simulation, found: ApparentCompliance) -> list[Table]:
-    """Tables of principal stiffnesses, of compliances, and of the Jacobian of each effector."""
+    """Tables of principal stiffnesses, of compliances, and of the Jacobian of each effector.
+
+    Args:
+        simulation: The simulation, at the state that was asked about.
+        found: Its compliances there.
+    """
     names = simulation.effector_names
     principal = table(
         "Stiffness of the effectors, the softest direction first", "effector", "stiffness [N/m]",

@@ -46,13 +46,21 @@ MARGIN, LEAST_RANGE = 1.25, 0.15
 
 
 def axial(matrix: np.ndarray) -> np.ndarray:
-    """Axial vector of the antisymmetric part of a matrix."""
+    """Axial vector of the antisymmetric part of a matrix.
+
+    Args:
+        matrix: The matrix, shape (3, 3).
+    """
     half = 0.5 * (matrix - matrix.T)
     return np.array([half[2, 1], half[0, 2], half[1, 0]])
 
 
 def rotation_of(bend: np.ndarray) -> np.ndarray:
-    """Rotation whose antisymmetric part has the axial vector ω, below 90°."""
+    """Rotation whose antisymmetric part has the axial vector ω, below 90°.
+
+    Args:
+        bend: ω, the sine of the angle along the axis, shape (3,).
+    """
     sine = float(np.linalg.norm(bend))
     angle = np.arcsin(min(sine, 1.0))
     return Rotation.from_rotvec(angle / sine * bend if sine else bend).as_matrix()
@@ -289,11 +297,19 @@ class SampledRange(NamedTuple):
     scaling: np.ndarray
 
     def scaled(self, variables: np.ndarray) -> np.ndarray:
-        """z of deformations and pressures, shape (count, n)."""
+        """z of deformations and pressures, shape (count, n).
+
+        Args:
+            variables: Deformations and pressures, shape (count, n) or (n,).
+        """
         return (np.atleast_2d(variables) - self.middle) @ self.scaling.T
 
     def variables(self, z: np.ndarray) -> np.ndarray:
-        """Deformations and pressures of z, shape (count, n)."""
+        """Deformations and pressures of z, shape (count, n).
+
+        Args:
+            z: Scaled ones, shape (count, n) or (n,).
+        """
         return np.linalg.solve(self.scaling, np.atleast_2d(z).T).T + self.middle
 
 
@@ -329,7 +345,12 @@ def range_of(
 
 
 def sample_count(variable_count: int, degree: int) -> int:
-    """Number of samples, apart from those on the way to them."""
+    """Number of samples, apart from those on the way to them.
+
+    Args:
+        variable_count: Number of deformations and pressures.
+        degree: Degree of the polynomial of the energy.
+    """
     coefficients = Monomials(variable_count, degree).count
     return int(np.ceil(OVERSAMPLING * coefficients / (1 + variable_count)))
 

@@ -26,6 +26,9 @@ def console(stream: TextIO | None = None) -> Console:
     """A console on a stream (standard output by default), without colours when piped.
 
     What is in brackets, such as a unit, is text and no markup.
+
+    Args:
+        stream: Where it writes; None for standard output.
     """
     stream = stream or sys.stdout
     width = None if stream.isatty() else _PIPED_WIDTH
@@ -35,7 +38,14 @@ def console(stream: TextIO | None = None) -> Console:
 def table(
     title: str, *columns: str, rows: Iterable[Iterable[str]] = (), piped: bool | None = None
 ) -> Table:  # fmt: skip
-    """A table: with a frame on a terminal, plain columns through a pipe."""
+    """A table: with a frame on a terminal, plain columns through a pipe.
+
+    Args:
+        title: The title above.
+        *columns: Titles of the columns.
+        rows: Cells of each row.
+        piped: Whether it is shown as through a pipe; None to see.
+    """
     plain = not sys.stdout.isatty() if piped is None else piped
     made = Table(title=title, title_justify="left", title_style="" if plain else "bold",
                  box=None if plain else box.ROUNDED, pad_edge=not plain,
@@ -48,7 +58,11 @@ def table(
 
 
 def print_apart(*shown: Table | str | None) -> None:
-    """Prints tables and texts with an empty line behind each; None is left out."""
+    """Prints tables and texts with an empty line behind each; None is left out.
+
+    Args:
+        *shown: Tables and texts in order.
+    """
     for one in shown:
         if one is not None:
             console().print(one)
@@ -56,7 +70,11 @@ def print_apart(*shown: Table | str | None) -> None:
 
 
 def by_key(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
-    """Values by their keys, in order: what is alike shares a row."""
+    """Values by their keys, in order: what is alike shares a row.
+
+    Args:
+        pairs: Keys and values.
+    """
     found: dict[Key, list[Value]] = {}
     for key, value in pairs:
         found.setdefault(key, []).append(value)
@@ -68,7 +86,13 @@ _KEYS = 24
 
 
 def listing(title: str, rows, piped: bool | None = None) -> Table:
-    """Rows of a name and a text without a frame; on a terminal long texts go on below themselves."""
+    """Rows of a name and a text without a frame; on a terminal long texts go on below themselves.
+
+    Args:
+        title: The title above.
+        rows: Name and text of each row.
+        piped: Whether it is shown as through a pipe; None to see.
+    """
     plain = not sys.stdout.isatty() if piped is None else piped
     made = Table(title=title, title_justify="left", title_style="" if plain else "bold",
                  box=None, show_header=False, padding=(0, 0, 0, 2), min_width=len(title) + 2)
@@ -171,7 +195,11 @@ class PipedProgress:
 
 
 def terminal_status(text: str) -> AbstractContextManager:
-    """Shows an activity on standard error while it lasts; through a pipe a line if it is long."""
+    """Shows an activity on standard error while it lasts; through a pipe a line if it is long.
+
+    Args:
+        text: What is done.
+    """
     if sys.stderr.isatty():
         return Console(stderr=True).status(text)
     return _piped_status(text, sys.stderr)
@@ -190,7 +218,11 @@ def _piped_status(text: str, stream: TextIO) -> Iterator[None]:
 
 
 def approximate_duration(seconds: float) -> str:
-    """A duration as rounded text."""
+    """A duration as rounded text.
+
+    Args:
+        seconds: The duration [s].
+    """
     if seconds < 90.0:
         return f"about {max(5, 5 * round(seconds / 5.0))} s"
     if seconds < 5400.0:
@@ -233,7 +265,11 @@ class FirstSteps:
         self._done, self._begin, self._is_told = 0, time.monotonic(), False
 
     def add(self, count: int = 1) -> None:
-        """Counts steps that are done."""
+        """Counts steps that are done.
+
+        Args:
+            count: How many.
+        """
         self._done += count
         if self._is_told or self._done < self._LEAST_STEPS:
             return
@@ -269,17 +305,29 @@ def tracked(
 
 
 def print_to_stderr(text: str) -> None:
-    """Prints a line on standard error, also when it is no terminal."""
+    """Prints a line on standard error, also when it is no terminal.
+
+    Args:
+        text: The line.
+    """
     print(text, file=sys.stderr, flush=True)
 
 
 def report_activity(text: str) -> None:
-    """Prints the present activity on standard error."""
+    """Prints the present activity on standard error.
+
+    Args:
+        text: What is done.
+    """
     print_to_stderr(f"{text} …")
 
 
 def warn(text: str) -> None:
-    """One line of warning on standard error."""
+    """One line of warning on standard error.
+
+    Args:
+        text: What is wrong.
+    """
     print(f"warning: {text}", file=sys.stderr)
 
 

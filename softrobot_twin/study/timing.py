@@ -29,7 +29,11 @@ class Spread(NamedTuple):
 
 
 def spread(values: ArrayLike) -> Spread:
-    """Median, 99th percentile and maximum over the finite values; NaN when there is none."""
+    """Median, 99th percentile and maximum over the finite values; NaN when there is none.
+
+    Args:
+        values: Numbers, some of them perhaps not finite, of any shape.
+    """
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]
     if not finite.size:
@@ -171,7 +175,11 @@ class RobustTiming:
         self._rounds.setdefault(key, []).append(made)
 
     def spread(self, key: object) -> Spread:
-        """Median and 99th percentile of a step of a setting when nothing else runs [s]."""
+        """Median and 99th percentile of a step of a setting when nothing else runs [s].
+
+        Args:
+            key: The setting, as it was measured.
+        """
         rounds = np.array(self._rounds[key])
         shares = min(self._references) / rounds[:, :1]
         median, p99 = np.median(rounds[:, 1:] * shares, axis=0)

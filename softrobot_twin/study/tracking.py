@@ -34,7 +34,11 @@ class TimedValues(NamedTuple):
     values: np.ndarray
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Values at other times, interpolated linearly; NaN outside, shape (n, width)."""
+        """Values at other times, interpolated linearly; NaN outside, shape (n, width).
+
+        Args:
+            times: The other times [s], shape (n,).
+        """
         if not len(self.times):
             return np.full((len(times), self.values.shape[1]), np.nan)
         return between_rows(times, self.times, self.values, np.nan)
@@ -79,6 +83,10 @@ def distances(reference: TimedValues, measured: TimedValues) -> TimedValues:
     """Distance of measurements from a reference at the same time [m], width 1.
 
     Samples at times without a reference are left out.
+
+    Args:
+        reference: Where it should be [m], width 3.
+        measured: Where it was [m], width 3.
     """
     apart = np.linalg.norm(measured.values - reference.at(measured.times), axis=1)
     known = np.isfinite(apart)
@@ -86,7 +94,12 @@ def distances(reference: TimedValues, measured: TimedValues) -> TimedValues:
 
 
 def save_records(path: Path, records: dict[str, TrackingRecord]) -> None:
-    """Writes all samples into one compressed numpy file, fields named ``<run>.<quantity>``."""
+    """Writes all samples into one compressed numpy file, fields named ``<run>.<quantity>``.
+
+    Args:
+        path: The file.
+        records: Record of each run, by its name.
+    """
     fields: dict[str, np.ndarray] = {}
     for run, record in records.items():
         for words in ("actuator_names", "setpoint_units", "effort_units"):
@@ -111,6 +124,10 @@ silicone and measurement differ from ours, so they are reported but not compared
 
 def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int]:
     """Errors of one run [mm]: the device against its reference, and the twin against the device.
+
+    Args:
+        name: Name of the run, for the error.
+        record: Its record.
 
     Raises:
         RecordError: The device has no sample at a time with a reference.
@@ -158,6 +175,10 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], figures_of_twin
 def write_report(path: Path, report: dict) -> None:
     """Writes a report as JSON.
 
+    Args:
+        path: The file.
+        report: Names and values, without NaN.
+
     Raises:
         OutputError: The file cannot be written.
     """
@@ -191,7 +212,12 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
 
 
 def draw_panels(figure, runs: dict[str, TrackingRecord]) -> None:
-    """Draws the panels of `draw_tracking` on a figure."""
+    """Draws the panels of `draw_tracking` on a figure.
+
+    Args:
+        figure: A matplotlib figure.
+        runs: Record of each run, by its name.
+    """
     grid = figure.add_gridspec(3, 2, height_ratios=(1.25, 0.8, 0.9))
     _draw_path_from_above(figure.add_subplot(grid[0, 0]), runs)
     _draw_path_from_the_side(figure.add_subplot(grid[0, 1]), runs)

@@ -40,7 +40,11 @@ class TargetBox(NamedTuple):
     high: tuple[float, float, float]
 
     def widened(self, share: float) -> TargetBox:
-        """The box, wider at each side by a share of its width."""
+        """The box, wider at each side by a share of its width.
+
+        Args:
+            share: Share of the width.
+        """
         wider = [share * (high - low) for low, high in zip(self.low, self.high)]
         low = tuple(end - more for end, more in zip(self.low, wider))
         high = tuple(end + more for end, more in zip(self.high, wider))

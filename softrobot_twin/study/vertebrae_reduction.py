@@ -110,7 +110,12 @@ def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarra
 
 
 def brought_to(simulation: Simulation, setpoints: np.ndarray) -> bool:
-    """Bring a simulation from rest to setpoints; False where it does not converge."""
+    """Bring a simulation from rest to setpoints; False where it does not converge.
+
+    Args:
+        simulation: The simulation; is moved.
+        setpoints: Setpoints of the actuators, in their units, shape (actuator_count,).
+    """
     simulation.reset()
     rest = simulation.rest_setpoints
     for share in np.linspace(1.0 / WAY, 1.0, WAY):
@@ -148,7 +153,11 @@ def occurring_deformations(division: Division, positions: np.ndarray) -> np.ndar
 
 
 def divisions(scene: Scene) -> list[Division]:
-    """The bodies of a scene that have vertebrae, divided."""
+    """The bodies of a scene that have vertebrae, divided.
+
+    Args:
+        scene: The scene.
+    """
     layout = lay_out(without_vertebrae(scene), [])
     whole = [
         replace(body, entry=entry, first_node=0)

@@ -320,7 +320,12 @@ class UnfinishedFile:
         return sum(len(line) + 1 for line in lines[:-1])
 
     def add(self, index: int, cells: Sequence) -> None:
-        """Write a row."""
+        """Write a row.
+
+        Args:
+            index: Number of the sample.
+            cells: The other cells of its row.
+        """
         row = [str(index), *(repr(cell) if isinstance(cell, float) else str(cell)
                              for cell in cells)]  # fmt: skip
         self.rows[index] = row
@@ -336,7 +341,11 @@ class UnfinishedFile:
         self._stream.close()
 
     def finish(self, output: Path) -> None:
-        """Write the rows in their order to the file of the run, and remove this one."""
+        """Write the rows in their order to the file of the run, and remove this one.
+
+        Args:
+            output: The file of the run.
+        """
         self.close()
         with csv_output(output, self.header) as write:
             for index in sorted(self.rows):
@@ -368,7 +377,13 @@ class Cloud(NamedTuple):
 def clouds(
     names: Sequence[str], header: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> list[Cloud]:
-    """The places of each effector, from rows of the file; lost samples are left out."""
+    """The places of each effector, from rows of the file; lost samples are left out.
+
+    Args:
+        names: Names of the effectors.
+        header: Titles of the columns.
+        rows: Cells of each row.
+    """
     kept = [row for row in rows if row[-1] != LOST]
     status = np.array([row[-1] for row in kept])
     made = []
@@ -385,7 +400,11 @@ def clouds(
 
 
 def views_of(points: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The two coordinate planes on which points cover the most: axes to the right and up."""
+    """The two coordinate planes on which points cover the most: axes to the right and up.
+
+    Args:
+        points: The points [m], shape (count, 3).
+    """
     planes = ((0, 2), (1, 2), (0, 1))
     spread = np.ptp(points, axis=0) if len(points) else np.zeros(3)
     order = sorted(planes, key=lambda plane: -spread[plane[0]] * spread[plane[1]])

@@ -47,7 +47,11 @@ class Shape:
         return np.array([distance for distance, _ in found]), normals @ axes.T
 
     def distances(self, points: np.ndarray) -> np.ndarray:
-        """Computes the distances of points from the solid, zero inside [m]; points (count, 3)."""
+        """Computes the distances of points from the solid, zero inside [m]; points (count, 3).
+
+        Args:
+            points: Places in the frame of the shape [m], shape (count, 3).
+        """
         return np.maximum(self.signed_distances(points)[0], 0.0)
 
     def surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +124,13 @@ class AxialShape(Shape):
 
 
 def positive(key: str, value: float, infinite: bool = False) -> float:
-    """Checks that a length is > 0, and finite unless allowed; raises a `SceneError` if not."""
+    """Checks that a length is > 0, and finite unless allowed; raises a `SceneError` if not.
+
+    Args:
+        key: Name of the length in the scene, for the error.
+        value: The length [m].
+        infinite: Whether it may be infinite.
+    """
     number = float(value)
     if not number > 0.0 or (np.isinf(number) and not infinite):
         raise SceneError(None, key, value, "m", "must be a finite length > 0")
@@ -128,7 +138,14 @@ def positive(key: str, value: float, infinite: bool = False) -> float:
 
 
 def vectors(key: str, value: np.ndarray, shape: tuple[int, ...], unit: str = "m") -> np.ndarray:
-    """Makes a read-only array of finite numbers of a shape; raises a `SceneError` if it cannot."""
+    """Makes a read-only array of finite numbers of a shape; raises a `SceneError` if it cannot.
+
+    Args:
+        key: Name of the array in the scene, for the error.
+        value: The numbers.
+        shape: The shape that they must have.
+        unit: Their unit, for the error.
+    """
     array = np.array(value, dtype=float)
     if array.shape != shape or not np.isfinite(array).all():
         raise SceneError(None, key, value, unit, f"must be finite numbers of shape {shape}")
@@ -137,7 +154,11 @@ def vectors(key: str, value: np.ndarray, shape: tuple[int, ...], unit: str = "m"
 
 
 def axes_along(direction: np.ndarray) -> np.ndarray:
-    """Right-handed orthonormal axes as columns, the third along a direction, shape (3, 3)."""
+    """Right-handed orthonormal axes as columns, the third along a direction, shape (3, 3).
+
+    Args:
+        direction: The direction, not zero, of any length, shape (3,).
+    """
     third = direction / np.linalg.norm(direction)
     across = np.eye(3)[np.abs(third).argmin()]
     first = across - third * (across @ third)
@@ -150,7 +171,12 @@ FEWEST_SIDES = 8
 
 
 def side_count(radius: float, resolution: float) -> int:
-    """Even number of sides of a ring for a resolution [m]."""
+    """Even number of sides of a ring for a resolution [m].
+
+    Args:
+        radius: Radius of the ring [m].
+        resolution: Wanted length of a side [m].
+    """
     return max(FEWEST_SIDES, 2 * int(np.ceil(np.pi * radius / resolution)))
 
 

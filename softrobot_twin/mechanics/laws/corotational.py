@@ -52,7 +52,11 @@ class Corotational(NamedTuple):
         return self.lame_lambda + 2.0 * self.shear_modulus / 3.0
 
     def with_bulk_modulus(self, bulk_modulus: float) -> Corotational:
-        """The law of the same shear modulus and another κ [Pa]; see `patch_volumes.py`."""
+        """The law of the same shear modulus and another κ [Pa]; see `patch_volumes.py`.
+
+        Args:
+            bulk_modulus: κ [Pa].
+        """
         return self._replace(lame_lambda=bulk_modulus - 2.0 * self.shear_modulus / 3.0)
 
 

@@ -96,12 +96,21 @@ def differential(law, linearized, dF):
 
 
 def shear_modulus_of(constants: Mapping[str, float]) -> float:
-    """µ at rest [Pa]."""
+    """µ at rest [Pa].
+
+    Args:
+        constants: c10 and c01 [Pa], by name.
+    """
     return 2.0 * (constants["c10"] + constants["c01"])
 
 
 def of_constants(constants: Mapping[str, float], bulk_modulus: float) -> MooneyRivlin:
-    """Parameters of c10, c01 [Pa] and κ [Pa]."""
+    """Parameters of c10, c01 [Pa] and κ [Pa].
+
+    Args:
+        constants: c10 and c01 [Pa], by name.
+        bulk_modulus: κ [Pa].
+    """
     return MooneyRivlin(constants["c10"], constants["c01"], bulk_modulus)
 
 

@@ -238,6 +238,9 @@ def differential(law, linearized, dF):
 def shear_modulus_of(constants: Mapping[str, tuple[float, ...]]) -> float:
     """µ at rest [Pa].
 
+    Args:
+        constants: ``shear_moduli`` [Pa] and ``exponents``, by name, as many of one as of the other.
+
     Raises:
         ValueError: There are not as many exponents as moduli, or one is zero.
     """
@@ -250,7 +253,12 @@ def shear_modulus_of(constants: Mapping[str, tuple[float, ...]]) -> float:
 
 
 def of_constants(constants: Mapping[str, tuple[float, ...]], bulk_modulus: float) -> Ogden:
-    """Parameters of shear_moduli [Pa], exponents and κ [Pa]."""
+    """Parameters of shear_moduli [Pa], exponents and κ [Pa].
+
+    Args:
+        constants: ``shear_moduli`` [Pa] and ``exponents``, by name, as many of one as of the other.
+        bulk_modulus: κ [Pa].
+    """
     moduli, exponents = constants["shear_moduli"], constants["exponents"]
     return Ogden(tuple(map(float, moduli)), tuple(map(float, exponents)), bulk_modulus)
 

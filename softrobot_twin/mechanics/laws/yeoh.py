@@ -78,12 +78,21 @@ def differential(law, linearized, dF):
 
 
 def shear_modulus_of(constants: Mapping[str, float]) -> float:
-    """µ at rest [Pa]."""
+    """µ at rest [Pa].
+
+    Args:
+        constants: c1, c2 and c3 [Pa], by name.
+    """
     return 2.0 * constants["c1"]
 
 
 def of_constants(constants: Mapping[str, float], bulk_modulus: float) -> Yeoh:
-    """Parameters of c1, c2, c3 [Pa] and κ [Pa]."""
+    """Parameters of c1, c2, c3 [Pa] and κ [Pa].
+
+    Args:
+        constants: c1, c2 and c3 [Pa], by name.
+        bulk_modulus: κ [Pa].
+    """
     return Yeoh(constants["c1"], constants["c2"], constants["c3"], bulk_modulus)
 
 

@@ -181,7 +181,11 @@ class BeamBody:
         return shares
 
     def node_at(self, at: str | int) -> int:
-        """The node at ``start``, ``end``, or at a point of the entry."""
+        """The node at ``start``, ``end``, or at a point of the entry.
+
+        Args:
+            at: ``start``, ``end``, or the number of a point of the entry.
+        """
         if at == "start":
             return 0
         return int(self.point_nodes[-1 if at == "end" else at])
@@ -272,6 +276,9 @@ class BeamBody:
         """Distances of points at rest from it, zero inside [m]; points (count, 3).
 
         It counts as a round bar that contains its cross-section.
+
+        Args:
+            points: Places in the world [m], shape (count, 3).
         """
         points = np.asarray(points, float).reshape(-1, 3)
         return np.maximum(self.nearest(points)[2] - self.section.radius, 0.0)
@@ -347,7 +354,12 @@ def all_elements(
 
 
 def build_section(entry: CrossSection, poisson_ratio: float) -> BeamSection:
-    """Constants of the cross-section that an entry describes."""
+    """Constants of the cross-section that an entry describes.
+
+    Args:
+        entry: The entry.
+        poisson_ratio: ν of the material [-].
+    """
     if entry.rectangle is not None:
         return rectangle(entry.rectangle.thickness, entry.rectangle.width, poisson_ratio)
     if entry.circle is not None:

@@ -51,7 +51,13 @@ def joined_walls(
     walls: Sequence[CavitySurface], name: str,
     join: Callable = partial(reduce, BarycentricMapping.followed_by),
 ) -> CavitySurface:
-    """Several walls as the surface of one cavity, their vertices joined by a function."""
+    """Several walls as the surface of one cavity, their vertices joined by a function.
+
+    Args:
+        walls: The walls.
+        name: Name of the cavity.
+        join: Makes one mapping of the vertices of all walls, in their order.
+    """
     vertices = join(wall.vertices for wall in walls)
     starts = np.cumsum([0, *(wall.vertices.point_count for wall in walls[:-1])])
     triangles = [wall.triangles + start for wall, start in zip(walls, starts, strict=True)]

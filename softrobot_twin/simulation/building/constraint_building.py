@@ -123,6 +123,10 @@ def _frame_of(layout: Layout, points: BarycentricMapping) -> int | None:
 def marker_mapping(layout: Layout, notes: list[str]):
     """The markers of a scene.
 
+    Args:
+        layout: The scene with its bodies placed.
+        notes: List to which warnings are appended.
+
     Returns:
         Their mapping, their ids, and for each effector the indices of the markers that measure it.
     """

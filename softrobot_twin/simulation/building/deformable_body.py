@@ -381,7 +381,11 @@ class Body:
         return int(np.count_nonzero(~self.fixed))
 
     def distances(self, points) -> np.ndarray:
-        """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
+        """Distances of points at rest from it, zero inside [m]; points (count, 3).
+
+        Args:
+            points: Places in the world [m], shape (count, 3).
+        """
         return locate_points(self.mesh.corner_mesh, np.asarray(points, float)).distances
 
     @cached_property
@@ -412,11 +416,20 @@ class Body:
         return self.carried_by(self.on_mesh(cells, barycentric_weights))
 
     def on_mesh(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
-        """The same on the nodes of its mesh, numbered from 0."""
+        """The same on the nodes of its mesh, numbered from 0.
+
+        Args:
+            cells: Cell of each point, shape (count,).
+            barycentric_weights: Weights of its corners, shape (count, corner_count).
+        """
         return BarycentricMapping(*self.mesh.carriers(cells, barycentric_weights))
 
     def carried_by(self, on_mesh: BarycentricMapping) -> BarycentricMapping:
-        """Points on the nodes of its mesh, numbered from 0, on the nodes of the scene."""
+        """Points on the nodes of its mesh, numbered from 0, on the nodes of the scene.
+
+        Args:
+            on_mesh: The points on the nodes of its mesh.
+        """
         for carrier in (self.vertebrae, self.reduction):
             if carrier is not None:
                 return carrier.carried_by(on_mesh)
@@ -447,7 +460,11 @@ class Body:
 
 
 def single_nodes(nodes: np.ndarray) -> BarycentricMapping:
-    """Nodes of a mesh as points, numbered from 0."""
+    """Nodes of a mesh as points, numbered from 0.
+
+    Args:
+        nodes: Numbers of the nodes, shape (count,).
+    """
     nodes = np.asarray(nodes, np.int64)
     return BarycentricMapping(nodes[:, None], np.ones((len(nodes), 1)))
 
@@ -604,13 +621,23 @@ def part_named(body: Body, kind: str, name: str, key: str, scene: Scene) -> np.n
 
 
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
-    """Points given in mesh coordinates, in world coordinates [m], shape (count, 3)."""
+    """Points given in mesh coordinates, in world coordinates [m], shape (count, 3).
+
+    Args:
+        entry: The body's entry; its mesh is turned and moved.
+        points: Places in mesh coordinates [m], shape (count, 3).
+    """
     turn = Rotation.from_euler("xyz", entry.mesh.rotation)
     return turn.apply(np.asarray(points, float).reshape(-1, 3)) + entry.mesh.translation
 
 
 def in_mesh(entry: BodyEntry, points) -> np.ndarray:
-    """Points given in world coordinates, in those of the mesh [m], shape (count, 3)."""
+    """Points given in world coordinates, in those of the mesh [m], shape (count, 3).
+
+    Args:
+        entry: The body's entry; its mesh is turned and moved.
+        points: Places in the world [m], shape (count, 3).
+    """
     turn = Rotation.from_euler("xyz", entry.mesh.rotation)
     return turn.inv().apply(np.asarray(points, float).reshape(-1, 3) - entry.mesh.translation)
 
@@ -669,14 +696,22 @@ def _size(positions: np.ndarray) -> float:
 
 
 def size_hint(size: float) -> str:
-    """A hint at the unit for a mesh larger than a soft robot [m]; empty for others."""
+    """A hint at the unit for a mesh larger than a soft robot [m]; empty for others.
+
+    Args:
+        size: Size of the mesh [m].
+    """
     if size <= LARGEST_SIZE:
         return ""
     return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
 
 
 def holds_still(points: np.ndarray) -> bool:
-    """True where points [m], shape (count, 3), are three or more that are not on one line."""
+    """True where points [m], shape (count, 3), are three or more that are not on one line.
+
+    Args:
+        points: The points [m], shape (count, 3).
+    """
     if len(points) < 3:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

@@ -197,7 +197,11 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
 
 
 def with_nodes(layout: Layout) -> list[Body]:
-    """The deformable bodies whose nodes are unknowns; others are reduced to vertebrae."""
+    """The deformable bodies whose nodes are unknowns; others are reduced to vertebrae.
+
+    Args:
+        layout: The scene with its bodies placed.
+    """
     return [body for body in layout.bodies if body.vertebrae is None]
 
 

@@ -65,7 +65,11 @@ class Guides:
         self._targets = {name: (p.origin, p.rotation) for name, p in self._parts.items()}
 
     def stay(self, positions: np.ndarray) -> None:
-        """Set the targets to the poses at a state: node positions [m], shape (node_count, 3)."""
+        """Set the targets to the poses at a state: node positions [m], shape (node_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         self._targets = {
             name: self._frames.pose(positions, part.index) for name, part in self._parts.items()
         }
@@ -191,7 +195,12 @@ class Guides:
         ])  # fmt: skip
 
     def pose(self, name: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] and quaternion (x, y, z, w) of a guided body."""
+        """Position [m] and quaternion (x, y, z, w) of a guided body.
+
+        Args:
+            name: Name of the body.
+            positions: Node positions [m], shape (node_count, 3).
+        """
         origin, rotation = self._frames.pose(positions, self._parts[name].index)
         return origin, quaternion_from_rotation(rotation)
 

@@ -46,7 +46,11 @@ def pulley_of_cable(scene: Scene) -> dict[str, Pulley]:
 
 
 def shortenings_of_angles(pulley: Pulley) -> np.ndarray:
-    """Shortenings at the least and the greatest angle, in ascending order [m], shape (2,)."""
+    """Shortenings at the least and the greatest angle, in ascending order [m], shape (2,).
+
+    Args:
+        pulley: The pulley, with its radius and limits of its angle.
+    """
     return np.sort(np.array(pulley.angle) * pulley.wound)
 
 
@@ -312,7 +316,12 @@ class ActuatorLimits:
         return np.where(self.is_effort_driven, self.effort_scale, self.displacement_scale)
 
     def travel(self, otherwise: np.ndarray | float) -> np.ndarray:
-        """Range of what each setpoint holds, another number where it has none, same shape."""
+        """Range of what each setpoint holds, another number where it has none, same shape.
+
+        Args:
+            otherwise: The number of each actuator without a range, in its unit, shape
+                (actuator_count,) or one for all.
+        """
         travel = self.drive_max - self.drive_min
         return np.where(np.isfinite(travel) & (travel > 0.0), travel, otherwise)
 
@@ -429,7 +438,11 @@ class ActuatorLimits:
         return np.minimum(np.maximum(drives, least), most)
 
     def drive_bounds(self, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds on what the setpoints hold: displacements, or efforts of what is effort-driven."""
+        """Bounds on what the setpoints hold: displacements, or efforts of what is effort-driven.
+
+        Args:
+            bounds: Bounds of a step.
+        """
         by_effort = self.is_effort_driven
         if self.are_all_effort_driven:
             return bounds.effort_min, bounds.effort_max

@@ -77,7 +77,11 @@ class ModelFileError(SoftRobotTwinError):
 
 
 def saved_prints(prints: Mapping[str, str]) -> np.ndarray:
-    """Fingerprints as the array `prints` of a file."""
+    """Fingerprints as the array `prints` of a file.
+
+    Args:
+        prints: Fingerprints by name.
+    """
     return np.array([f"{name}={value}" for name, value in prints.items()])
 
 
@@ -109,7 +113,11 @@ class ModelFile:
             raise self.damaged(words) from None
 
     def damaged(self, reason: str) -> ModelFileError:
-        """The error that says what is wrong in the file."""
+        """The error that says what is wrong in the file.
+
+        Args:
+            reason: What is wrong.
+        """
         return ModelFileError(self.path, f"is no reduced model, or damaged: {reason}")
 
     def check_prints(self, prints: Mapping[str, str]) -> None:
@@ -191,7 +199,11 @@ def _arrays_of(path: Path):
 
 
 def digest(*values) -> str:
-    """Digest of strings and arrays."""
+    """Digest of strings and arrays.
+
+    Args:
+        *values: Strings and arrays; their order counts.
+    """
     made = hashlib.sha256()
     for value in values:
         made.update(value.encode() if isinstance(value, str) else np.ascontiguousarray(value))
@@ -199,7 +211,12 @@ def digest(*values) -> str:
 
 
 def rounded_places(body: Body, points: np.ndarray) -> np.ndarray:
-    """Points in mesh coordinates [m] as integers, equal where files cannot tell them apart."""
+    """Points in mesh coordinates [m] as integers, equal where files cannot tell them apart.
+
+    Args:
+        body: The body.
+        points: Places in mesh coordinates [m], shape (count, 3).
+    """
     # Half a digit is added: most coordinates are round numbers, and stay clear of a limit.
     return np.floor(points / (DIGITS * _size(body)) + 0.5).astype(np.int64)
 
@@ -210,7 +227,11 @@ def _size(body: Body) -> float:
 
 
 def fingerprints_of(body: Body) -> dict[str, str]:
-    """Digests of a body's mesh and material; its placement in the world is in neither."""
+    """Digests of a body's mesh and material; its placement in the world is in neither.
+
+    Args:
+        body: The body.
+    """
     materials = [
         (part.law, repr((*_constants(part), part.density)),
          np.arange(body.mesh.cell_count) if part.cells is None else part.cells)
@@ -269,7 +290,11 @@ class BodyReduction(NamedTuple):
 
 
 def reduction_fingerprints(body: Body) -> dict[str, str]:
-    """Digests of what a reduction is made from: mesh, material and fixed nodes of a body."""
+    """Digests of what a reduction is made from: mesh, material and fixed nodes of a body.
+
+    Args:
+        body: The body.
+    """
     return {
         "format": str(FORMAT), **fingerprints_of(body),
         "fixed nodes": digest(np.flatnonzero(body.fixed).astype(np.int64)),
@@ -374,7 +399,11 @@ def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> Non
 
 
 def without_fallback(scene: Scene) -> Scene:
-    """The same scene with reduced bodies that stay what they are, whatever their error is."""
+    """The same scene with reduced bodies that stay what they are, whatever their error is.
+
+    Args:
+        scene: The scene.
+    """
     return scene.with_deformables({"reduced": {"fallback": None, "error": None}})
 
 
@@ -458,7 +487,11 @@ class ReducedNodes:
         return self.first_node + self.mode_count // 3
 
     def carried_by(self, mapping: BarycentricMapping) -> BarycentricMapping:
-        """Points on nodes of its mesh, on its points among all nodes of the scene."""
+        """Points on nodes of its mesh, on its points among all nodes of the scene.
+
+        Args:
+            mapping: Points on nodes of its mesh, numbered from 0.
+        """
         if self.points is None:
             self.asked.append(mapping)
             return BarycentricMapping(mapping.nodes + self.first_point, mapping.barycentric_weights)
@@ -502,7 +535,11 @@ class ReducedNodes:
         return np.arange(self.node_count) >= self.mode_count // 3
 
     def placed(self, mapping: BarycentricMapping) -> Placed:
-        """Points on nodes of its mesh that no term needs."""
+        """Points on nodes of its mesh that no term needs.
+
+        Args:
+            mapping: Points on nodes of its mesh, numbered from 0.
+        """
         modes = np.zeros((mapping.point_count, 3, self.mode_count))
         for nodes, weights in zip(mapping.nodes.T, mapping.barycentric_weights.T, strict=True):
             modes += weights[:, None, None] * self.basis[nodes]

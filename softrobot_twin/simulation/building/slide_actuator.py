@@ -122,7 +122,11 @@ class Slides:
                     self._weights[index] += body.mass * self.axes[index] @ np.array(scene.gravity)
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
-        """Positions of the slides [m], shape (count,): displacements of their frames along them."""
+        """Positions of the slides [m], shape (count,): displacements of their frames along them.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         return positions_along(positions, self._frames, self._rest_origins, self.axes)
 
     def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
@@ -135,7 +139,11 @@ class Slides:
         shift_riders(positions, self._slide_of_node, self.axes, moves)
 
     def effector_columns(self, effectors) -> np.ndarray:
-        """G_e, shape (effector_row_count, count); without rows where there are no effectors."""
+        """G_e, shape (effector_row_count, count); without rows where there are no effectors.
+
+        Args:
+            effectors: The term of the effectors; None for none.
+        """
         if effectors is None:
             return np.empty((0, self.count))
         columns = np.zeros((effectors.row_count, self.count))
@@ -149,7 +157,11 @@ class Slides:
         return columns
 
     def contact_columns(self, contacts) -> np.ndarray:
-        """G_c of the present contacts, shape (contact_row_count, count)."""
+        """G_c of the present contacts, shape (contact_row_count, count).
+
+        Args:
+            contacts: The contacts detected last.
+        """
         columns = np.zeros((contacts.row_count, self.count))
         write_contact_columns(
             self._slide_of_node, self.axes, contacts.nodes, contacts.directions,

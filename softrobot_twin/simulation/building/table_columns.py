@@ -27,48 +27,85 @@ UNITS = ("N_per_m", "m_per_N", "m3", "Nm", "Pa", "rad", "m", "N", "J", "s")
 
 
 def column(name: str, quantity: Quantity) -> str:
-    """Column of a quantity of an actuator or pulley, such as ``north_length_m``."""
+    """Column of a quantity of an actuator or pulley, such as ``north_length_m``.
+
+    Args:
+        name: Name of the actuator or pulley.
+        quantity: The quantity, with its word and unit.
+    """
     return f"{name}_{quantity.word}_{quantity.unit}"
 
 
 def position_columns(name: str) -> tuple[str, ...]:
-    """Columns of the place of an effector or a body [m], such as ``tip_x_m``."""
+    """Columns of the place of an effector or a body [m], such as ``tip_x_m``.
+
+    Args:
+        name: Name of the effector or body.
+    """
     return tuple(f"{name}_{axis}_m" for axis in AXES)
 
 
 def quaternion_columns(name: str) -> tuple[str, ...]:
-    """Columns of the turn of an effector or a body (x, y, z, w), such as ``tip_qx``."""
+    """Columns of the turn of an effector or a body (x, y, z, w), such as ``tip_qx``.
+
+    Args:
+        name: Name of the effector or body.
+    """
     return tuple(f"{name}_{part}" for part in _TURN)
 
 
 def stiffness_columns(name: str) -> tuple[str, ...]:
-    """Columns of the stiffness of an effector [N/m], such as ``tip_kx_N_per_m``."""
+    """Columns of the stiffness of an effector [N/m], such as ``tip_kx_N_per_m``.
+
+    Args:
+        name: Name of the effector.
+    """
     return tuple(f"{name}_k{axis}_N_per_m" for axis in AXES)
 
 
 def target_name(name: str) -> str:
-    """Name under which the targets of an effector stand beside its place in what a run writes."""
+    """Name under which the targets of an effector stand beside its place in what a run writes.
+
+    Args:
+        name: Name of the effector.
+    """
     return f"{name}_target"
 
 
 def force_columns(name: str) -> tuple[str, ...]:
-    """Columns of the force of a touch [N], such as ``finger_force_x_N``."""
+    """Columns of the force of a touch [N], such as ``finger_force_x_N``.
+
+    Args:
+        name: Name of the touch.
+    """
     return tuple(f"{name}_force_{axis}_N" for axis in AXES)
 
 
 def displacement_columns(name: str) -> tuple[str, ...]:
-    """Columns of the displacement of a touch [m], such as ``finger_displacement_x_m``."""
+    """Columns of the displacement of a touch [m], such as ``finger_displacement_x_m``.
+
+    Args:
+        name: Name of the touch.
+    """
     return tuple(f"{name}_displacement_{axis}_m" for axis in AXES)
 
 
 def body_name(name: str, effectors: Iterable[str]) -> str:
     """Name of a rigid body in what a run writes; an effector of the same name has its own columns.
+
+    Args:
+        name: Name of the body.
+        effectors: Names of the effectors.
     """
     return f"{name}_body" if name in effectors else name
 
 
 def unit_of(column_name: str) -> str:
-    """Unit of a column; empty without one."""
+    """Unit of a column; empty without one.
+
+    Args:
+        column_name: Name of the column.
+    """
     return next((unit for unit in UNITS if column_name.endswith(f"_{unit}")), "")
 
 
@@ -101,6 +138,10 @@ def name_today(old: str, quantities: Iterable[Quantity]) -> str:
 
 
 def is_output(header: Iterable[str]) -> bool:
-    """Whether a file with these columns was written by a run."""
+    """Whether a file with these columns was written by a run.
+
+    Args:
+        header: Names of the columns.
+    """
     names = set(header)
     return {STEP, TIME} <= names and bool(names & {STATUS, DRIVEN_BY})

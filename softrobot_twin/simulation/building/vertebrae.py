@@ -247,7 +247,12 @@ def _check_joined(parts, is_fixed, entry, key: str, scene: Scene) -> None:
 
 
 def reduction_path(body: Body, scene: Scene) -> Path:
-    """The file of a body's superelements."""
+    """The file of a body's superelements.
+
+    Args:
+        body: A body with vertebrae.
+        scene: Its scene.
+    """
     entry = body.entry
     if entry.vertebrae.superelements is not None:
         return scene.file_path(entry.vertebrae.superelements)
@@ -256,7 +261,11 @@ def reduction_path(body: Body, scene: Scene) -> Path:
 
 
 def fingerprints(division: Division) -> dict[str, str]:
-    """Digests of what superelements are made from: mesh, material, vertebrae, cavity walls."""
+    """Digests of what superelements are made from: mesh, material, vertebrae, cavity walls.
+
+    Args:
+        division: The body, divided.
+    """
     body = division.body
     walls = [
         (wall.name, rounded_places(body, in_mesh(body.entry, wall.vertices.positions(
@@ -295,7 +304,13 @@ class Reduction(NamedTuple):
 
 
 def write_reduction(path: Path, reduction: Reduction, prints: dict[str, str]) -> None:
-    """Save superelements and the fingerprints of what they were made from."""
+    """Save superelements and the fingerprints of what they were made from.
+
+    Args:
+        path: The file.
+        reduction: The superelements.
+        prints: Fingerprints by name.
+    """
     arrays = {
         "degree": reduction.degree, "rest_volumes": reduction.rest_volumes,
         "rest_areas": reduction.rest_areas, "count": len(reduction.fits),
@@ -388,7 +403,11 @@ class ReducedBody:
     first_frame_node: int = -1
 
     def carried_by(self, mapping: BarycentricMapping) -> BarycentricMapping:
-        """Points on nodes of the body, on the frame nodes of its vertebrae."""
+        """Points on nodes of the body, on the frame nodes of its vertebrae.
+
+        Args:
+            mapping: Points on nodes of the body's mesh, numbered from 0.
+        """
         return mapping.through(self.node_carriers())
 
     def shared_masses(self) -> np.ndarray:

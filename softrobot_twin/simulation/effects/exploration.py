@@ -114,7 +114,11 @@ class Exploration:
         self._best, self._count, self._since, self._calm_count = np.inf, 0, 0, 0
 
     def end(self, result: StepResult) -> None:
-        """Give up: the robot stays where a result tells that it rests."""
+        """Give up: the robot stays where a result tells that it rests.
+
+        Args:
+            result: The result.
+        """
         self.trial, self.is_found, self.result = None, False, result
 
     def judge(self, misses: np.ndarray, has_gone: bool, is_stable: bool, is_calm: bool) -> None:
@@ -315,6 +319,10 @@ class Explorer(StepPart):
 
 
 def explorer_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene that asks for exploration."""
+    """The part of a scene that asks for exploration.
+
+    Args:
+        model: The model of a simulation.
+    """
     if model.scene.solver.exploration:
         yield Explorer()

@@ -45,6 +45,9 @@ ENRICH, FULL_MODEL = "enrich", "full_model"
 def fallback_of(model: Model) -> Iterator[StepPart]:
     """The part of a scene with a fallback.
 
+    Args:
+        model: The model of a simulation.
+
     Raises:
         SceneError: It cannot be built for this scene.
     """
@@ -56,7 +59,12 @@ def fallback_of(model: Model) -> Iterator[StepPart]:
 
 
 def better_scene(scene: Scene, bodies: tuple[Body, ...]) -> Scene:
-    """The scene that is fallen back to."""
+    """The scene that is fallen back to.
+
+    Args:
+        scene: The scene with reduced bodies.
+        bodies: The bodies with a fallback.
+    """
     entries = {}
     for body in bodies:
         entry = body.entry.reduced
@@ -183,11 +191,19 @@ class Fallback(StepPart):
         return PartReport(self.limits if self.has_other_model else ())
 
     def better_state(self, state: State) -> State:
-        """A state of the reduced model for the better one."""
+        """A state of the reduced model for the better one.
+
+        Args:
+            state: State of the reduced model.
+        """
         return in_other_model(state, self._reduced, self._better, refined_nodes)
 
     def reduced_state(self, state: State) -> State:
-        """A state of the better model for the reduced one."""
+        """A state of the better model for the reduced one.
+
+        Args:
+            state: State of the better model.
+        """
         return in_other_model(state, self._better, self._reduced, self._reduced_nodes)
 
     def _reduced_nodes(self, positions: np.ndarray, more: Body, own: Body) -> np.ndarray:

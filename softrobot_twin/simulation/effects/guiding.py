@@ -73,6 +73,10 @@ class Guiding(StepPart):
 
 
 def guiding_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with guided bodies."""
+    """The part of a scene with guided bodies.
+
+    Args:
+        model: The model of a simulation.
+    """
     if model.guides is not None and model.guides.limits:
         yield Guiding(model.guides)

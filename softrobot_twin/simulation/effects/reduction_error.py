@@ -105,7 +105,11 @@ class BetterModel:
         self.linearizations, self._most = 0, most_linearizations
 
     def lifted(self, state: State) -> State:
-        """A state of the scene with reduced bodies for the better model."""
+        """A state of the scene with reduced bodies for the better model.
+
+        Args:
+            state: State of the scene with reduced bodies.
+        """
         return in_other_model(state, self.model, self.better.model, refined_nodes)
 
     def moves(self, state: State) -> np.ndarray:
@@ -222,7 +226,11 @@ def step_held(simulation: Steppable, state: State) -> StepResult:
 
 
 def has_spare_modes(model: Model) -> bool:
-    """Whether a reduced body has modes that are not in use."""
+    """Whether a reduced body has modes that are not in use.
+
+    Args:
+        model: The model of a simulation.
+    """
     return any(body.reduction.reduction.spare_count for body in reduced_bodies(model))
 
 

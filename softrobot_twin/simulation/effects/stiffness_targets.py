@@ -157,13 +157,21 @@ class StiffnessTargets(StepPart):
 
 
 def stiffness_targets_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene in which stiffnesses have a weight."""
+    """The part of a scene in which stiffnesses have a weight.
+
+    Args:
+        model: The model of a simulation.
+    """
     if model.weighs_stiffness:
         yield StiffnessTargets(model)
 
 
 def stiffness_of_scene(scene: Scene) -> np.ndarray:
-    """Wanted stiffnesses of a scene's effectors [N/m], NaN where free, shape (effector_count, 3)."""
+    """Wanted stiffnesses of a scene's effectors [N/m], NaN where free, shape (effector_count, 3).
+
+    Args:
+        scene: The scene.
+    """
     free, entries = (None, None, None), [effector.stiffness for effector in scene.effectors]
     wanted = [free if entry is None else entry.target for entry in entries]
     return np.array(wanted, dtype=float).reshape(-1, 3)

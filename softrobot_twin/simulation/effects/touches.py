@@ -41,7 +41,11 @@ class Touched(NamedTuple):
 
     @classmethod
     def none(cls, count: int) -> Touched:
-        """Nothing is measured of so many touches; the arrays may be filled."""
+        """Nothing is measured of so many touches; the arrays may be filled.
+
+        Args:
+            count: Number of touches.
+        """
         return cls(*np.full((2, count, 3), np.nan))
 
     def displace(self, index: int, displacement: np.ndarray, before: TouchState) -> None:
@@ -63,13 +67,21 @@ class Touched(NamedTuple):
 
 
 def touch_term(model: Model) -> TouchLoads | None:
-    """The force term of the touches of a scene; None without any."""
+    """The force term of the touches of a scene; None without any.
+
+    Args:
+        model: The model of a simulation.
+    """
     terms = (term.on_points for term in model.forces)
     return next((term for term in terms if isinstance(term, TouchLoads)), None)
 
 
 def touches_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with touches."""
+    """The part of a scene with touches.
+
+    Args:
+        model: The model of a simulation.
+    """
     if (term := touch_term(model)) is not None:
         yield Touches(model, term)
 

@@ -74,19 +74,31 @@ class SampledRanges(StepPart):
 
 
 def sampled_ranges_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with reduced bodies."""
+    """The part of a scene with reduced bodies.
+
+    Args:
+        model: The model of a simulation.
+    """
     coordinates = coordinate_ranges(model)
     if model.superelements or coordinates:
         yield SampledRanges(model.superelements, coordinates)
 
 
 def reduced_bodies(model: Model) -> tuple[Body, ...]:
-    """The bodies in the coordinates of a basis, in the order of their nodes."""
+    """The bodies in the coordinates of a basis, in the order of their nodes.
+
+    Args:
+        model: The model of a simulation.
+    """
     return tuple(body for body in model.bodies if body.reduction is not None)
 
 
 def coordinate_ranges(model: Model) -> tuple[CoordinateRange, ...]:
-    """Ranges of all bodies in the coordinates of a basis; empty without any."""
+    """Ranges of all bodies in the coordinates of a basis; empty without any.
+
+    Args:
+        model: The model of a simulation.
+    """
     return tuple(map(_range_of, reduced_bodies(model)))
 
 
@@ -128,6 +140,10 @@ class StrainRanges(StepPart):
 
 
 def strain_ranges_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with materials that have a range of strains."""
+    """The part of a scene with materials that have a range of strains.
+
+    Args:
+        model: The model of a simulation.
+    """
     if model.strain_watches:
         yield StrainRanges(model)

@@ -172,7 +172,11 @@ class Columns:
         return [*self._places, *self._made]
 
     def given(self, name: str) -> str:
-        """Name of a column in the file, which may be one of an earlier version."""
+        """Name of a column in the file, which may be one of an earlier version.
+
+        Args:
+            name: Name of the column today.
+        """
         return self._given.get(name, name)
 
     def rename(self, names: Mapping[str, str]) -> None:
@@ -185,7 +189,11 @@ class Columns:
         self._places = {names.get(old, old): place for old, place in self._places.items()}
 
     def keep(self, names: Collection[str]) -> None:
-        """Leaves out all other columns."""
+        """Leaves out all other columns.
+
+        Args:
+            names: Names of the columns that stay.
+        """
         self._places = {name: place for name, place in self._places.items() if name in names}
 
     def begin_earlier(self) -> None:
@@ -198,7 +206,11 @@ class Columns:
         self._cells, self.lines = [begin, *cells], [self.lines[0], *self.lines]
 
     def texts(self, name: str) -> list[str]:
-        """Cells of a column, which stays."""
+        """Cells of a column, which stays.
+
+        Args:
+            name: Name of the column.
+        """
         return [str(row[self._places[name]]) for row in self._cells]
 
     def pop(self, name: str, may_be_open: bool = False) -> np.ndarray:
@@ -224,7 +236,12 @@ class Columns:
         return values
 
     def put(self, name: str, values: np.ndarray) -> None:
-        """Adds a column that follows from others."""
+        """Adds a column that follows from others.
+
+        Args:
+            name: Name of the column.
+            values: Its values, shape (row_count,).
+        """
         self._made[name] = values
 
     def _number(self, name: str, line: int, cell, may_be_open: bool = False) -> float:
@@ -252,7 +269,11 @@ class Columns:
         return TableFileError(self.source, reason, line, self.given(name) or "''", value, unit)
 
     def pop_all(self, names: Sequence[str]) -> np.ndarray:
-        """Values of several columns, which are taken, shape (row_count, name_count)."""
+        """Values of several columns, which are taken, shape (row_count, name_count).
+
+        Args:
+            names: Names of the columns.
+        """
         return np.column_stack([self.pop(name) for name in names])
 
     def pop_given(self, names: Sequence[str], otherwise: float) -> np.ndarray | None:
@@ -345,7 +366,11 @@ class TargetTable:
     notes: tuple[str, ...] = ()
 
     def command(self, row: int) -> Command:
-        """Command of a row, counted from 0."""
+        """Command of a row, counted from 0.
+
+        Args:
+            row: Number of the row.
+        """
         values, step = self.values[row], float(self.time_steps[row])
         if self.kind == TARGETS:
             turns = None if self.orientations is None else self.orientations[row]
@@ -376,17 +401,29 @@ class Waypoints:
         return Slerp(self.times, Rotation.from_quat(self.quaternions))
 
     def position(self, time: float) -> np.ndarray:
-        """Position [m], shape (3,), at a time since the path began [s]."""
+        """Position [m], shape (3,), at a time since the path began [s].
+
+        Args:
+            time: Time since the path began [s].
+        """
         return between_rows(time, self.times, self.points)
 
     def orientation(self, time: float) -> np.ndarray | None:
-        """Orientation (x, y, z, w) at a time since the path began [s], or None."""
+        """Orientation (x, y, z, w) at a time since the path began [s], or None.
+
+        Args:
+            time: Time since the path began [s].
+        """
         if self.quaternions is None or len(self.times) == 1:
             return None if self.quaternions is None else self.quaternions[0]
         return self._turns(np.clip(time, self.times[0], self.times[-1])).as_quat()
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
-        """Position and orientation at a time [s]; see both."""
+        """Position and orientation at a time [s]; see both.
+
+        Args:
+            time: Time since the path began [s].
+        """
         return self.position(time), self.orientation(time)
 
 
@@ -448,7 +485,12 @@ def read_path(source: Path | str, effector: str) -> Waypoints:
 
 
 def take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
-    """Gives the columns of a targets file of earlier versions the names of today."""
+    """Gives the columns of a targets file of earlier versions the names of today.
+
+    Args:
+        columns: The columns of the file; are renamed.
+        kinds: Kinds of actuators besides those that are registered.
+    """
     if "t" not in columns or TIME in columns:
         return
     known = [quantity for kind in (*kinds, *actuator_kinds())
@@ -744,7 +786,12 @@ class CommandTable:
         return touched if np.isfinite([*touched]).any() else None
 
     def command(self, time: float, time_step: float) -> Command:
-        """Command of the actuators at a time [s], for a step of a duration [s]."""
+        """Command of the actuators at a time [s], for a step of a duration [s].
+
+        Args:
+            time: Time since the run began [s].
+            time_step: Duration of the step [s].
+        """
         if self.kind == HOLD:
             return Hold(time_step)
         return _OF_ACTUATORS[self.kind](between_rows(time, self.times, self.values), time_step)
@@ -902,7 +949,7 @@ class Drive(NamedTuple):
     gives: tuple[str, ...] = (SETPOINTS,)
     factor: float = 0.0
 
-    def commanded(self, values: ArrayLike, rest: float) -> ArrayLike:
+    def commanded[Values: (float, np.ndarray)](self, values: Values, rest: float) -> Values:
         """Setpoints or efforts of an actuator, of the same shape.
 
         Args:
@@ -913,7 +960,11 @@ class Drive(NamedTuple):
 
 
 def drives_of(simulation: Simulation) -> Iterator[Drive]:
-    """All by which actuators, motors and pulleys of a scene are commanded."""
+    """All by which actuators, motors and pulleys of a scene are commanded.
+
+    Args:
+        simulation: The simulation.
+    """
     actuators, pulleys = simulation.actuators, simulation.actuators.pulleys
     for place, (name, kind) in enumerate(actuators.kind_of.items()):
         for quantity, gives in _commandable(kind).items():

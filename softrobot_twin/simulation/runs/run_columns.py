@@ -149,14 +149,22 @@ def rigid_poses(simulation: Simulation, positions: np.ndarray | None = None) -> 
 
 
 def pair_names(simulation: Simulation) -> tuple[tuple[str, str], ...]:
-    """Names of the pairs that may touch, each pair once."""
+    """Names of the pairs that may touch, each pair once.
+
+    Args:
+        simulation: The simulation.
+    """
     if simulation.model.contacts is None:
         return ()
     return tuple(dict.fromkeys(tuple(pair.names) for pair in simulation.model.contacts.pairs))
 
 
 def magnitude_column(pair: tuple[str, str]) -> str:
-    """Column of how hard two bodies press on each other [N]."""
+    """Column of how hard two bodies press on each other [N].
+
+    Args:
+        pair: Names of the two bodies.
+    """
     return f"sum_of_magnitudes_{pair[0]}_{pair[1]}_N"
 
 
@@ -283,12 +291,20 @@ class RunColumns:
         return RunRow(step, time, result, command, poses, resultants, sums, errors, observed)
 
     def cells(self, row: RunRow) -> list[int | float | str]:
-        """Values of the columns, in their order."""
+        """Values of the columns, in their order.
+
+        Args:
+            row: The row.
+        """
         cells = (cell for part in self._parts for cell in part.values(row))
         return [cell.item() if isinstance(cell, np.generic) else cell for cell in cells]
 
     def texts(self, row: RunRow) -> list[str]:
-        """Cells of a row of a file; numbers are given to the last bit."""
+        """Cells of a row of a file; numbers are given to the last bit.
+
+        Args:
+            row: The row.
+        """
         return [repr(cell) if isinstance(cell, float) else str(cell) for cell in self.cells(row)]
 
 

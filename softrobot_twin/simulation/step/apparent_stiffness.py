@@ -110,7 +110,11 @@ class StiffnessRows(NamedTuple):
         return np.clip(self.wanted - self.now, -longest, longest)
 
     def places(self, multipliers: np.ndarray) -> np.ndarray:
-        """z under multipliers of the actuators, by the linearization [m], shape (n,)."""
+        """z under multipliers of the actuators, by the linearization [m], shape (n,).
+
+        Args:
+            multipliers: λ, those of the actuators first, shape (count,).
+        """
         return self.free + self.motion @ multipliers[: self.motion.shape[1]]
 
     def after(self, move: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -185,7 +189,11 @@ class ApparentStiffness:
         return compliance, by_position, by_effort, free, by_multiplier, held, bearing
 
     def load(self, direction: int) -> np.ndarray:
-        """e of a direction of the effectors' points [-], shape (free_node_count, 3)."""
+        """e of a direction of the effectors' points [-], shape (free_node_count, 3).
+
+        Args:
+            direction: Number of the row of a direction of the effectors' points.
+        """
         rows, nodes, blocks = self._loads
         load, own = np.zeros((len(self._free_nodes), 3)), rows == direction
         np.add.at(load, nodes[own], blocks[own])
@@ -236,7 +244,11 @@ class ApparentStiffness:
         )
 
     def holds(self, efforts: np.ndarray) -> np.ndarray:
-        """Whether each actuator with a row holds its displacement at such efforts, shape (count,)."""
+        """Whether each actuator with a row holds its displacement at such efforts, shape (count,).
+
+        Args:
+            efforts: Efforts of the actuators with a row, in their units, shape (count,).
+        """
         actuators = self._model.actuators
         return actuators.limits.can_hold(efforts) & ~actuators.is_effort_driven[: len(efforts)]
 
@@ -306,7 +318,11 @@ class ApparentStiffness:
 
 
 def why_no_stiffness(model: Model) -> str:
-    """What a scene has that the derivative of the stiffness is not built for; empty if nothing."""
+    """What a scene has that the derivative of the stiffness is not built for; empty if nothing.
+
+    Args:
+        model: The model of a simulation.
+    """
     rows, nodes = model.rows, model.nodes
     if model.is_dynamic:
         return "integration other than quasi_static"

@@ -167,7 +167,12 @@ class AugmentedTangent:
         return self._own is not None
 
     def measure(self, W_aa: np.ndarray) -> None:
-        """Take the stiffness of the bodies along their actuators from the compliance at rest."""
+        """Take the stiffness of the bodies along their actuators from the compliance at rest.
+
+        Args:
+            W_aa: Compliance of the actuators at rest [m/N], shape (actuator_row_count,
+                actuator_row_count).
+        """
         self._take(1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny))
 
     def _take(self, own: np.ndarray | None) -> None:
@@ -439,6 +444,9 @@ def augmented_tangent_of(model: Model) -> AugmentedTangent | None:
     """The augmented tangent of a scene with cables, given volumes or angles.
 
     None with friction along cables: at held lengths equilibria are not minima of an energy.
+
+    Args:
+        model: The model of a simulation.
     """
     rows, actuators, factorization = model.rows, model.actuators, model.factorization
     count = actuators.row_count

@@ -111,6 +111,11 @@ class ContactSolvers:
 
         They are slow if the load moves between two nearly identical contacts, or by friction along
         a row of contacts.
+
+        Args:
+            problem: The problem.
+            guess: Multipliers to begin with [N], shape (row_count,).
+            expected: Extrapolated multipliers of this step [N], same shape.
         """
         if problem.rows_per_contact != 1:
             if len(guess) > MANY_ROWS:
@@ -160,7 +165,11 @@ class ContactSolvers:
 
 
 def has_exact_forces(found: ContactSolution) -> bool:
-    """Whether the residual in newtons is a small share of the largest force."""
+    """Whether the residual in newtons is a small share of the largest force.
+
+    Args:
+        found: What a solver found.
+    """
     return found.force_residual <= FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
 
 

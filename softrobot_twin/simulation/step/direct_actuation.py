@@ -121,6 +121,9 @@ class DirectActuation:
 
         Where contacts stick and slip, complementarity has several solutions: a state that is
         restored goes on as before only from its own efforts.
+
+        Args:
+            efforts: The efforts, in the actuators' units, shape (actuator_count,).
         """
         if len(efforts) > self._row_count:
             efforts = efforts.copy()

@@ -143,7 +143,11 @@ def _with_commanded(commanded: np.ndarray, bounds: Bounds, limits: ActuatorLimit
 
 
 def why_not_followed(model: Model) -> str:
-    """Reason why a scene's effectors cannot follow targets; empty if they can."""
+    """Reason why a scene's effectors cannot follow targets; empty if they can.
+
+    Args:
+        model: The model of a simulation.
+    """
     if model.effectors is None or not model.actuators.count:
         return "this scene has no effectors or no actuators"
     if model.contacts is not None and model.contacts.rubs:

@@ -392,7 +392,12 @@ class Unknowns(NamedTuple):
     has_commanded: bool
 
     def stack(self, efforts: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """z of efforts and contact forces [N]."""
+        """z of efforts and contact forces [N].
+
+        Args:
+            efforts: Efforts of the actuators, in their units, shape (actuator_count,).
+            forces: Forces of the contacts [N], shape (contact_row_count,).
+        """
         if not (self.has_commanded or len(forces)):
             return efforts
         return np.concatenate([efforts[~self.commanded], efforts[self.commanded], forces])

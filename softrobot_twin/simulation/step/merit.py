@@ -246,7 +246,11 @@ class Merit:
         return Begin(energy_slope, penalty, energy_slope + self._promised_penalty() - penalty)
 
     def energy_slope(self, positions: np.ndarray) -> float:
-        """Slope of the energy along the whole move [J], at node positions [m]."""
+        """Slope of the energy along the whole move [J], at node positions [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         return -float(np.vdot(self._gather(positions), self._move.displacement))
 
     def try_share(self, positions: np.ndarray, share: float, begin: Begin) -> Trial:
@@ -267,7 +271,11 @@ class Merit:
         return Trial(change, is_lower)
 
     def penalty(self, positions: np.ndarray) -> float:
-        """Penalties of actuators and overlaps at the state whose forces were taken last [J]."""
+        """Penalties of actuators and overlaps at the state whose forces were taken last [J].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         rows = self._model.rows
         total = self._of_actuators(rows.values[rows.groups.actuators])
         if self._bears.any():

@@ -77,10 +77,18 @@ class StepPart:
         return ""
 
     def attach(self, simulation: Steppable) -> None:
-        """Build what takes the whole simulation, at rest."""
+        """Build what takes the whole simulation, at rest.
+
+        Args:
+            simulation: The simulation that has this part.
+        """
 
     def warm_up(self, simulation: Steppable) -> None:
-        """Run once what steps of the simulation alone do not run; see `Simulation.warm_up`."""
+        """Run once what steps of the simulation alone do not run; see `Simulation.warm_up`.
+
+        Args:
+            simulation: The simulation that has this part.
+        """
 
     @property
     def loads(self) -> np.ndarray | None:
@@ -92,7 +100,11 @@ class StepPart:
         return {}
 
     def recall(self, state: State) -> None:
-        """Take its memory from the state where a step begins."""
+        """Take its memory from the state where a step begins.
+
+        Args:
+            state: The state.
+        """
 
     def begin(self, state: State, measured: object | None) -> bool:
         """Look at what is measured in a step.
@@ -110,15 +122,27 @@ class StepPart:
         return False
 
     def measurements_to_warm_up(self, state: State) -> Iterable[object]:
-        """Measurements at rest by which everything that a step may need of it is compiled."""
+        """Measurements at rest by which everything that a step may need of it is compiled.
+
+        Args:
+            state: The state at rest.
+        """
         return ()
 
     def command(self, command: Command, state: State) -> Command:
-        """The command that is carried out, in place of one that is asked."""
+        """The command that is carried out, in place of one that is asked.
+
+        Args:
+            command: The command that is asked.
+            state: The state where the step begins.
+        """
         return command
 
     def read(self, command: FollowTargets) -> None:
         """Take what it needs of targets that are followed.
+
+        Args:
+            command: The targets.
 
         Raises:
             CommandError: That does not fit the scene.
@@ -155,7 +179,11 @@ class StepPart:
         """Begin where the robot is in its rest shape."""
 
     def restore(self, state: State) -> None:
-        """Begin where a saved state is put back."""
+        """Begin where a saved state is put back.
+
+        Args:
+            state: The saved state.
+        """
 
     def forget(self) -> None:
         """Forget the steps before; the state tells all that the next one depends on."""
@@ -206,7 +234,12 @@ class StepPart:
         return None
 
     def steps_until_rest(self, command: FollowTargets, result: StepResult) -> int:
-        """Steps towards targets that must keep the state before further ones need not be made."""
+        """Steps towards targets that must keep the state before further ones need not be made.
+
+        Args:
+            command: The targets that are followed.
+            result: Result of the last step towards them.
+        """
         return 0
 
     def rest(self, simulation: Steppable, command: FollowTargets, result: StepResult) -> None:
@@ -219,36 +252,66 @@ class StepPart:
         """
 
     def may_keep(self, before: State, after: State) -> bool:
-        """Whether a step between two states in balance changed nothing of it."""
+        """Whether a step between two states in balance changed nothing of it.
+
+        Args:
+            before: State where the step began.
+            after: State where it ended.
+        """
         return all(np.array_equal(array, after.memory[key]) for key, array in self.own(before))
 
     def report(self, state: State) -> PartReport:
-        """What it tells of the step that led to a state."""
+        """What it tells of the step that led to a state.
+
+        Args:
+            state: The state where the step ended.
+        """
         return PartReport()
 
     def own(self, state: State) -> Iterator[tuple[str, np.ndarray]]:
-        """Keys and arrays of its memory in a state."""
+        """Keys and arrays of its memory in a state.
+
+        Args:
+            state: The state.
+        """
         start = f"{self.name}."
         return ((key, array) for key, array in state.memory.items() if key.startswith(start))
 
     def recalled(self, state: State) -> dict[str, np.ndarray]:
-        """Its memory in a state, by field."""
+        """Its memory in a state, by field.
+
+        Args:
+            state: The state.
+        """
         return {key.removeprefix(f"{self.name}."): array for key, array in self.own(state)}
 
     def remembered(self, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Memory by field, with the keys that it has in a state."""
+        """Memory by field, with the keys that it has in a state.
+
+        Args:
+            fields: Arrays by field, as of `memory_at_rest`.
+        """
         return {f"{self.name}.{field}": array for field, array in fields.items()}
 
 
 def those_with(parts: Iterable[StepPart], *methods: str) -> tuple[StepPart, ...]:
-    """The parts that define one of some methods: a step asks no others for it."""
+    """The parts that define one of some methods: a step asks no others for it.
+
+    Args:
+        parts: All parts of a simulation.
+        *methods: Names of the methods.
+    """
     return tuple(part for part in parts if any(
         getattr(type(part), method) is not getattr(StepPart, method) for method in methods
     ))  # fmt: skip
 
 
 def parts_by_method(parts: Iterable[StepPart]) -> dict[str, tuple[StepPart, ...]]:
-    """The parts that define each method; see `those_with`."""
+    """The parts that define each method; see `those_with`.
+
+    Args:
+        parts: All parts of a simulation.
+    """
     return {method: those_with(parts, method) for method in vars(StepPart) if method[0] != "_"}
 
 
@@ -279,7 +342,11 @@ class TermMemory(StepPart):
 
 
 def memories_of_terms(model: Model) -> Iterator[StepPart]:
-    """The parts of all terms that remember."""
+    """The parts of all terms that remember.
+
+    Args:
+        model: The model of a simulation.
+    """
     names: dict[str, int] = {}
     for term in (*(force.on_points for force in model.forces), *model.actuators.terms):
         if term.memory_name:

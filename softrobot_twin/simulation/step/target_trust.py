@@ -284,7 +284,11 @@ class Situation(NamedTuple):
     is_stable: bool = True
 
     def tracking(self, at: np.ndarray) -> float:
-        """T [m²] of effector coordinates [m], shape (n,)."""
+        """T [m²] of effector coordinates [m], shape (n,).
+
+        Args:
+            at: The coordinates [m], shape (n,).
+        """
         return half_squares(self.weights, at, self.targets)
 
     def compared(self, other: Situation | None) -> tuple[float, float, bool]:
@@ -310,7 +314,11 @@ class Situation(NamedTuple):
         return now, greatest, is_same
 
     def bears_the_same(self, other: Situation) -> bool:
-        """Whether the loads from outside are those of another situation."""
+        """Whether the loads from outside are those of another situation.
+
+        Args:
+            other: The other situation.
+        """
         if not len(self.loads):
             return True
         changed = float(np.abs(self.loads - other.loads).max())

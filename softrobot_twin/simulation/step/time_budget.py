@@ -30,7 +30,11 @@ class TimeBudget:
         self.expected = 0.0
 
     def learn(self, duration: float) -> None:
-        """Record the duration of a whole linearization [s]."""
+        """Record the duration of a whole linearization [s].
+
+        Args:
+            duration: The duration [s].
+        """
         known = self.expected if self.expected > 0.0 else duration
         self.expected = known + NEWEST * (duration - known)
 
@@ -80,7 +84,11 @@ class StageClock:
         self._start = self._last = now()
 
     def mark(self, stage: str) -> None:
-        """Book the time since the last mark to `stage`."""
+        """Book the time since the last mark to `stage`.
+
+        Args:
+            stage: Name of the stage.
+        """
         self._last = self._now()
         self._marks.append((stage, self._last))
 

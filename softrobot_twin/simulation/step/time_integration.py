@@ -75,7 +75,11 @@ class Statics:
         return np.empty((0, 3))
 
     def knows(self, past: PastMotion | None) -> bool:
-        """Whether a state's past is one of this scheme and this scene."""
+        """Whether a state's past is one of this scheme and this scene.
+
+        Args:
+            past: The past of the state; None for none.
+        """
         return past is None
 
     def begin_step(
@@ -166,7 +170,11 @@ class Weights(NamedTuple):
 
     @classmethod
     def of_radius(cls, radius: float) -> Weights:
-        """The weights of least damping at low frequencies for a spectral radius, 0 to 1."""
+        """The weights of least damping at low frequencies for a spectral radius, 0 to 1.
+
+        Args:
+            radius: The spectral radius at high frequencies [-].
+        """
         alpha_m, alpha_f = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
         gamma = 0.5 - alpha_m + alpha_f
         beta = 0.25 * (1.0 - alpha_m + alpha_f) ** 2

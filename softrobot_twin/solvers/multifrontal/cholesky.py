@@ -223,7 +223,12 @@ class Multifrontal:
         return self._back()
 
     def solve(self, b: np.ndarray) -> np.ndarray:
-        """A⁻¹ b, shape (node_count, 3), or column by column, shape (3 node_count, count)."""
+        """A⁻¹ b, shape (node_count, 3), or column by column, shape (3 node_count, count).
+
+        Args:
+            b: Right-hand side [N], shape (node_count, 3); or several as columns, shape (3
+                node_count, count).
+        """
         b = np.asarray(b, dtype=np.float64)
         if b.shape == (self._node_count, 3):
             return self._solve_one(b)
@@ -251,7 +256,11 @@ class Multifrontal:
 
 
 def aligned(size: int) -> np.ndarray:
-    """Zeros, aligned to a cache line, shape (size,)."""
+    """Zeros, aligned to a cache line, shape (size,).
+
+    Args:
+        size: How many doubles.
+    """
     buffer = np.zeros(size + STRIP)
     start = -buffer.ctypes.data // 8 % STRIP
     return buffer[start : start + size]

@@ -145,7 +145,12 @@ class ConstraintColumns:
         self.size, self.work_size, self.gram_size, self.rank = _stack_trees(self.trees)
 
     def most_sizes(self, ranks: np.ndarray, row_count: int) -> tuple[int, int, int]:
-        """Size, work size and gram size that rows on some nodes may need, given by rank."""
+        """Size, work size and gram size that rows on some nodes may need, given by rank.
+
+        Args:
+            ranks: Place of each reached node in the elimination order, shape (reached_count,).
+            row_count: Number of rows.
+        """
         if len(ranks) > len(self.column) or row_count > len(self._column_of_row):
             self._allocate(len(ranks), row_count)
         elimination = self._elimination

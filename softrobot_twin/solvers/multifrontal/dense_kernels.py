@@ -271,7 +271,13 @@ def _add(code: VectorCode, target: ir.Value, source: ir.Value, kind: ir.Type) ->
 
 @_coded
 def clear_strips(code: VectorCode, address, strips) -> None:
-    """Set `strips` times eight doubles to zero."""
+    """Set `strips` times eight doubles to zero.
+
+    Args:
+        code: Where the code is written.
+        address: Address of the first double.
+        strips: How many strips of eight doubles.
+    """
     place = code.variable(address)
     with code.repeat(strips):
         for m in range(VECTORS):
@@ -281,7 +287,14 @@ def clear_strips(code: VectorCode, address, strips) -> None:
 
 @_coded
 def place_block(code: VectorCode, target, stride, source) -> None:
-    """Copy a 3×3 block, stored contiguously by columns, into columns `stride` doubles apart."""
+    """Copy a 3×3 block, stored contiguously by columns, into columns `stride` doubles apart.
+
+    Args:
+        code: Where the code is written.
+        target: Address of the first column's place.
+        stride: Distance of the columns [doubles].
+        source: Address of the block's nine doubles.
+    """
     for j, column in enumerate(code.columns(target, stride, DIRECTIONS)):
         code.store(code.load(source, DIRECTIONS * j, _PAIR), column)
         code.store(code.load(source, DIRECTIONS * j + 2), column, 2)
@@ -289,7 +302,16 @@ def place_block(code: VectorCode, target, stride, source) -> None:
 
 @_coded
 def add_node_columns(code: VectorCode, target, target_stride, source, source_stride, count) -> None:
-    """Add `count` rows of the three columns of a node to three columns elsewhere."""
+    """Add `count` rows of the three columns of a node to three columns elsewhere.
+
+    Args:
+        code: Where the code is written.
+        target: Address of the first column that is added to.
+        target_stride: Distance of these columns [doubles].
+        source: Address of the first column that is read.
+        source_stride: Distance of those columns [doubles].
+        count: How many rows.
+    """
     builder = code.builder
     targets = [code.variable(c) for c in code.columns(target, target_stride, DIRECTIONS)]
     sources = [code.variable(c) for c in code.columns(source, source_stride, DIRECTIONS)]
@@ -313,21 +335,40 @@ def add_node_columns(code: VectorCode, target, target_stride, source, source_str
 
 @_coded
 def copy_node(code: VectorCode, target, source) -> None:
-    """Copy the three doubles of a node."""
+    """Copy the three doubles of a node.
+
+    Args:
+        code: Where the code is written.
+        target: Address of the three doubles that are written.
+        source: Address of the three that are read.
+    """
     for i in range(DIRECTIONS):
         code.store(code.load(source, i), target, i)
 
 
 @_coded
 def add_node(code: VectorCode, target, source) -> None:
-    """Add the three doubles of a node."""
+    """Add the three doubles of a node.
+
+    Args:
+        code: Where the code is written.
+        target: Address of the three doubles that are added to.
+        source: Address of the three that are read.
+    """
     for i in range(DIRECTIONS):
         _add(code, code.at(target, i), code.at(source, i), DOUBLE)
 
 
 @_coded
 def add_strips(code: VectorCode, target, source, strips) -> None:
-    """Add `strips` times eight doubles."""
+    """Add `strips` times eight doubles.
+
+    Args:
+        code: Where the code is written.
+        target: Address of the first double that is added to.
+        source: Address of the first that is read.
+        strips: How many strips of eight doubles.
+    """
     to, origin = code.variable(target), code.variable(source)
     with code.repeat(strips):
         for m in range(VECTORS):

@@ -200,7 +200,11 @@ class FirstFit:
         self._free = [(0, 1 << 62)]
 
     def take(self, size: int) -> int:
-        """Reserve an interval; returns its start."""
+        """Reserve an interval; returns its start.
+
+        Args:
+            size: Its length [doubles].
+        """
         for number, (start, length) in enumerate(self._free):
             if length >= size:
                 self._free[number] = (start + size, length - size)
@@ -209,7 +213,12 @@ class FirstFit:
         raise MemoryError(f"no memory for an update of {size} doubles")
 
     def give_back(self, start: int, size: int) -> None:
-        """Free an interval, and join it with free neighbours."""
+        """Free an interval, and join it with free neighbours.
+
+        Args:
+            start: Where it begins.
+            size: Its length [doubles].
+        """
         insort(self._free, (start, size))
         joined = []
         for start, size in self._free:

@@ -112,7 +112,11 @@ def _dissected(graph: sp.csr_array, level: np.ndarray) -> np.ndarray:
 
 
 def minimum_degree(graph: sp.csr_array) -> np.ndarray:
-    """Multiple minimum degree, by the implementation inside SuperLU, shape (node_count,)."""
+    """Multiple minimum degree, by the implementation inside SuperLU, shape (node_count,).
+
+    Args:
+        graph: Adjacency of the nodes, symmetric, shape (node_count, node_count).
+    """
     return _minimum_degree(graph.indptr, graph.indices)
 
 
@@ -219,7 +223,12 @@ def boundary_sizes(graph: sp.csr_array, position: np.ndarray) -> np.ndarray:
 
 
 def vertex_cover(graph: sp.csr_array, side: np.ndarray) -> np.ndarray:
-    """Smallest set of nodes that touches all edges between two sides, as a mask."""
+    """Smallest set of nodes that touches all edges between two sides, as a mask.
+
+    Args:
+        graph: Adjacency of the nodes, symmetric, shape (node_count, node_count).
+        side: Whether a node is on the left side, shape (node_count,).
+    """
     left, right = np.flatnonzero(side), np.flatnonzero(~side)
     crossing = sp.csr_matrix(graph[left][:, right])
     partner_of_left = maximum_bipartite_matching(crossing, perm_type="column")
@@ -247,6 +256,9 @@ def distances_as_places(graph: sp.csr_array) -> np.ndarray:
 
     Classical scaling of the distances to a few pivots far from each other (Brandes and
     Pich 2006).
+
+    Args:
+        graph: Adjacency of the nodes, symmetric, shape (node_count, node_count).
     """
     nearest = np.full(graph.shape[0], np.inf)
     pivot, distances = 0, []

@@ -90,7 +90,12 @@ def node_graph(rows: np.ndarray, columns: np.ndarray, node_count: int) -> sp.csr
 
 
 def subgraph(graph: sp.csr_array, nodes: np.ndarray) -> sp.csr_array:
-    """The graph of some nodes, numbered as they are listed."""
+    """The graph of some nodes, numbered as they are listed.
+
+    Args:
+        graph: Adjacency of all nodes, symmetric, shape (node_count, node_count).
+        nodes: Numbers of the nodes that remain, shape (count,).
+    """
     return _with_short_indices(sp.csr_array(graph[nodes][:, nodes]))
 
 
@@ -101,7 +106,12 @@ def _with_short_indices(graph: sp.csr_array) -> sp.csr_array:
 
 
 def renumbered(graph: sp.csr_array, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The graph with node order[k] numbered k, as (indptr, indices)."""
+    """The graph with node order[k] numbered k, as (indptr, indices).
+
+    Args:
+        graph: Adjacency of the nodes, symmetric, shape (node_count, node_count).
+        order: Node at each place, shape (node_count,).
+    """
     rank = inverse(order)
     lengths = np.diff(graph.indptr)[order]
     indptr = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
@@ -111,7 +121,11 @@ def renumbered(graph: sp.csr_array, order: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def inverse(order: np.ndarray) -> np.ndarray:
-    """The inverse of a permutation, as int64."""
+    """The inverse of a permutation, as int64.
+
+    Args:
+        order: Node at each place, shape (node_count,).
+    """
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
     return rank
@@ -394,6 +408,10 @@ def with_longer_runs(graph: sp.csr_array, elimination: Elimination) -> Eliminati
 
     Inside a front any order has the same fill; with this one, updates are added to parents in
     longer runs.
+
+    Args:
+        graph: Adjacency of the nodes, symmetric, shape (node_count, node_count).
+        elimination: An elimination of them; stays as it is.
     """
     holder = front_of_rows(elimination)
     by_row = np.lexsort((holder, elimination.rows))
@@ -406,7 +424,11 @@ def with_longer_runs(graph: sp.csr_array, elimination: Elimination) -> Eliminati
 
 
 def front_of_rows(elimination: Elimination) -> np.ndarray:
-    """The front below whose columns each of `rows` lies."""
+    """The front below whose columns each of `rows` lies.
+
+    Args:
+        elimination: The elimination.
+    """
     counts = np.diff(elimination.row_start)
     return np.repeat(np.arange(len(counts)), counts)
 

@@ -65,7 +65,11 @@ class Variable:
         return self._builder.load(self._slot)
 
     def set(self, value: ir.Value) -> None:
-        """Give it a new value."""
+        """Give it a new value.
+
+        Args:
+            value: The value, of the type that it was made with.
+        """
         self._builder.store(value, self._slot)
 
 
@@ -76,42 +80,81 @@ class VectorCode:
         self.builder = builder
 
     def integer(self, value: int) -> ir.Value:
-        """A constant."""
+        """A constant.
+
+        Args:
+            value: Its value.
+        """
         return ir.Constant(INTEGER, value)
 
     def variable(self, value: ir.Value) -> Variable:
-        """A value that changes along a loop."""
+        """A value that changes along a loop.
+
+        Args:
+            value: Its value at the beginning.
+        """
         return Variable(self.builder, value)
 
     @contextmanager
     def repeat(self, count: ir.Value) -> Iterator[ir.Value]:
-        """A loop over what is written inside; gives the index."""
+        """A loop over what is written inside; gives the index.
+
+        Args:
+            count: How many times the loop runs, an integer.
+        """
         with cgutils.for_range(self.builder, count) as loop:
             yield loop.index
 
     def at(self, address: ir.Value, offset: ir.Value | int) -> ir.Value:
-        """The address `offset` doubles further."""
+        """The address `offset` doubles further.
+
+        Args:
+            address: An address, as an integer.
+            offset: How far from it [doubles].
+        """
         if isinstance(offset, int):
             return self.builder.add(address, self.integer(8 * offset)) if offset else address
         return self.builder.add(address, self.builder.shl(offset, self.integer(3)))
 
     def columns(self, address: ir.Value, stride: ir.Value, count: int) -> list[ir.Value]:
-        """The addresses of `count` columns that lie `stride` doubles apart."""
+        """The addresses of `count` columns that lie `stride` doubles apart.
+
+        Args:
+            address: Address of the first column.
+            stride: Distance of the columns [doubles].
+            count: How many columns.
+        """
         steps = [self.builder.mul(self.integer(n), stride) for n in range(count)]
         return [self.at(address, step) for step in steps]
 
     def load(self, address: ir.Value, offset: int = 0, kind: ir.Type = DOUBLE) -> ir.Value:
-        """One double, or a vector of neighbours, of any alignment."""
+        """One double, or a vector of neighbours, of any alignment.
+
+        Args:
+            address: An address, as an integer.
+            offset: How far from it the value lies [doubles].
+            kind: `DOUBLE`, or the type of a vector of them.
+        """
         pointer = self.builder.inttoptr(self.at(address, offset), kind.as_pointer())
         return self.builder.load(pointer, align=8)
 
     def store(self, value: ir.Value, address: ir.Value, offset: int = 0) -> None:
-        """Write a double or a vector."""
+        """Write a double or a vector.
+
+        Args:
+            value: The double or the vector.
+            address: An address, as an integer.
+            offset: How far from it the value goes [doubles].
+        """
         pointer = self.builder.inttoptr(self.at(address, offset), value.type.as_pointer())
         self.builder.store(value, pointer, align=8)
 
     def splat(self, scalar: ir.Value) -> ir.Value:
-        """A vector of one value."""
+        """A vector of one value.
+
+        Args:
+            scalar: The value of all its places.
+        """
         kind = ir.VectorType(scalar.type, VECTOR_WIDTH)
         undefined = ir.Constant(kind, ir.Undefined)
         first = self.builder.insert_element(undefined, scalar, ir.Constant(_INDEX, 0))
@@ -119,15 +162,27 @@ class VectorCode:
         return self.builder.shuffle_vector(first, undefined, zeros)
 
     def multiply_add(self, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
-        """a b + c, fused where the machine can."""
+        """a b + c, fused where the machine can.
+
+        Args:
+            a, b, c: Doubles, or vectors of the same width.
+        """
         return self._call("llvm.fmuladd", [a, b, c])
 
     def square_root(self, a: ir.Value) -> ir.Value:
-        """√a of a double."""
+        """√a of a double.
+
+        Args:
+            a: A double.
+        """
         return self._call("llvm.sqrt", [a])
 
     def sum(self, vector: ir.Value) -> ir.Value:
-        """The sum over a vector, halves first."""
+        """The sum over a vector, halves first.
+
+        Args:
+            vector: The vector.
+        """
         values = [vector]
         width = VECTOR_WIDTH
         while width > 1:
@@ -146,7 +201,13 @@ class VectorCode:
         return self.builder.extract_element(values[-1], ir.Constant(_INDEX, 0))
 
     def zero_below(self, first: ir.Value, vector: ir.Value, offset: int = 0) -> ir.Value:
-        """The vector, with zeros where index + offset is less than `first`."""
+        """The vector, with zeros where index + offset is less than `first`.
+
+        Args:
+            first: The least index that is kept, an integer.
+            vector: The vector.
+            offset: Index of its first place.
+        """
         numbers = list(range(offset, offset + VECTOR_WIDTH))
         indices = ir.Constant(ir.VectorType(INTEGER, VECTOR_WIDTH), numbers)
         kept = self.builder.icmp_signed(">=", indices, self.splat(first))
