@@ -75,6 +75,8 @@ class ActuatorEntry(Entry):
 class Pulley(Entry):
     """A pulley on a motor's shaft that winds cables."""
 
+    told: ClassVar[tuple[str, ...]] = ("by a pulley of radius {radius:mm} mm",)
+
     radius: Annotated[float, unit("m", gt=0.0)]
     """From the axis to the middle of the cable."""
     winds: Literal["positive", "negative"] = "positive"
@@ -254,6 +256,7 @@ class SealedCavity(WalledEntry):
 class Motor(Entry):
     """Cables that are driven by one motor, all by the same length."""
 
+    told: ClassVar[tuple[str, ...]] = ("shortens {cables}", "{pulley}")
     placed: ClassVar[dict[str, str]] = {}
 
     name: Name

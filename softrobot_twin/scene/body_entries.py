@@ -48,6 +48,7 @@ PATCHES_NOT_REDUCED = "are not built for reduced bodies: name volume: per_elemen
 class BoxMesh(Entry):
     """A box that is meshed without a file, from the origin of the mesh to its `size`."""
 
+    told: ClassVar[tuple[str, ...]] = ("a box of {size:mm} mm", "{cell_counts:×} cells")
     one_of: ClassVar[tuple[str, ...]] = ("cell_size", "cells")
 
     size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
@@ -78,6 +79,10 @@ class BoxMesh(Entry):
 class Mesh(Entry):
     """The mesh of a body and its placement: a mesh file, a CAD file that is meshed, or a box."""
 
+    told: ClassVar[tuple[str, ...]] = (
+        "{file}", "{box}", "tetrahedra of {size:mm} mm", "scale {scale}",
+        "rotation {rotation} rad", "translation {translation} m",
+    )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path | None = None
@@ -135,6 +140,8 @@ class Mesh(Entry):
 class ViscosityTerm(Entry):
     """A term of a Prony series: a share of the stiffness that relaxes."""
 
+    told: ClassVar[tuple[str, ...]] = ("{share} in {time} s",)
+
     share: Annotated[float, unit("", gt=0.0, lt=1.0)]
     """g: share of the modulus at once; it is not part of young_modulus, the modulus after a long
     time."""
@@ -144,6 +151,8 @@ class ViscosityTerm(Entry):
 
 class Softening(Entry):
     """Softening by the first stretch, the Mullins effect (Ogden and Roxburgh 1999)."""
+
+    told: ClassVar[tuple[str, ...]] = ("softening: r {r}", "m {m} J/m³", "β {beta:=}")
 
     r: Annotated[float, unit("", gt=1.0)]
     """The stress falls by 1/r of itself at most."""
@@ -218,6 +227,10 @@ def _constant(name: str, value: Any) -> float | tuple[float, ...]:
 class ElasticEntry(Entry):
     """The constants of a law, which a body's material and those of its parts share."""
 
+    told: ClassVar[tuple[str, ...]] = (
+        "viscous: shares {viscosity}", "{softening}", "{fit}", "strain range {strain_range:%}",
+    )  # fmt: skip
+
     law: Annotated[str | None, registered("law", law_names)] = None
     """Name of a law: one of these, or one that was registered from outside the package."""
     young_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
@@ -252,6 +265,18 @@ class ElasticEntry(Entry):
             raise refusal("bulk_modulus", self.bulk_modulus,
                           f"is beside poisson_ratio {self.poisson_ratio:g}, which says the same; "
                           "give one")
+
+    @property
+    def fit(self) -> str | None:
+        """How well a preset describes what is sold, in words; None without one."""
+        if self.preset is None:
+            return None
+        preset = MATERIAL_PRESETS[self.preset]
+        low, high = 100.0 * preset.smallest_strain, 100.0 * preset.largest_strain
+        return (f"preset {self.preset}: fitted with an error of {100.0 * preset.rms_error:.1f} % "
+                f"(largest {100.0 * preset.largest_error:.1f} %) to {preset.source}, its data lie "
+                f"at strains of {low:.0f} % to {high:.0f} % in tension: at smaller ones, and in "
+                "compression, the law is extrapolated")  # fmt: skip
 
     def volume_constants(
         self, otherwise: ElasticEntry | None = None
@@ -350,6 +375,9 @@ def _check_constants(given: dict, own: OwnConstants, takes: str) -> None:
 class Material(ElasticEntry):
     """The material law of a body."""
 
+    told: ClassVar[tuple[str, ...]] = (
+        "{density} kg/m³", "{total_mass} kg in total", *ElasticEntry.told)  # fmt: skip
+
     law: Annotated[str, registered("law", law_names)] = "corotational"
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Mass by volume."""
@@ -372,6 +400,8 @@ class Material(ElasticEntry):
 
 class BoxRegion(Entry):
     """Nodes inside an axis-aligned box."""
+
+    told: ClassVar[tuple[str, ...]] = ("box from {minimum:mm} mm to {maximum:mm} mm",)
 
     minimum: Vector
     """Lower corner."""
@@ -405,6 +435,11 @@ class RegionMaterial(ElasticEntry):
     viscosity: tuple[ViscosityTerm, ...] | None = None
     """By default, as the softening, that of the body's material; [] for none."""
     softening: Softening | None = None
+
+    @property
+    def place(self) -> str:
+        """Which cells are of it, in words."""
+        return f"region {self.region}" if self.box is None else self.box.describe()
 
 
 class SphereRegion(Entry):
@@ -638,6 +673,8 @@ class Body(Entry):
 class RectangleSection(Entry):
     """A rectangular cross-section."""
 
+    told: ClassVar[tuple[str, ...]] = ("{thickness:mm} × {width:mm} mm",)
+
     thickness: Annotated[float, unit("m", gt=0.0)]
     """Its extent along the `thickness_direction` of the beam."""
     width: Annotated[float, unit("m", gt=0.0)]
@@ -647,12 +684,16 @@ class RectangleSection(Entry):
 class CircleSection(Entry):
     """A full circle."""
 
+    told: ClassVar[tuple[str, ...]] = ("circle of radius {radius:mm} mm",)
+
     radius: Annotated[float, unit("m", gt=0.0)]
     """Radius."""
 
 
 class TubeSection(Entry):
     """A circular tube."""
+
+    told: ClassVar[tuple[str, ...]] = ("tube of radius {radius:mm} mm", "wall {wall:mm} mm")
 
     radius: Annotated[float, unit("m", gt=0.0)]
     """The outer radius."""
@@ -667,6 +708,8 @@ class TubeSection(Entry):
 
 class GivenSection(Entry):
     """A cross-section by its constants; y is the `thickness_direction`, z = tangent × y."""
+
+    told: ClassVar[tuple[str, ...]] = ("given constants",)
 
     area: Annotated[float, unit("m²", gt=0.0)]
     """Area."""
@@ -687,6 +730,7 @@ class GivenSection(Entry):
 class CrossSection(Entry):
     """Exactly one of: a rectangle, a circle, a tube, given constants."""
 
+    told: ClassVar[tuple[str, ...]] = ("{rectangle}", "{circle}", "{tube}", "{constants}")
     one_of: ClassVar[tuple[str, ...]] = ("rectangle", "circle", "tube", "constants")
     one_of_words: ClassVar[str] = "a section has exactly one of {}"
 
@@ -703,6 +747,10 @@ class CrossSection(Entry):
 
 class BeamMaterial(Entry):
     """The material of a beam, isotropic and linear elastic."""
+
+    told: ClassVar[tuple[str, ...]] = (
+        "E {young_modulus} Pa", "ν {poisson_ratio}", "{density} kg/m³",
+    )  # fmt: skip
 
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
     """E."""
@@ -735,6 +783,12 @@ class BeamJoint(Entry):
             raise ValueError(f"an axis is that of a hinge; this joint is {self.by}")
         if self.by == "rigid" and self.to == "world":
             raise ValueError("an end that is clamped in the world is given as fixed")
+
+    def describe(self) -> str:
+        """What is joined to what, and how it can turn."""
+        at = self.at if isinstance(self.at, str) else f"point {self.at}"
+        turns = {"hinge": " by a hinge about {axis}", "ball": " by a ball joint"}.get(self.by, "")
+        return self.phrase(f"{at} to {{to}}{turns}")
 
 
 class Beam(Entry):
@@ -796,6 +850,8 @@ _Ends = Annotated[tuple[Vector, Vector], AfterValidator(_apart)]
 class PlaneShape(Entry):
     """A half space; its normal points to the free side."""
 
+    told: ClassVar[tuple[str, ...]] = ("plane", "normal {normal:=}")
+
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the plane."""
     normal: Annotated[Direction, not_zero("the normal of a plane must not be zero")] = UP
@@ -804,6 +860,8 @@ class PlaneShape(Entry):
 
 class SphereShape(Entry):
     """A ball."""
+
+    told: ClassVar[tuple[str, ...]] = ("sphere of radius {radius:mm} mm",)
 
     centre: Vector = (0.0, 0.0, 0.0)
     """Centre."""
@@ -814,6 +872,8 @@ class SphereShape(Entry):
 class CapsuleShape(Entry):
     """A cylinder with hemispheres at its ends."""
 
+    told: ClassVar[tuple[str, ...]] = ("capsule of radius {radius:mm} mm", "{ends:|} mm long")
+
     ends: _Ends
     """Centres of the hemispheres."""
     radius: Radius
@@ -823,6 +883,8 @@ class CapsuleShape(Entry):
 class CylinderShape(Entry):
     """A cylinder with flat ends."""
 
+    told: ClassVar[tuple[str, ...]] = ("cylinder of radius {radius:mm} mm", "{ends:|} mm long")
+
     ends: _Ends
     """Centres of the two flat ends."""
     radius: Radius
@@ -831,6 +893,8 @@ class CylinderShape(Entry):
 
 class BoxShape(Entry):
     """A box."""
+
+    told: ClassVar[tuple[str, ...]] = ("box of {size:mm} mm",)
 
     centre: Vector = (0.0, 0.0, 0.0)
     """Centre."""
@@ -842,6 +906,8 @@ class BoxShape(Entry):
 
 class SurfaceShape(Entry):
     """A closed surface of triangles."""
+
+    told: ClassVar[tuple[str, ...]] = ("surface {file}",)
 
     file: Path
     """Mesh file, relative to the scene file."""
@@ -859,6 +925,7 @@ SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
 class Shaped(Entry):
     """Base of entries with exactly one shape, placed in the world."""
 
+    told: ClassVar[tuple[str, ...]] = ("{shape}",)
     placed: ClassVar[dict[str, str]] = {"position": "point", "rotation": "angles"}
     one_of: ClassVar[tuple[str, ...]] = SHAPES
     one_of_words: ClassVar[str] = "must have exactly one of the shapes {}"
@@ -893,6 +960,10 @@ class Obstacle(Shaped):
 class RigidBody(Shaped):
     """A rigid body: free, or guided by commanded poses."""
 
+    told: ClassVar[tuple[str, ...]] = (
+        "{motion:=}", "{shape}", "{mass} kg", "{density} kg/m³", "at most {speed:mm} mm/s",
+        "at most {turn_rate} rad/s",
+    )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {**Shaped.placed, "velocity": "direction",
                                          "angular_velocity": "direction"}  # fmt: skip
 
@@ -933,6 +1004,7 @@ class RigidBody(Shaped):
 class SpringEnd(Entry):
     """An end of a spring: a point at rest, on a body or in the world."""
 
+    told: ClassVar[tuple[str, ...]] = ("{on:=}",)
     placed: ClassVar[dict[str, str]] = {"point": "point"}
 
     on: Name = "world"
@@ -944,6 +1016,7 @@ class SpringEnd(Entry):
 class Spring(Entry):
     """A spring between two points."""
 
+    told: ClassVar[tuple[str, ...]] = ("{ends: to }", "{stiffness} N/m", "{damping} N s/m")
     placed: ClassVar[dict[str, str]] = {"ends": "inside"}
 
     name: Name
@@ -960,6 +1033,7 @@ class Spring(Entry):
 class Tube(Entry):
     """A chain of springs along a path through a body, such as a tube around a cable."""
 
+    told: ClassVar[tuple[str, ...]] = ("{points:#point}", "EA {axial_stiffness} N")
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
@@ -1011,6 +1085,13 @@ class Helix(Entry):
                              f"segments of {self.segments_per_turn} a turn, more than "
                              f"{MOST_SEGMENTS}: are pitch and reach in metres?")
 
+    def describe(self) -> str:
+        """Its threads and their angle."""
+        hands = "each" if self.handedness == "both" else self.handedness
+        angle = math.degrees(math.atan2(2.0 * math.pi * self.radius, self.pitch))
+        return self.phrase(f"{{count:=}} of {hands} handedness at {angle:.1f}° to the axis, "
+                         "radius {radius:mm} mm")  # fmt: skip
+
 
 class Fibre(Entry):
     """Threads in a body that are stiff in tension: a helix, a path of points, or edges of the mesh.
@@ -1018,6 +1099,9 @@ class Fibre(Entry):
     Exactly one of `helix`, `points` and `edges` is given.
     """
 
+    told: ClassVar[tuple[str, ...]] = (
+        "edges {edges}", "{points:#point}", "{helix}", "EA {stiffness} N {sense}",
+    )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"points": "point", "helix": "helix"}
     one_of: ClassVar[tuple[str, ...]] = ("helix", "points", "edges")
 
@@ -1036,10 +1120,16 @@ class Fibre(Entry):
     tension_only: bool = True
     """Whether the threads are slack when they are shortened, or resist that too."""
 
+    @property
+    def sense(self) -> str:
+        """When its threads resist, in words."""
+        return "in tension only" if self.tension_only else "in tension and compression"
+
 
 class MassSpringBody(Entry):
     """Point masses connected by springs."""
 
+    told: ClassVar[tuple[str, ...]] = ("{points:#point}", "{springs:#spring} of {stiffness:=} N/m")
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name

@@ -28,8 +28,12 @@ from typing import (
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from softrobot_twin.scene.words import in_words, words
+
 LARGEST, SMALLEST = 1.0e30, 1.0e-30
 """Smaller or larger magnitudes are refused, because their products underflow or overflow."""
+
+_TOLD = re.compile(r"\{(\w+):?([^}]*)\}")
 
 
 class Entry(BaseModel):
@@ -46,6 +50,11 @@ class Entry(BaseModel):
     ``point`` or several, a ``direction``, ``angles``, a ``box``, ``letters`` of directions, a
     ``helix``, entries ``inside`` it, ``regions`` that may be in a mesh's frame, or ``numbers`` that
     count up. None: entries of this type are not repeated."""
+
+    told: ClassVar[tuple[str, ...]] = ()
+    """What `describe` tells of an entry: parts with the names of keys and how their values are
+    written, see `words.in_words`, such as ``{size:mm} mm``. A part with a key that is not given, or
+    has its usual value, is left out, unless its form begins with ``=``."""
 
     @model_validator(mode="before")
     @classmethod
@@ -72,6 +81,21 @@ class Entry(BaseModel):
         Raises:
             ValueError: It says what is required; so does an error of `refusal`.
         """
+
+    def describe(self) -> str:
+        """What it says, in words with units, as `explain` prints it."""
+        return words(*map(self.phrase, self.told))
+
+    def phrase(self, text: str) -> str:
+        """A part of its description; empty where nothing is to be told, see `told`."""
+        values = []
+        for name, form in _TOLD.findall(text):
+            value, field = getattr(self, name), type(self).model_fields.get(name)
+            is_usual = field is not None and value == field.default and form[:1] not in ("=", "#")
+            if value is None or is_usual or (value == () and form[:1] != "#"):
+                return ""
+            values.append(in_words(value, form.removeprefix("=")))
+        return _TOLD.sub("{}", text).format(*values)
 
     def given(self, keys: Iterable[str]) -> list[str]:
         """Those of some keys that have a value.

@@ -42,6 +42,7 @@ from softrobot_twin.scene.entry import (
 )
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
+from softrobot_twin.scene.words import number
 from softrobot_twin.solvers import FACTORIZATIONS
 
 
@@ -71,6 +72,11 @@ class TouchingPoint(Entry):
 
 class Contact(Entry):
     """Which bodies may touch, and how contact is solved."""
+
+    told: ClassVar[tuple[str, ...]] = (
+        "candidates below {alarm_distance:=mm} mm", "contact below {contact_distance:=mm} mm",
+        "tolerance {tolerance:=} m",
+    )  # fmt: skip
 
     between: tuple[Touching, ...] = ()
     """Pairs that may touch; all others pass through each other."""
@@ -130,6 +136,13 @@ class EffectorOrientation(Entry):
     length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
     """Displacement that counts as much as one radian; by default the size of the robot."""
 
+    def describe(self) -> str:
+        """What is asked for, and how it is weighed."""
+        asked = self.phrase("axis {pointing} pointing") or "orientation"
+        patch = self.phrase(" of {points:#point}") if self.points else ""
+        whole = self.phrase("{length_per_radian:mm} mm") or "the robot's size"
+        return self.phrase(f"{asked}{patch}, weight {{weight:=}}, {whole} per radian")
+
 
 class EffectorStiffness(Entry):
     """What an effector asks for beside its position: how stiff a touch finds it."""
@@ -142,6 +155,14 @@ class EffectorStiffness(Entry):
     length: Annotated[float | None, unit("m", gt=0.0)] = None
     """Distance from the target that counts as much as a stiffness that is wrong by all of its
     target; by default a tenth of the size of the robot."""
+
+    def describe(self) -> str:
+        """What is asked for, and how it is weighed."""
+        asked = [f"{axis} {number(one)} N/m"
+                 for axis, one in zip("xyz", self.target, strict=True) if one is not None]  # fmt: skip
+        whole = self.phrase("{length:mm} mm") or "a tenth of the robot's size"
+        return self.phrase(f"stiffness {' '.join(asked) or 'by messages'}, weight {{weight:=}}, "
+                         f"{whole} for 100 %")  # fmt: skip
 
 
 class PointsOnBody(Entry):
@@ -170,6 +191,10 @@ class PointsOnBody(Entry):
 class Effector(PointsOnBody):
     """A point that follows a target: the mean of its points."""
 
+    told: ClassVar[tuple[str, ...]] = (
+        "{points:#point}", "directions {directions:= }, weight {weight:=}", "{orientation}",
+        "{stiffness}",
+    )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {**PointsOnBody.placed, "measured_by": "numbers"}
 
     weight: Annotated[float, unit("", gt=0.0)] = 1.0

@@ -18,8 +18,8 @@ from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
-from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
+from softrobot_twin.scene.body_entries import Material, RegionMaterial
+from softrobot_twin.scene.words import count, in_words, number, vector, words
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
@@ -44,26 +44,6 @@ from softrobot_twin.study.terminal import (
 )
 
 
-def count(things, name: str) -> str:
-    """A number with a noun: ``3 nodes``, ``1 node``."""
-    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
-
-
-def number(value: float) -> str:
-    """A number with at most six digits."""
-    return f"{value + 0.0:.6g}"  # 0 in place of -0
-
-
-def vector(values) -> str:
-    """Numbers in brackets."""
-    return "[" + ", ".join(number(float(value)) for value in values) + "]"
-
-
-def millimetres(values) -> str:
-    """Lengths [m] as text in mm."""
-    return f"{vector(1e3 * np.atleast_1d(values))} mm"
-
-
 def limits(bounds, unit: str) -> str:
     """A lower and an upper limit as text; each may be infinite."""
     if np.isfinite(bounds).any():
@@ -71,60 +51,10 @@ def limits(bounds, unit: str) -> str:
     return "without limit"
 
 
-def words(*parts: str | None) -> str:
-    """The parts of a description that are not empty."""
-    return ", ".join(filter(None, parts))
-
-
-def told(text: str, value, factor: float = 1.0, usual: object = None) -> str:
-    """A text with a number, or with several in brackets; empty for None and the usual value."""
-    if value is None or value == usual:
-        return ""
-    scaled = factor * np.asarray(value)
-    return text.format(vector(scaled) if scaled.ndim else number(float(scaled)))
-
-
-def describe_mesh(mesh) -> str:
-    """A mesh entry."""
-    source = str(mesh.file)
-    if mesh.box is not None:
-        cells = "×".join(map(str, mesh.box.cell_counts))
-        source = f"a box of {millimetres(mesh.box.size)}, {cells} cells"
-    still = (0.0, 0.0, 0.0)
-    return words(
-        source, told("tetrahedra of {} mm", mesh.size if mesh.is_cad else None, 1e3),
-        told("scale {}", mesh.scale, usual=1.0), told("rotation {} rad", mesh.rotation, usual=still),
-        told("translation {} m", mesh.translation, usual=still),
-    )
-
-
-def describe_material(material) -> str:
-    """A material entry."""
-    weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
-               else f"{number(material.total_mass)} kg in total")
+def describe_material(material: Material) -> str:
+    """A material entry, after its law."""
     law = _describe_law(material.law, law_at_rest(material, material.law), material.constants)
-    return words(law, weighed, *_details(material))
-
-
-def _details(material) -> Iterator[str]:
-    """Viscosity and softening of an entry, its preset with its fit, and its range of strains."""
-    if material.viscosity:
-        terms = ", ".join(f"{number(term.share)} in {number(term.time)} s"
-                          for term in material.viscosity)  # fmt: skip
-        yield f"viscous: shares {terms}"
-    if material.softening is not None:
-        soft = material.softening
-        yield f"softening: r {number(soft.r)}, m {number(soft.m)} J/m³, β {number(soft.beta)}"
-    if material.preset is not None:
-        preset = MATERIAL_PRESETS[material.preset]
-        yield (f"preset {material.preset}: fitted with an error of {100.0 * preset.rms_error:.1f} % "
-               f"(largest {100.0 * preset.largest_error:.1f} %) to {preset.source}")
-        low, high = 100.0 * preset.smallest_strain, 100.0 * preset.largest_strain
-        yield (f"its data lie at strains of {low:.0f} % to {high:.0f} % in tension: at "
-               "smaller ones, and in compression, the law is extrapolated")
-    if material.strain_range is not None:
-        low, high = (100.0 * strain for strain in material.strain_range)
-        yield f"strain range {low:.0f} % to {high:.0f} %"
+    return words(law, material.describe())
 
 
 def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | None) -> str:
@@ -132,18 +62,15 @@ def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | No
     moduli = f"E {number(at_rest.young_modulus)} Pa, ν {number(at_rest.poisson_ratio)}"
     if constants is None:
         return f"{law}, {moduli}"
-    own = (told(f"{constant.name} {{}} {constant.unit}".rstrip(), constants[constant.name])
+    own = (f"{constant.name} {in_words(constants[constant.name])} {constant.unit}".rstrip()
            for constant in law_named(law).own.constants)
     return words(law, *own, f"at rest {moduli}")
 
 
 def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
     """A material of some cells of a body."""
-    place = f"region {entry.region}"
-    if entry.box is not None:
-        place = f"box from {millimetres(entry.box.minimum)} to {millimetres(entry.box.maximum)}"
-    return words(f"{place}: {_describe_law(part.law, part, entry.constants)}",
-                 f"{number(part.density)} kg/m³", f"{number(part.volume)} m³", *_details(entry))
+    return words(f"{entry.place}: {_describe_law(part.law, part, entry.constants)}",
+                 f"{number(part.density)} kg/m³", f"{number(part.volume)} m³", entry.describe())
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
@@ -169,98 +96,8 @@ _READABLE = {**SHOWN, "rad": (1.0, "rad")}
 """Factor and readable unit of SI units; angles are those of the scene."""
 
 
-def _by(joint) -> str:
-    """How a beam is joined, where it can turn."""
-    if joint.by == "hinge":
-        return f" by a hinge about {vector(joint.axis)}"
-    return " by a ball joint" if joint.by == "ball" else ""
-
-
 _JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle",
            "ball": "3 unknowns: a rotation"}  # fmt: skip
-
-
-def describe_effector(effector) -> str:
-    """An effector entry."""
-    return words(
-        count(effector.points, "point"),
-        f"directions {' '.join(effector.directions)}, weight {number(effector.weight)}"
-        if effector.directions else "",
-        effector.orientation and describe_orientation(effector.orientation),
-        effector.stiffness and describe_stiffness(effector.stiffness),
-    )
-
-
-def describe_stiffness(stiffness) -> str:
-    """The stiffness that an effector asks for."""
-    axes = (told(f"{axis} {{}} N/m", one)
-            for axis, one in zip("xyz", stiffness.target, strict=True))
-    asked = " ".join(filter(None, axes)) or "by messages"
-    whole = told("{} mm", stiffness.length, 1e3) or "a tenth of the robot's size"
-    return f"stiffness {asked}, weight {number(stiffness.weight)}, {whole} for 100 %"
-
-
-def describe_orientation(orientation) -> str:
-    """What an effector asks for beside its position."""
-    asked = told("axis {} pointing", orientation.pointing) or "orientation"
-    per_radian = told("{} mm", orientation.length_per_radian, 1e3) or "the robot's size"
-    patch = f" of {count(orientation.points, 'point')}" if orientation.points else ""
-    return f"{asked}{patch}, weight {number(orientation.weight)}, {per_radian} per radian"
-
-
-def describe_shape(entry) -> str:
-    """The one shape of an obstacle or a rigid body."""
-    shape = entry.shape
-    kind = type(shape).__name__.removesuffix("Shape").lower()
-    if kind == "plane":
-        return f"plane, normal {vector(shape.normal)}"
-    if kind == "box":
-        return f"box of {millimetres(shape.size)}"
-    if kind == "surface":
-        return f"surface {shape.file}"
-    long = np.linalg.norm(np.subtract(*shape.ends)) if kind in ("capsule", "cylinder") else None
-    return words(told(f"{kind} of radius {{}} mm", shape.radius, 1e3), told("{} mm long", long, 1e3))
-
-
-def describe_rigid_body(entry) -> str:
-    """A rigid body entry."""
-    return words(
-        entry.motion, describe_shape(entry), told("{} kg", entry.mass),
-        told("{} kg/m³", entry.density), told("at most {} mm/s", entry.speed, 1e3),
-        told("at most {} rad/s", entry.turn_rate),
-    )
-
-
-def describe_spring(spring) -> str:
-    """A spring entry."""
-    return words(f"{spring.ends[0].on} to {spring.ends[1].on}", told("{} N/m", spring.stiffness),
-                 told("{} N s/m", spring.damping, usual=0.0))
-
-
-def describe_tube(tube) -> str:
-    """A tube entry."""
-    return f"{count(tube.points, 'point')}, EA {number(tube.axial_stiffness)} N"
-
-
-def describe_fibre(fibre: Fibre) -> str:
-    """A fibre entry."""
-    course = f"edges {fibre.edges}"
-    if fibre.points is not None:
-        course = count(fibre.points, "point")
-    elif fibre.helix is not None:
-        helix = fibre.helix
-        hands = {"both": "each handedness"}.get(helix.handedness, f"{helix.handedness} handedness")
-        angle = np.degrees(np.arctan2(2.0 * np.pi * helix.radius, helix.pitch))
-        course = (f"{helix.count} of {hands} at {angle:.1f}° to the axis, radius "
-                  f"{number(1e3 * helix.radius)} mm")
-    sense = "in tension only" if fibre.tension_only else "in tension and compression"
-    return f"{course}, EA {number(fibre.stiffness)} N {sense}"
-
-
-def describe_mass_springs(entry) -> str:
-    """A mass-spring body entry."""
-    return (f"{count(entry.points, 'point')}, {count(entry.springs, 'spring')} of "
-            f"{number(entry.stiffness)} N/m")
 
 
 def _measured_error(measured: np.ndarray) -> str:
@@ -269,13 +106,6 @@ def _measured_error(measured: np.ndarray) -> str:
         return "not compared with the full model"
     median, worst = 100.0 * measured
     return f"{median:.2g} % off the full model (largest {worst:.2g} %)"
-
-
-def describe_contact(contact) -> str:
-    """The common settings of a scene's contacts."""
-    return (f"candidates below {number(1e3 * contact.alarm_distance)} mm, contact below "
-            f"{number(1e3 * contact.contact_distance)} mm, tolerance "
-            f"{number(contact.tolerance)} m")
 
 
 def print_mesh_error(scene: Scene, with_table: bool = False, begin: str = "") -> None:
@@ -367,11 +197,10 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     for beam in simulation.model.beams:
         yield from _beam_effects(beam, scene.integration, names)
     yield from _rigid_effects(simulation, names)
-    for section, describe in (("springs", describe_spring), ("tubes", describe_tube),
-                              ("fibres", describe_fibre), ("mass_springs", describe_mass_springs)):
+    for section in ("springs", "tubes", "fibres", "mass_springs"):
         for entry in getattr(scene, section):
             word = "spring" if getattr(entry, "springs", True) else "inertia"
-            yield Effect(f"{section}: {entry.name}", describe(entry), _term(names, word))
+            yield Effect(f"{section}: {entry.name}", entry.describe(), _term(names, word))
     if any(scene.gravity):
         yield Effect("gravity", f"{vector(scene.gravity)} m/s²", _term(names, "gravity"))
     yield from _sealed_effects(simulation)
@@ -381,11 +210,9 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
         for index, entry in enumerate(scene.actuator_entries[section]):
             yield Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
     for motor in scene.motors:
-        pulley = motor.pulley and told("by a pulley of radius {} mm", motor.pulley.radius, 1e3)
-        yield Effect(f"motors: {motor.name}", words(f"shortens {', '.join(motor.cables)}", pulley),
-                     "a command for each of its cables")
+        yield Effect(f"motors: {motor.name}", motor.describe(), "a command for each of its cables")
     for effector in scene.effectors:
-        yield Effect(f"effectors: {effector.name}", describe_effector(effector),
+        yield Effect(f"effectors: {effector.name}", effector.describe(),
                      _term(names, "effectors"))
     if scene.markers:
         yield Effect("markers", count(scene.markers, "marker"), "a mapping, evaluated after the step")
@@ -499,7 +326,7 @@ def _listed(names: list[str]) -> str:
 def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
     """Effects of a deformable body: mesh, material, fixed regions, damping."""
     entry, key, mesh, vertebrae = body.entry, body.key, body.mesh, body.vertebrae
-    yield Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
+    yield Effect(f"{key}.mesh", f"{entry.mesh.describe()}, {entry.element} elements",
                  f"{mesh.node_count} nodes, {_cells(mesh)}")
     yield Effect(f"{key}.material", describe_material(entry.material),
                  "in superelements" if vertebrae else _term(names, entry.material.law))
@@ -553,16 +380,6 @@ def _damping_effects(key: str, damping, of_mass: str, of_stiffness: str) -> Iter
         yield Effect(f"{key}.damping.stiffness", f"{number(damping.stiffness)} s", of_stiffness)
 
 
-def describe_section(beam: BeamBody) -> str:
-    """The cross-section of a beam."""
-    entry = beam.entry.section
-    for shape, text in ((entry.rectangle, "{} × {} mm"), (entry.circle, "circle of radius {} mm"),
-                        (entry.tube, "tube of radius {} mm, wall {} mm")):
-        if shape is not None:
-            return text.format(*(number(1e3 * length) for _, length in shape))
-    return "given constants"
-
-
 def _beam_effects(
     beam: BeamBody, integration: str, names: list[str]
 ) -> Iterator[Effect]:  # fmt: skip
@@ -579,18 +396,16 @@ def _beam_effects(
     shear = 0.5 * material.young_modulus / (1.0 + material.poisson_ratio)
     yield Effect(f"beams: {beam.name}",
                  f"{shape}{count(entry.points, 'point')}, {number(1e3 * length)} mm long, "
-                 f"{describe_section(beam)}",
+                 f"{entry.section.describe()}",
                  f"{count(beam.lengths, 'element')} of {term}")
     yield Effect(f"{key}.material",
-                 f"E {number(material.young_modulus)} Pa, ν {number(material.poisson_ratio)}, "
-                 f"{number(material.density)} kg/m³",
+                 material.describe(),
                  f"{bending}, GJ {number(shear * section.torsion)} N m², EA "
                  f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")
     if entry.fixed:
         yield Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns")
     for joint in entry.joined:
-        at = joint.at if isinstance(joint.at, str) else f"point {joint.at}"
-        yield Effect(f"{key}.joined", f"{at} to {joint.to}{_by(joint)}", _JOINTS[joint.by])
+        yield Effect(f"{key}.joined", joint.describe(), _JOINTS[joint.by])
     if integration != "quasi_static":
         yield from _damping_effects(key, entry.damping, _term(names, "inertia"), term)
 
@@ -598,10 +413,10 @@ def _beam_effects(
 def _rigid_effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     for part in simulation.model.rigid:
         made = f"6 unknowns, {_term(names, 'rigid')}"
-        yield Effect(f"rigid_bodies: {part.name}", describe_rigid_body(part.entry),
+        yield Effect(f"rigid_bodies: {part.name}", part.entry.describe(),
                      made if part.is_free else "no unknowns, moves as commanded")
     for entry in simulation.scene.obstacles:
-        yield Effect(f"obstacles: {entry.name}", describe_shape(entry), "fixed")
+        yield Effect(f"obstacles: {entry.name}", entry.describe(), "fixed")
 
 
 def _sealed_effects(simulation: Simulation) -> Iterator[Effect]:
@@ -623,7 +438,7 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> Iterator[Effec
     # Slides use the contact solver, also in a scene without contact.
     if term is None or entry is None:
         return
-    yield Effect("contact", describe_contact(entry),
+    yield Effect("contact", entry.describe(),
                  f"{_term(names, 'contacts')}, {_describe_rows(term)}, stage detect")
     for index, pair in enumerate(term.pairs):
         first, second = pair.names

@@ -28,7 +28,6 @@ from softrobot_twin.study.accuracy_study import (
     write_scene_copy,
 )
 from softrobot_twin.study.body_training import output_path
-from softrobot_twin.study.explain import describe_mesh
 from softrobot_twin.study.reduced_models import every_level, reduced_models
 from softrobot_twin.study.training_options import TrainingOptions
 from test.scene_changes import repeat_step
@@ -146,4 +145,4 @@ def test_files_that_are_made_from_it_lie_beside_its_scene(path):
 
 
 def test_explain_names_its_size_and_cells(path):
-    assert describe_mesh(load_scene(path).body.mesh) == "a box of [100, 20, 20] mm, 4×2×2 cells"
+    assert load_scene(path).body.mesh.describe() == "a box of [100, 20, 20] mm, 4×2×2 cells"

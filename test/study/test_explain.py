@@ -11,7 +11,6 @@ from softrobot_twin.scene.schema import Effector
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.explain import (
     Effect,
-    describe_effector,
     effects,
     grouped,
     rest_paths,
@@ -87,7 +86,7 @@ def test_a_too_small_energy_weight_is_reported_with_the_used_one(
      ("axis [0, 0, 1] pointing", "50 mm per radian")),
 ])  # fmt: skip
 def test_explain_tells_what_an_orientation_asks_for(entry, words):
-    told = describe_effector(Effector(name="tip", points=[[0, 0, 0]], **entry))
+    told = Effector(name="tip", points=[[0, 0, 0]], **entry).describe()
     for word in words:
         assert word in told
     assert ("directions" in told) == ("directions" not in entry)
