@@ -86,7 +86,6 @@ class TargetInput(Input):
         oriented: Whether each effector asks for an orientation; by default none does.
 
     Attributes:
-        velocity_refusals: Refused velocities, by reason.
         slowed: How often a velocity was limited to `speed_limit`.
     """
 
@@ -98,7 +97,6 @@ class TargetInput(Input):
         self._orientations = None
         if any(self._oriented):
             self._orientations = np.full((effector_count, 4), np.nan)
-        self.velocity_refusals = RefusalCounts()
         self.slowed = 0
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)
@@ -171,7 +169,7 @@ class TargetInput(Input):
         """
         velocity = np.asarray(velocity, dtype=float)
         if (refusal := refusal_of_vector(velocity)) is not None:
-            return self.velocity_refusals.add(refusal)
+            return self.refusals.add(refusal)
         # The square of a very large component is infinite, which is above the limit too.
         with np.errstate(over="ignore"):
             self.slowed += bool(np.linalg.norm(velocity) > self.settings.speed_limit)

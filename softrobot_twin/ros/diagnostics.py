@@ -430,8 +430,7 @@ class TwinDiagnostics:
         loop, window, newest = self._loop, self._window, self._window.newest
         targets, selected = loop.targets, loop.selected
         # Inputs of single actuators count with those that keep their values.
-        inputs = list(dict.fromkeys(one.refusals for one in loop.wishes))
-        inputs += [] if targets is None else [targets.velocity_refusals]
+        inputs = dict.fromkeys(one.refusals for one in loop.wishes)
         refused = self._refused("target", sum(counts.total for counts in inputs))
         clamped = self._new("clamped", sum(one.clamped for one in loop.wishes))
         slowed = 0 if targets is None else self._new("slowed", targets.slowed)

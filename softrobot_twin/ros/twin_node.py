@@ -435,9 +435,9 @@ class TwinNode(TickingNode):
             name: Name of the object.
         """
         simulation, (owner, _) = self.loop.simulation, owner_of(self.loop, topic.call)
-        refusals = owner.velocity_refusals if topic.kind is Twist else owner.refusals
         names = (*simulation.actuator_names, *simulation.motors, *simulation.pulleys.names)
-        return self.listen(topic, partial(self._take, topic, key), refusals, name, names=names)
+        take = partial(self._take, topic, key)
+        return self.listen(topic, take, owner.refusals, name, names=names)
 
     def _take(self, topic: Topic, key: tuple, message: Any) -> Refusal | None:
         """Passes a message on to an input of the loop; see `_listen`."""

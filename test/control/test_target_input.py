@@ -149,7 +149,7 @@ def test_a_velocity_above_the_speed_limit_is_counted(targets, speed, count):
     targets.accept_velocity((0.0, -speed, 0.0), 0.1)
     for _ in range(3):
         targets.read(0.1, STEP, REST)
-    assert targets.slowed == count and targets.velocity_refusals.total == 0
+    assert targets.slowed == count and targets.refusals.total == 0
 
 
 def test_a_point_stops_a_velocity(targets):
@@ -161,7 +161,7 @@ def test_a_point_stops_a_velocity(targets):
 @pytest.mark.parametrize("velocity", [(math.nan, 0.0, 0.0), (0.0, -math.inf, 0.0)])
 def test_a_velocity_that_is_not_finite_is_refused_and_counted(targets, velocity):
     assert targets.accept_velocity(velocity, 0.0) is Refusal.NOT_FINITE
-    assert targets.velocity_refusals.total == 1
+    assert targets.refusals.total == 1
     assert np.isnan(targets.read(0.0, STEP, REST).targets).all()
 
 

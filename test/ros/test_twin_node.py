@@ -193,7 +193,7 @@ def test_a_velocity_that_is_not_finite_is_refused(world, make_twin):
     twin = make_twin()
     keys = world.speaker(Twist, "/twin/target_velocity")
     keys.publish(Twist(linear=Vector3(x=math.nan)))
-    world.until(lambda: twin.loop.targets.velocity_refusals.of(Refusal.NOT_FINITE) == 1)
+    world.until(lambda: twin.loop.targets.refusals.of(Refusal.NOT_FINITE) == 1)
 
 
 @pytest.mark.parametrize("by_length", [True, False])
