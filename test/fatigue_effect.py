@@ -9,7 +9,7 @@ from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 class Fatigue(StepPart):
     """Counts the steps; after each second one the actuators rest for a step."""
 
-    name = "fatigue"
+    name, figures = "fatigue", ("steps",)
     depends_on_time = True
 
     def __init__(self, model):

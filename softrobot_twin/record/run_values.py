@@ -102,7 +102,6 @@ QUANTITIES: dict[str, Quantity] = {
     "is_late": Quantity(path="result.report.is_late"),
     "inverted_count": Quantity(ONE, path="result.report.inverted_count"),
     "contact_count": Quantity(ONE, path="result.report.contact_count"),
-    "figures": Quantity(path=lambda tick: dict(tick.result.report.figures) or None),
     "step_count": Quantity(ONE, path="result.state.step_count"),
     "time": Quantity("s", path="result.state.time"),
     COMPUTE_TIME: Quantity("s", path="result.report.compute_time"),

@@ -265,6 +265,9 @@ TWIN_TOPICS = _by_name(
     Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
           "names x, y, z: `position` = displacement of the point since the touch began [m], "
           "`effort` = force on the robot [N]; zero without a touch"),
+    Topic("~/figures", OUT, JointState, NEWEST, "as the names say",
+          "what optional effects report, `position` = their values; only in scenes with effects "
+          "that report something"),
     Topic("~/compliance/<effector>", OUT, Float64MultiArray, NEWEST, "m/N",
           "3×3: motion of the effector by a force on it (columns x, y, z) while the actuators hold "
           "what they hold; computed only while somebody receives it"),

@@ -194,6 +194,10 @@ def outputs_of(loop: TwinLoop) -> Iterator[Output]:
                  lambda tick: rows_of(sealed(tick.result.state.positions).values()), (1,))
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
     yield from _of_channels(simulation)
+    figures = simulation.figure_names
+    yield Output(TOPICS["~/figures"], [""] * bool(figures),
+                 lambda values, header: cables_message(figures, values, (), header),
+                 lambda tick: [([*tick.result.report.figures.values()],)], (len(figures),))
     yield Output(TOPICS["~/predicted_markers"], [""] * bool(len(simulation.marker_ids)),
                  markers_message, lambda tick: [(simulation.marker_ids, tick.predicted_markers)],
                  is_costly=True)

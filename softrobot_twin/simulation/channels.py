@@ -130,12 +130,19 @@ WANTED = (
 )  # fmt: skip
 """What may be wanted of effectors; they have target positions where they have any."""
 
+FIGURES = Channel(
+    "figures", "1", "figure_names", ("value",), lambda name: (name.replace(".", "_"),),
+    lambda result: np.array([*result.report.figures.values()])[:, None]
+    if result.report.figures else None)  # fmt: skip
+"""What optional effects report of a step; their names tell the units."""
+
 BUILT_IN = (
     *WANTED,
     Channel("touch_forces", "N", "touch_names", AXES, force_columns,
             lambda result: None if result.touches is None else result.touches.forces),
     Channel("touch_displacements", "m", "touch_names", AXES, displacement_columns,
             lambda result: None if result.touches is None else result.touches.displacements),
+    FIGURES,
 )  # fmt: skip
 """The channels of the package."""
 

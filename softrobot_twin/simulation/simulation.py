@@ -256,6 +256,11 @@ class Simulation(Readouts):
             self.inverse.reset()
 
     @property
+    def figure_names(self) -> tuple[str, ...]:
+        """Names of what optional effects report of each step, such as ``fatigue.steps``."""
+        return tuple(f"{part.name}.{figure}" for part in self.parts for figure in part.figures)
+
+    @property
     def static_factorization(self) -> Factorization | None:
         """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
         return self.newton.static_factorization

@@ -31,7 +31,7 @@ class PartReport(NamedTuple):
 
     Attributes:
         limits: Names of limits that bind.
-        figures: Figures by their names, which end in their units.
+        figures: The part's `figures` by their names.
         entries: Entries of the step's report by their names; see `StepReport`.
         readings: Entries of the step's result by their names; see `StepResult`.
         misses: What effectors miss beside their targets after and before the step [m], each of
@@ -50,6 +50,8 @@ class StepPart:
 
     Attributes:
         name: Key of its memory and of its report.
+        figures: Names of what it reports of each step, which end in their units; tables, results,
+            records and ``~/figures`` of a twin show them.
         takes: Class of what it takes of a step's measurements; None if it needs none.
         may_rest: Whether a state in balance may be kept while the command stays.
         depends_on_time: Whether it matters how long actuators are held.
@@ -62,6 +64,7 @@ class StepPart:
     """
 
     name: str
+    figures: tuple[str, ...] = ()
     takes: type | None = None
     may_rest: bool = True
     depends_on_time: bool = False

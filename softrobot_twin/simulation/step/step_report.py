@@ -323,7 +323,7 @@ class StepResults:
         figures, entries, readings = {}, {}, {}
         for part, own in zip(self._parts, told):
             active = (*active, *own.limits)
-            figures |= {f"{part.name}.{figure}": value for figure, value in own.figures.items()}
+            figures |= {f"{part.name}.{figure}": own.figures[figure] for figure in part.figures}
             entries |= own.entries
             readings |= own.readings
         touching = None
