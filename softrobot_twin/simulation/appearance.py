@@ -58,13 +58,21 @@ class Skin(NamedTuple):
 
 
 def own_skin(body: Body) -> Skin:
-    """The surface of the mesh of a body."""
+    """The surface of the mesh of a body.
+
+    Args:
+        body: The body.
+    """
     nodes, places = np.unique(body.mesh.surface_triangles, return_inverse=True)
     return Skin(body.name, places.reshape(-1, 3), body.shown_nodes(nodes))
 
 
 def beam_skin(beam: BeamBody) -> Skin:
-    """The section of a beam, swept along it."""
+    """The section of a beam, swept along it.
+
+    Args:
+        beam: The beam.
+    """
     pieces = min(-(-DRAWN_PIECES // len(beam.lengths)), MOST_PIECES)
     points, triangles = swept_surface(beam, pieces)
     return Skin(beam.name, triangles, points)
@@ -99,12 +107,20 @@ class CavityDisplay:
         self.skins = tuple(skins)
 
     def pressures(self, state: State) -> np.ndarray:
-        """Gauge pressures [Pa], shape (cavity_count,)."""
+        """Gauge pressures [Pa], shape (cavity_count,).
+
+        Args:
+            state: The state.
+        """
         sealed = [] if self._gas is None else [self._gas.pressures(state.positions)]
         return np.concatenate([state.efforts[self._driven], *sealed])
 
     def volumes(self, state: State) -> np.ndarray:
-        """Volumes [m³], shape (cavity_count,)."""
+        """Volumes [m³], shape (cavity_count,).
+
+        Args:
+            state: The state.
+        """
         return np.concatenate([np.empty(0), *(walls.volumes(state.positions)
                                               for walls in self._walls)])  # fmt: skip
 
@@ -189,7 +205,11 @@ def fixed_places(body: Body, node_positions: np.ndarray) -> np.ndarray:
 
 
 def fixed_ends(beams: tuple[BeamBody, ...]) -> np.ndarray:
-    """Places of the fixed ends of beams [m], shape (fixed_count, 3)."""
+    """Places of the fixed ends of beams [m], shape (fixed_count, 3).
+
+    Args:
+        beams: The beams.
+    """
     ends = [beam.places[0 if end == "start" else -1] for beam in beams for end in beam.entry.fixed]
     return np.array(ends, float).reshape(-1, 3)
 

@@ -243,9 +243,17 @@ class Readouts:
         return named_poses(self.model, self.state.positions)
 
     def rigid_skins(self, facets: float = FACETS) -> tuple[SolidSkin, ...]:
-        """Surfaces of the rigid bodies, in the coordinates of `rigid_poses`."""
+        """Surfaces of the rigid bodies, in the coordinates of `rigid_poses`.
+
+        Args:
+            facets: Length of the facets of round shapes, as a share of their radius.
+        """
         return rigid_skins(self.model, facets)
 
     def obstacle_skins(self, facets: float = FACETS) -> tuple[SolidSkin, ...]:
-        """Surfaces of the obstacles, in the world; of a plane, a square near the bodies."""
+        """Surfaces of the obstacles, in the world; of a plane, a square near the bodies.
+
+        Args:
+            facets: Length of the facets of round shapes, as a share of their radius.
+        """
         return obstacle_skins(self.model, facets)

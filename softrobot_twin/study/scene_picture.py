@@ -63,7 +63,11 @@ def _swept(centres: np.ndarray, radii: Sequence[float]) -> np.ndarray:
 
 
 def across_of(axis: np.ndarray) -> np.ndarray:
-    """A unit vector at right angles to an axis, shape (3,)."""
+    """A unit vector at right angles to an axis, shape (3,).
+
+    Args:
+        axis: The axis, not zero, shape (3,).
+    """
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     return across / np.linalg.norm(across)
 
@@ -75,13 +79,24 @@ def _circle(axis: np.ndarray, sides: int) -> np.ndarray:
 
 
 def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
-    """Triangles of a sphere, corners [m], shape (triangle_count, 3, 3)."""
+    """Triangles of a sphere, corners [m], shape (triangle_count, 3, 3).
+
+    Args:
+        centre: Its centre [m], shape (3,).
+        radius: Its radius [m].
+    """
     points, triangles = Sphere(centre, radius).surface(np.pi * radius / _SIDES)
     return points[triangles]
 
 
 def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
-    """Triangles of an arrow, corners [m], shape (triangle_count, 3, 3)."""
+    """Triangles of an arrow, corners [m], shape (triangle_count, 3, 3).
+
+    Args:
+        start: Where it begins [m], shape (3,).
+        vector: From there to its tip [m], shape (3,).
+        radius: Radius of its shaft [m].
+    """
     length = np.linalg.norm(vector)
     head = min(6.0 * radius, 0.6 * length)
     neck = 1.0 - head / length
@@ -90,12 +105,25 @@ def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
 
 
 def ring_around(centre: np.ndarray, radius: float, axis: np.ndarray, width: float) -> np.ndarray:
-    """Triangles of a thin ring about an axis, corners [m], shape (triangle_count, 3, 3)."""
+    """Triangles of a thin ring about an axis, corners [m], shape (triangle_count, 3, 3).
+
+    Args:
+        centre: Its centre [m], shape (3,).
+        radius: Its radius [m].
+        axis: Direction at right angles to its plane, shape (3,).
+        width: How thick it is [m].
+    """
     return tube(centre + radius * _circle(axis, 24), 0.5 * width)
 
 
 def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
-    """Triangles of three crossed bars along the axes, corners [m], (triangle_count, 3, 3)."""
+    """Triangles of three crossed bars along the axes, corners [m], (triangle_count, 3, 3).
+
+    Args:
+        centre: Where the bars cross [m], shape (3,).
+        length: Length of each bar [m].
+        radius: Radius of each bar [m].
+    """
     half = 0.5 * length * np.eye(3)
     return np.concatenate([tube(np.array([centre - arm, centre + arm]), radius)
                            for arm in half])
@@ -240,7 +268,11 @@ class Snapshot(NamedTuple):
     labels: list[Label]
 
     def of_kind(self, kind: str) -> list[Solid]:
-        """Solids of a kind in `LEGEND`."""
+        """Solids of a kind in `LEGEND`.
+
+        Args:
+            kind: The kind.
+        """
         return [solid for solid in self.solids if solid.kind == kind]
 
 
@@ -810,7 +842,12 @@ def _placed_labels(figure, names: list[Label], window: np.ndarray, camera: Camer
 
 
 def spread(heights: list[float], step: float) -> list[float]:
-    """Heights nearest to some increasing ones that are at least a step apart, all in one unit."""
+    """Heights nearest to some increasing ones that are at least a step apart, all in one unit.
+
+    Args:
+        heights: The heights, increasing.
+        step: The least distance of two neighbours.
+    """
     # Runs of labels that touch, each with the mean of what its first label would need, and length.
     runs: list[tuple[float, int]] = []
     for index, height in enumerate(heights):

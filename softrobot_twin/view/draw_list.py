@@ -48,7 +48,11 @@ _NOWHERE = np.empty((0, 3))
 
 
 def tension_range(simulation: Simulation) -> tuple[float, float]:
-    """Ends of the colour scale of tensions [N]: slack, and the greatest limit of a cable."""
+    """Ends of the colour scale of tensions [N]: slack, and the greatest limit of a cable.
+
+    Args:
+        simulation: The simulation.
+    """
     cables = simulation.actuators.of_section("cables")
     limits = simulation.limits.effort_max[cables]
     limits = limits[np.isfinite(limits)]
@@ -56,7 +60,11 @@ def tension_range(simulation: Simulation) -> tuple[float, float]:
 
 
 def pressure_range(simulation: Simulation) -> tuple[float, float]:
-    """Deepest vacuum and greatest pressure that the scene allows [Pa], gauge."""
+    """Deepest vacuum and greatest pressure that the scene allows [Pa], gauge.
+
+    Args:
+        simulation: The simulation.
+    """
     limits = np.array([skin.limits for skin in simulation.cavities.skins])
     limits = limits[np.isfinite(limits)]
     vacuum, most = float(limits.min(initial=0.0)), float(limits.max(initial=0.0))
@@ -88,7 +96,11 @@ class Shown(NamedTuple):
 
     @classmethod
     def of(cls, simulation: Simulation) -> Self:
-        """What a simulation shows by itself, without contacts, targets and measurements."""
+        """What a simulation shows by itself, without contacts, targets and measurements.
+
+        Args:
+            simulation: The simulation at the state that is shown.
+        """
         places, markers = simulation.effector_positions(), simulation.marker_positions()
         return cls(
             simulation.state.efforts, (_NOWHERE, _NOWHERE), places,
@@ -124,7 +136,11 @@ class DrawList:
         self.entities = tuple(entity for entities, _ in self._effects for entity in entities)
 
     def drawn(self, shown: Shown) -> dict[str, Drawn]:
-        """What the present state has of the entities that change, by their paths."""
+        """What the present state has of the entities that change, by their paths.
+
+        Args:
+            shown: What is shown of the state.
+        """
         return {
             entity.path: drawn for entities, present in self._effects if present
             for entity, drawn in zip(entities, present(shown), strict=True)
@@ -305,7 +321,11 @@ class DrawList:
 
 
 def size_of(simulation: Simulation) -> float:
-    """Size by which lines and marks are scaled [m]: of the largest body, not too small for all."""
+    """Size by which lines and marks are scaled [m]: of the largest body, not too small for all.
+
+    Args:
+        simulation: The simulation.
+    """
     points = np.vstack([
         _NOWHERE, *simulation.skin_positions(), *simulation.actuator_paths().values(),
         *(own.reshape(-1, 3) for own in simulation.spring_places().values()),

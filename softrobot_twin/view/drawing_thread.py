@@ -48,7 +48,11 @@ class LatestItem(Generic[Item]):
         return self._closed
 
     def put(self, item: Item) -> None:
-        """Passes an item to the other thread; returns at once."""
+        """Passes an item to the other thread; returns at once.
+
+        Args:
+            item: The item; one that was not taken yet is dropped.
+        """
         if self._closed:
             return
         self._item.append(item)
@@ -81,7 +85,11 @@ class LatestItem(Generic[Item]):
 
 
 def every_nth(interval: int) -> Callable[[], bool]:
-    """Chooses the first of every `interval` frames: says of each whether it is chosen."""
+    """Chooses the first of every `interval` frames: says of each whether it is chosen.
+
+    Args:
+        interval: How many frames one is chosen of.
+    """
     return cycle([True, *[False] * (interval - 1)]).__next__
 
 
@@ -97,6 +105,9 @@ class RateLimit:
 
         The next one is due a period after this one was, or, when it came very late, a period from
         now.
+
+        Args:
+            now: Time of the frame [s].
         """
         # Two periods: of one, round-off would let a frame through twice.
         if now < self._due <= now + 2.0 * self._period:
@@ -113,10 +124,18 @@ class FrameDrawing(Protocol):
     """Draws frames."""
 
     def log(self, frame: Frame) -> None:
-        """Draws one frame; may be slow and may fail."""
+        """Draws one frame; may be slow and may fail.
+
+        Args:
+            frame: The frame.
+        """
 
     def close(self, timeout: float) -> None:
-        """Finishes the drawing within a timeout [s]."""
+        """Finishes the drawing within a timeout [s].
+
+        Args:
+            timeout: Longest time that it may take [s].
+        """
 
 
 class DrawingThread:
@@ -156,12 +175,20 @@ class DrawingThread:
         return done < self.latest.put_count
 
     def offer(self, frame: Frame) -> None:
-        """Passes a frame to the thread, if it is chosen; returns at once."""
+        """Passes a frame to the thread, if it is chosen; returns at once.
+
+        Args:
+            frame: The frame; must not be changed any more.
+        """
         if self._is_chosen():
             self.latest.put(frame)
 
     def end(self, timeout: float) -> None:
-        """Accepts no more frames; the thread has this time to finish [s]."""
+        """Accepts no more frames; the thread has this time to finish [s].
+
+        Args:
+            timeout: Longest time that it may take [s].
+        """
         self._deadline = time.monotonic() + timeout
         self.latest.close()
 

@@ -80,6 +80,9 @@ class Entity:
     def check_points(self, points: np.ndarray) -> None:
         """Checks that the points include all corners of the triangles.
 
+        Args:
+            points: Places [m], shape (n, 3).
+
         Raises:
             ViewError: There are too few points, or the array is not of shape (n, 3).
         """
@@ -90,6 +93,9 @@ class Entity:
 
     def check(self, drawn: Drawn) -> None:
         """Checks that what a frame has of it can be drawn.
+
+        Args:
+            drawn: What the frame has of it.
 
         Raises:
             ViewError: An array does not have the shape that is required.
@@ -186,6 +192,9 @@ class Frame:
 
     def check_against(self, stage: Stage) -> None:
         """Checks that all arrays agree with the stage.
+
+        Args:
+            stage: The stage.
 
         Raises:
             ViewError: An array does not have the shape that the stage requires.

@@ -166,6 +166,9 @@ class RerunMirror(AbstractContextManager):
         """Waits until all frames are drawn, but no longer than this time [s]: a viewer may be frozen.
 
         A run that is faster than its drawing would else show few of its steps.
+
+        Args:
+            longest: Longest time [s].
         """
         end = time.monotonic() + longest
         while time.monotonic() < end and any(outlet.is_busy for outlet in self.drawing_threads):

@@ -153,6 +153,9 @@ class Picture:
     def log(self, frame: Frame) -> None:
         """Draws one frame.
 
+        Args:
+            frame: The frame.
+
         Raises:
             ViewError: The frame does not fit the stage.
         """
@@ -207,7 +210,11 @@ class Picture:
             labels=[name for name, shown in zip(entity.labels, seen) if shown])
 
     def close(self, timeout: float) -> None:
-        """Finishes the recording within a timeout [s]."""
+        """Finishes the recording within a timeout [s].
+
+        Args:
+            timeout: Longest time that it may take [s].
+        """
         self._recording.close(timeout)
 
 

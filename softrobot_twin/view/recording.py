@@ -47,12 +47,23 @@ class Recording:
         self.address, self.viewer = address, viewer
 
     def set_time(self, step: int, time_ns: int) -> None:
-        """Sets the time on both timelines for what this thread logs next."""
+        """Sets the time on both timelines for what this thread logs next.
+
+        Args:
+            step: Number of the step.
+            time_ns: Time [ns].
+        """
         self._stream.set_time(TIME, timestamp=np.datetime64(time_ns, "ns"))
         self._stream.set_time(STEP, sequence=step)
 
     def log(self, path: str, *archetypes: object, static: bool = False) -> None:
-        """Logs archetypes at an entity path; static ones are valid at all times."""
+        """Logs archetypes at an entity path; static ones are valid at all times.
+
+        Args:
+            path: Path of the entity.
+            *archetypes: rerun's archetypes.
+            static: Whether they are valid at all times.
+        """
         self._stream.log(path, *archetypes, static=static)
 
     def name_series(self, path: str, names: Sequence[str], colours: Sequence) -> None:
@@ -67,13 +78,21 @@ class Recording:
         self._stream.log(path, style, static=True)
 
     def log_series(self, path: str, values: Sequence[float] | np.ndarray) -> None:
-        """Logs the present value of every curve of a plot, in the order of its names."""
+        """Logs the present value of every curve of a plot, in the order of its names.
+
+        Args:
+            path: Path of the plot.
+            values: A value of each curve.
+        """
         self._stream.log(path, rr.Scalars(np.asarray(values, dtype=float)))
 
     def close(self, timeout: float) -> None:
         """Sends the remaining data within a timeout [s] and ends the stream.
 
         Before rerun 0.26 the timeout is ignored for files.
+
+        Args:
+            timeout: Longest time that it may take [s].
         """
         try:
             _flush(self._stream, timeout)
@@ -168,6 +187,9 @@ def past_range(seconds: float) -> rrb.VisibleTimeRange | None:
 
     Returns None, which shows the whole run, for rerun 0.23 with numpy 1.26: this pair cannot
     express a time relative to the cursor.
+
+    Args:
+        seconds: Length of the range [s].
     """
     if rr.__version__.startswith("0.23.") and int(np.__version__.partition(".")[0]) < 2:
         return None
@@ -193,7 +215,11 @@ def _flush(stream: rr.RecordingStream, timeout: float) -> None:
 
 
 def check_port(port: int) -> int:
-    """Returns a port that can be used, a free one for 0; rerun itself only logs a failure."""
+    """Returns a port that can be used, a free one for 0; rerun itself only logs a failure.
+
+    Args:
+        port: The port; 0 for any free one.
+    """
     with socket.socket(socket.AF_INET) as probe:
         # Bind as the server does, so that a port with recently closed connections counts as free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

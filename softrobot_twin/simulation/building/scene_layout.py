@@ -50,7 +50,12 @@ FACETS = 0.4
 
 
 def triangulated(shape, facets: float = FACETS) -> tuple[np.ndarray, np.ndarray]:
-    """Surface of a shape: points in its frame [m], (n, 3), and triangles, (triangle_count, 3)."""
+    """Surface of a shape: points in its frame [m], (n, 3), and triangles, (triangle_count, 3).
+
+    Args:
+        shape: The shape.
+        facets: Length of the facets of a round shape, as a share of its radius.
+    """
     is_round = isinstance(shape, shapes.Sphere | shapes.Capsule | shapes.Cylinder)
     return shape.surface(facets * shape.radius if is_round else np.inf)
 
@@ -121,12 +126,20 @@ class RigidPart(FramePart):
         return BarycentricMapping(nodes, np.column_stack([1.0 - local.sum(axis=1), local]))
 
     def distances(self, points) -> np.ndarray:
-        """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
+        """Distances of points at rest from it, zero inside [m]; points (count, 3).
+
+        Args:
+            points: Places in the world [m], shape (count, 3).
+        """
         points = np.asarray(points, float).reshape(-1, 3)
         return self.shape.distances((points - self.origin) @ self.rotation)
 
     def entry_pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origin [m] and rotation of the entry's coordinates at a state, (3,) and (3, 3)."""
+        """Origin [m] and rotation of the entry's coordinates at a state, (3,) and (3, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         frame = positions[self.first_node : self.first_node + 4]
         rotation = (frame[1:] - frame[0]).T
         return frame[0] - rotation @ self.centre_of_mass, rotation
@@ -328,7 +341,11 @@ class Layout(NamedTuple):
         return frames if isinstance(frames, HingedFrames) else None
 
     def body_named(self, name: str | None):
-        """The body of a name, of any kind; without a name the only deformable one."""
+        """The body of a name, of any kind; without a name the only deformable one.
+
+        Args:
+            name: Name of the body; None for the only deformable one.
+        """
         if name is None:
             return self.bodies[0]
         return next(b for b in (*self.bodies, *self.rigid, *self.beams) if b.name == name)
@@ -357,7 +374,11 @@ class Layout(NamedTuple):
         return body.carried(points)
 
     def bodies_of(self, entry) -> list:
-        """The body of an entry that may be `also_on` others, and then these, each once."""
+        """The body of an entry that may be `also_on` others, and then these, each once.
+
+        Args:
+            entry: An entry with keys `body` and `also_on`.
+        """
         every = [b.name for b in (*self.bodies, *self.rigid, *self.beams)]
         names = [self.body_named(entry.body).name]
         for pattern in entry.also_on:
@@ -398,13 +419,23 @@ class Layout(NamedTuple):
         return BarycentricMapping(joined.nodes[order], joined.barycentric_weights[order])
 
     def in_world(self, name: str | None, frame: str, points) -> np.ndarray:
-        """Points of an entry with its own frame, in the world [m], shape (count, 3)."""
+        """Points of an entry with its own frame, in the world [m], shape (count, 3).
+
+        Args:
+            name: Name of the body; None for the only deformable one.
+            frame: ``world``, or ``mesh`` for coordinates of the body's mesh.
+            points: The points [m], shape (count, 3).
+        """
         if frame == "world":
             return np.asarray(points, float).reshape(-1, 3)
         return placed_in_world(self.body_named(name).entry, points)
 
     def mesh_among_nodes(self, body: Body):
-        """A body's mesh, with nodes numbered among all nodes."""
+        """A body's mesh, with nodes numbered among all nodes.
+
+        Args:
+            body: A body of this layout.
+        """
         positions = self.nodes.rest_positions
         if len(positions) == body.mesh.node_count:
             return body.mesh
@@ -514,7 +545,12 @@ def check_files(scene: Scene) -> None:
 
 
 def whole_layout(scene: Scene, bodies: list[Body]) -> Layout:
-    """Deformable bodies before their nodes are numbered, to which points can be mapped."""
+    """Deformable bodies before their nodes are numbered, to which points can be mapped.
+
+    Args:
+        scene: The scene.
+        bodies: Its deformable bodies.
+    """
     return Layout(scene, tuple(bodies), (), {}, None)
 
 
