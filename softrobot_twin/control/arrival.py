@@ -65,12 +65,20 @@ class RefusalCounts:
         self._counts: dict[Refusal, int] = {}
 
     def add(self, refusal: Refusal) -> Refusal:
-        """Counts one refused message and returns the reason."""
+        """Counts one refused message and returns the reason.
+
+        Args:
+            refusal: The reason.
+        """
         self._counts[refusal] = self._counts.get(refusal, 0) + 1
         return refusal
 
     def of(self, refusal: Refusal) -> int:
-        """Number of messages refused for one reason."""
+        """Number of messages refused for one reason.
+
+        Args:
+            refusal: The reason.
+        """
         return self._counts.get(refusal, 0)
 
     @property
@@ -127,7 +135,11 @@ class HeaderCheck:
         self.forget()
 
     def refusal(self, arrival: Arrival) -> Refusal | None:
-        """The reason to refuse a message, or None. A stamp of zero counts as the present time."""
+        """The reason to refuse a message, or None. A stamp of zero counts as the present time.
+
+        Args:
+            arrival: Header and time of arrival of the message.
+        """
         if self._clock.step(arrival.ros_time, arrival.time):
             self.forget()
         if self.frame_id is not None and arrival.frame_id != self.frame_id:
@@ -141,7 +153,11 @@ class HeaderCheck:
         return None
 
     def remember(self, arrival: Arrival) -> None:
-        """Records an accepted message: older stamps are refused from now on."""
+        """Records an accepted message: older stamps are refused from now on.
+
+        Args:
+            arrival: Header and time of arrival of the message.
+        """
         self._newest_stamp = arrival.stamp or arrival.ros_time
         self._older_since = self._older_stamp = None
 
@@ -203,7 +219,11 @@ class Input:
         self.reset()
 
     def apply(self, settings: LoopSettings) -> None:
-        """Uses changed limits and timeouts from now on."""
+        """Uses changed limits and timeouts from now on.
+
+        Args:
+            settings: The changed settings.
+        """
         self.settings = settings
         for header in self._headers.values():
             header.settings = settings
@@ -215,7 +235,11 @@ class Input:
             header.forget()
 
     def age(self, now: float) -> float:
-        """Time since the last accepted message [s]; infinite before the first."""
+        """Time since the last accepted message [s]; infinite before the first.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         return now - self._newest
 
     def _inside(self, position: np.ndarray) -> np.ndarray:

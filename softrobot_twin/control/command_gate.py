@@ -141,7 +141,11 @@ class CommandGate:
         self.pass_on(*self.last, 0.0)  # Loads the kernel before the first tick.
 
     def within(self, setpoints: np.ndarray) -> np.ndarray:
-        """The nearest setpoints inside the limits, shape (actuator_count,)."""
+        """The nearest setpoints inside the limits, shape (actuator_count,).
+
+        Args:
+            setpoints: Setpoints in the actuators' units, shape (actuator_count,).
+        """
         return np.minimum(np.maximum(setpoints, self._lowest), self._highest)
 
     @property
@@ -203,7 +207,11 @@ class CommandGate:
         return self.last
 
     def reach(self, time_step: float) -> np.ndarray:
-        """Greatest move of each actuator in a time [s], shape (actuator_count,)."""
+        """Greatest move of each actuator in a time [s], shape (actuator_count,).
+
+        Args:
+            time_step: The time [s].
+        """
         return self._limits.reach(time_step)
 
     def _violations(self, setpoints, efforts, time_step: float) -> tuple[str, ...]:

@@ -63,7 +63,11 @@ class Device(Protocol):
         """
 
     def read(self, now: float) -> DeviceReading:
-        """Measures at a time [s] that never decreases."""
+        """Measures at a time [s] that never decreases.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
 
 
 @runtime_checkable
@@ -79,7 +83,14 @@ class CarriedDevice(Protocol):
     def apply_pose(
         self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float
     ) -> None:
-        """Takes the newest pose of a guided body at a time [s]: position [m], (x, y, z, w)."""
+        """Takes the newest pose of a guided body at a time [s]: position [m], (x, y, z, w).
+
+        Args:
+            name: Name of the body.
+            position: Where its origin goes [m], shape (3,).
+            quaternion: How it is turned (x, y, z, w), shape (4,).
+            now: Time on the monotonic clock [s].
+        """
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
         """Poses of the rigid bodies.
@@ -235,11 +246,20 @@ class MeasuredSetpoints(ActuatorInput):
         self.efforts = replaced(self.efforts, places, efforts, len(self._low))
 
     def age(self, now: float) -> float:
-        """Time since each actuator was measured [s]: the greatest; infinite before the first."""
+        """Time since each actuator was measured [s]: the greatest; infinite before the first.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         return now - float(self.arrived.min(initial=self._newest))
 
     def unheard(self, now: float, timeout: float) -> tuple[str, ...]:
-        """Names of the actuators that were not measured for longer than a timeout [s]."""
+        """Names of the actuators that were not measured for longer than a timeout [s].
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+            timeout: The timeout [s].
+        """
         return tuple(
             name for name, arrived in zip(self._actuator_names, self.arrived, strict=True)
             if now - arrived > timeout

@@ -79,7 +79,11 @@ class DiagnosticsWindow:
         self.contact_magnitude_sums: dict[tuple[str, str], float] = defaultdict(float)
 
     def add(self, outcome: TickOutcome) -> None:
-        """Adds a tick."""
+        """Adds a tick.
+
+        Args:
+            outcome: What the tick told.
+        """
         source = outcome.reading.source
         self.source_changes += self.newest is not None and self.newest.reading.source != source
         self.sources.add(source)
@@ -107,7 +111,11 @@ class DiagnosticsWindow:
         self.left_out.update(outcome.left_out)
 
     def add_again(self, outcome: TickOutcome) -> None:
-        """Adds a tick that repeats one of this window: only what is counted changes."""
+        """Adds a tick that repeats one of this window: only what is counted changes.
+
+        Args:
+            outcome: What the tick told.
+        """
         self.newest = outcome
         self.ticks += 1
         self.resting += outcome.result.report.is_resting

@@ -107,11 +107,19 @@ class Engagement:
         return "enabled"
 
     def disable(self, reason: str = "not enabled") -> None:
-        """Stops all commands from now on."""
+        """Stops all commands from now on.
+
+        Args:
+            reason: Why, for the status.
+        """
         self.activity, self.reason, self.has_given_up = Activity.DISABLED, reason, False
 
     def give_up(self, reason: str) -> None:
-        """Disables because something failed, not by a request."""
+        """Disables because something failed, not by a request.
+
+        Args:
+            reason: Why, for the status.
+        """
         self.disable(reason)
         self.has_given_up = True
 
@@ -132,7 +140,11 @@ class Engagement:
         return "returning to rest"
 
     def resynchronise(self, reason: str) -> None:
-        """Stops all commands until the model was moved to where the robot is."""
+        """Stops all commands until the model was moved to where the robot is.
+
+        Args:
+            reason: Why, for the status.
+        """
         self._failing = 0.0
         self.activity, self.reason = Activity.RESYNCHRONISING, reason
 

@@ -87,7 +87,11 @@ class Guidance:
             self._aim(self.poses())
 
     def go_home(self, reach_time: float) -> None:
-        """Moves them to their poses at rest, at their speeds during a time [s]."""
+        """Moves them to their poses at rest, at their speeds during a time [s].
+
+        Args:
+            reach_time: The time [s].
+        """
         self._stays = False
         self._aim_within(reach_time, self._home)
 

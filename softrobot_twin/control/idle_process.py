@@ -41,7 +41,11 @@ _FIRST = "SOFTROBOT_TWIN_FIRST_MESSAGE"
 
 
 def framed(content: object) -> bytes:
-    """A message with its header."""
+    """A message with its header.
+
+    Args:
+        content: What is sent; it can be pickled.
+    """
     body = pickle.dumps(content)
     return LENGTH.pack(len(body)) + body
 
@@ -173,7 +177,11 @@ class IdleWatch:
             self.take(kind, content)
 
     def end(self, cause: str) -> None:
-        """Records that there will be no more answers."""
+        """Records that there will be no more answers.
+
+        Args:
+            cause: Why, for messages; the first one is kept.
+        """
         self.cause = self.cause or cause
         self._unsent = b""
 

@@ -164,6 +164,10 @@ class TargetInput(Input):
     def accept_velocity(self, velocity, time: float) -> Refusal | None:
         """Checks a velocity [m/s], shape (3,), that arrived at a time [s], and keeps it.
 
+        Args:
+            velocity: The velocity [m/s], shape (3,).
+            time: Time of arrival on the clock of `Arrival.time` [s].
+
         Returns:
             The reason to refuse it, or None.
         """
@@ -182,7 +186,11 @@ class TargetInput(Input):
         self._velocity_time = -math.inf
 
     def is_moving(self, now: float) -> bool:
-        """Whether a velocity is still valid."""
+        """Whether a velocity is still valid.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         return now - self._velocity_time <= self.settings.velocity_timeout
 
     def read(self, now: float, time_step: float, effector_positions: np.ndarray) -> TargetReading:
@@ -345,12 +353,21 @@ class MarkerInput(Input):
         return None
 
     def measured(self, now: float) -> np.ndarray:
-        """Valid positions [m], shape (marker_count, 3): all NaN when they are too old."""
+        """Valid positions [m], shape (marker_count, 3): all NaN when they are too old.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         return self.hidden if self.age(now) > self.settings.marker_timeout else self.positions
 
     @staticmethod
     def misfit(measured: np.ndarray, predicted: np.ndarray) -> Misfit:
-        """Compares measured with predicted positions of the same moment [m], (marker_count, 3)."""
+        """Compares measured with predicted positions of the same moment [m], (marker_count, 3).
+
+        Args:
+            measured: Measured positions [m], shape (marker_count, 3), NaN where a marker is hidden.
+            predicted: Those of the model [m], same shape.
+        """
         vectors = measured - predicted
         visible = np.isfinite(vectors).all(axis=1)
         count = int(np.count_nonzero(visible))
@@ -591,7 +608,14 @@ class ActuatorInput(Input):
 def replaced(
     values: np.ndarray | None, place: np.ndarray, value: np.ndarray, count: int = 0
 ) -> np.ndarray:
-    """A copy with values replaced at some places; of NaN, shape (count,), where there are none yet."""
+    """A copy with values replaced at some places; of NaN, shape (count,), where there are none yet.
+
+    Args:
+        values: The values, shape (count,); None for none yet.
+        place: Numbers of the places.
+        value: The new values, as many.
+        count: How many values there are in all, where there are none yet.
+    """
     values = np.full(count, np.nan) if values is None else values.copy()
     values[place] = value
     return values
@@ -632,7 +656,12 @@ class SelectedActuatorInput(ActuatorInput):
         return super()._refusal_of_values(order, count, setpoints, efforts)
 
     def is_too_old(self, now: float, timeout: float) -> bool:
-        """True when no message arrived for longer than a timeout [s]; never with 0."""
+        """True when no message arrived for longer than a timeout [s]; never with 0.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+            timeout: The timeout [s]; 0 for none.
+        """
         return self.setpoints is not None and 0.0 < timeout < self.age(now)
 
 
@@ -640,7 +669,11 @@ class SelectedActuatorInput(ActuatorInput):
 
 
 def refusal_of_pose(pose: Pose) -> Refusal | None:
-    """The reason to refuse the numbers of a pose, or None."""
+    """The reason to refuse the numbers of a pose, or None.
+
+    Args:
+        pose: The pose as it came.
+    """
     if (pose.position.shape, pose.quaternion.shape) != ((3,), (4,)):
         return Refusal.WRONG_SIZE
     if not (np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()):
@@ -831,7 +864,11 @@ class TouchInput(Input):
         self._heard[touch] = time
 
     def read(self, now: float) -> Touched | None:
-        """The touches at a time on the clock of `Arrival.time` [s]; None where nothing touches."""
+        """The touches at a time on the clock of `Arrival.time` [s]; None where nothing touches.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         if not self.names:
             return None
         touching = ~np.isnan(self._forces).all(axis=1) | ~np.isnan(self._places).all(axis=1)

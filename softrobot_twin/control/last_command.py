@@ -99,7 +99,13 @@ class LastCommand:
         return StoredCommand(setpoints, efforts, poses)
 
     def keep(self, setpoints: np.ndarray, efforts: np.ndarray, poses: Mapping[str, Pose]) -> None:
-        """Keeps a command that was sent; see `StoredCommand`. Returns at once."""
+        """Keeps a command that was sent; see `StoredCommand`. Returns at once.
+
+        Args:
+            setpoints: Setpoints in the actuators' units, shape (actuator_count,).
+            efforts: Efforts in the actuators' units, shape (actuator_count,).
+            poses: Pose of each guided body, by its name.
+        """
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="last command", daemon=True)
             self._thread.start()

@@ -136,7 +136,11 @@ class LoopSettings:
                 )
 
     def in_workspace(self, position: np.ndarray) -> np.ndarray:
-        """The nearest position inside the workspace [m], shape (3,)."""
+        """The nearest position inside the workspace [m], shape (3,).
+
+        Args:
+            position: The position [m], shape (3,).
+        """
         return np.clip(position, self.workspace_min, self.workspace_max)
 
     @property
@@ -179,6 +183,10 @@ def settings_of(values: Mapping[str, Any]) -> LoopSettings:
 
 def check_mode(mode: Mode, simulation: Simulation) -> None:
     """Checks that a scene can be driven in a mode.
+
+    Args:
+        mode: The mode.
+        simulation: The simulation of the scene.
 
     Raises:
         ParameterError: The mode is inverse, and the inverse problem cannot include the scene's

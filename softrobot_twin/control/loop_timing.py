@@ -49,7 +49,12 @@ class LoopStatistics:
         self._ticks: deque[tuple[float, float]] = deque(maxlen=capacity)
 
     def record(self, period: float, compute_time: float) -> None:
-        """Adds one tick [s, s] in place of the oldest. The first tick's period is NaN."""
+        """Adds one tick [s, s] in place of the oldest. The first tick's period is NaN.
+
+        Args:
+            period: Time since the tick before [s].
+            compute_time: How long its work took [s].
+        """
         self._ticks.append((period, compute_time))
 
     def summary(self) -> LoopSummary:
@@ -117,7 +122,11 @@ class TickClock:
         self.restart(period)
 
     def restart(self, period: float) -> None:
-        """Starts a new grid; the counts continue."""
+        """Starts a new grid; the counts continue.
+
+        Args:
+            period: Time between two ticks [s].
+        """
         self.period = period
         self._due_next: float | None = None
         self._began: float | None = None

@@ -68,6 +68,9 @@ class MarkerHistory:
 
         Before the oldest tick they are those of the oldest, after the newest those of the newest.
 
+        Args:
+            time: The time on the clock of stamps [ns].
+
         Returns:
             Positions [m], shape (marker_count, 3).
 
@@ -137,7 +140,11 @@ class MarkerPlausibility:
         self._stamp = 0
 
     def without_left_out(self, measured: np.ndarray) -> np.ndarray:
-        """Measured positions [m], shape (marker_count, 3); NaN for markers that are left out."""
+        """Measured positions [m], shape (marker_count, 3); NaN for markers that are left out.
+
+        Args:
+            measured: Measured positions [m], shape (marker_count, 3).
+        """
         if not self.left_out:
             return measured
         return np.where(self._out[:, np.newaxis], np.nan, measured)

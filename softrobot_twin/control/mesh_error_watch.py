@@ -33,7 +33,12 @@ class MeshErrorWatch(IdleWatch):
     newest = float("nan")
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
-        """What the actuators prescribe; see `IdleWatch`."""
+        """What the actuators prescribe; see `IdleWatch`.
+
+        Args:
+            simulation: The simulation at the state that is asked about.
+            forces_given: Whether efforts are held, in place of setpoints.
+        """
         from softrobot_twin.simulation.mesh_error import ActuatorLoads
 
         return ActuatorLoads.of(simulation, forces_given)
@@ -46,7 +51,11 @@ class MeshErrorWatch(IdleWatch):
             self.newest = content[0]
 
     def end(self, cause: str) -> None:
-        """Records that there will be no more estimates."""
+        """Records that there will be no more estimates.
+
+        Args:
+            cause: Why, for messages.
+        """
         super().end(cause)
         self.newest = float("nan")
 

@@ -42,7 +42,12 @@ class ReductionErrorWatch(IdleWatch):
     newest: Mapping[str, BodyError] = MappingProxyType({})
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
-        """The state itself: coordinates, setpoints and efforts; see `IdleWatch`."""
+        """The state itself: coordinates, setpoints and efforts; see `IdleWatch`.
+
+        Args:
+            simulation: The simulation at the state that is asked about.
+            forces_given: Whether efforts are held; makes no difference here.
+        """
         # Its time is left out: a robot at rest has one state.
         return replace(simulation.state, step_count=0, time=0.0)
 
@@ -54,7 +59,11 @@ class ReductionErrorWatch(IdleWatch):
             self.states, self.newest, self.linearizations = content
 
     def end(self, cause: str) -> None:
-        """Records that there will be no more answers."""
+        """Records that there will be no more answers.
+
+        Args:
+            cause: Why, for messages.
+        """
         super().end(cause)
         self.states, self.newest = {}, {}
 

@@ -107,7 +107,13 @@ class Valves:
         return np.maximum(found[self.by_pressure], 0.0)
 
     def aims(self, commanded: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
-        """Setpoints that the lag allows after a time [s], each shape (actuator_count,)."""
+        """Setpoints that the lag allows after a time [s], each shape (actuator_count,).
+
+        Args:
+            commanded: Commanded setpoints, in the actuators' units, shape (actuator_count,).
+            present: Present ones, same shape.
+            time_step: The time [s].
+        """
         lag = self._flaws.valve_lag
         share = 1.0 - np.exp(-time_step / lag) if lag > 0.0 else 1.0
         return np.where(self.by_pressure, present + share * (commanded - present), commanded)
@@ -128,7 +134,11 @@ class Valves:
         return reach
 
     def observe(self, result: StepResult) -> None:
-        """Takes the volumes after a step, and from them the compliances."""
+        """Takes the volumes after a step, and from them the compliances.
+
+        Args:
+            result: Result of the step.
+        """
         pressures = result.setpoints[self.by_pressure]
         self._volumes = self._rest_volumes + result.displacements[self.by_pressure]
         change = pressures - self._seen_pressures
@@ -217,7 +227,11 @@ class Fingertip:
         self._has_left = False
 
     def touched(self, now: float) -> Touched | None:
-        """Where the fingertip holds the point at a time [s]; None while it does not touch."""
+        """Where the fingertip holds the point at a time [s]; None while it does not touch.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         share = now / self._presses.period % 1.0
         if share < PAUSE:
             self._origin, self._has_left = None, False
@@ -233,7 +247,11 @@ class Fingertip:
         return touched
 
     def observe(self, result: StepResult) -> None:
-        """Lets go where a step's force pulls at the robot."""
+        """Lets go where a step's force pulls at the robot.
+
+        Args:
+            result: Result of the step.
+        """
         if self._origin is not None and not self._has_left:
             self._has_left = bool(result.touches.forces[self._index] @ self._direction < 0.0)
 
@@ -316,7 +334,11 @@ class SimulatedDevice:
         return result
 
     def read(self, now: float) -> DeviceReading:
-        """Advances servos, valves and body to a time [s], and measures them."""
+        """Advances servos, valves and body to a time [s], and measures them.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         time_step = 0.0 if self._time is None else max(0.0, now - self._time)
         self._time = now
         while self._queue and self._queue[0][0] <= now:

@@ -120,11 +120,21 @@ class EffectorMeasurement:
         return measured
 
     def controlled(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Targets in the controlled directions, positions in the others [m], same shape."""
+        """Targets in the controlled directions, positions in the others [m], same shape.
+
+        Args:
+            targets: Targets [m], shape (effector_count, 3).
+            positions: Positions [m], same shape.
+        """
         return np.where(self._controlled, targets, positions)
 
     def differences(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Target minus position, 0 in directions that are not controlled [m], same shape."""
+        """Target minus position, 0 in directions that are not controlled [m], same shape.
+
+        Args:
+            targets: Targets [m], shape (effector_count, 3).
+            positions: Positions [m], same shape.
+        """
         return np.where(self._controlled, targets - positions, 0.0)
 
     def errors(
@@ -208,7 +218,12 @@ class TargetCorrection:
             offset[:] = candidate
 
     def fade(self, time_step: float, gain: float) -> None:
-        """Decreases the correction with the time constant of its growth, in open loop."""
+        """Decreases the correction with the time constant of its growth, in open loop.
+
+        Args:
+            time_step: Time that has passed [s].
+            gain: Inverse of the time constant [1/s].
+        """
         self.offsets *= math.exp(-gain * time_step)
 
     def reset(self) -> None:

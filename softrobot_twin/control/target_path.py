@@ -22,7 +22,11 @@ class TargetPath(Protocol):
     """A position for every time."""
 
     def position(self, time: float) -> np.ndarray:
-        """Position [m], shape (3,), at a time since the path began [s]."""
+        """Position [m], shape (3,), at a time since the path began [s].
+
+        Args:
+            time: Time since the path began [s].
+        """
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,11 @@ class Circle(ClosedCurve):
     """One revolution per period, from the first axis towards the second."""
 
     def position(self, time: float) -> np.ndarray:
-        """Position [m], shape (3,), at a time since the path began [s]."""
+        """Position [m], shape (3,), at a time since the path began [s].
+
+        Args:
+            time: Time since the path began [s].
+        """
         angle = 2.0 * math.pi * time / self.period
         return self._placed(math.cos(angle), math.sin(angle))
 
@@ -72,7 +80,11 @@ class Lemniscate(ClosedCurve):
     """Gerono's figure of eight along the first axis, starting at its outer end."""
 
     def position(self, time: float) -> np.ndarray:
-        """Position [m], shape (3,), at a time since the path began [s]."""
+        """Position [m], shape (3,), at a time since the path began [s].
+
+        Args:
+            time: Time since the path began [s].
+        """
         angle = 2.0 * math.pi * time / self.period
         return self._placed(math.cos(angle), math.sin(angle) * math.cos(angle))
 
@@ -114,7 +126,11 @@ class AlternatingPaths:
             )
 
     def position(self, time: float) -> np.ndarray:
-        """Position [m], shape (3,), at a time since the path began [s]."""
+        """Position [m], shape (3,), at a time since the path began [s].
+
+        Args:
+            time: Time since the first path began [s].
+        """
         path, before, since = self._at(time)
         if before is None:
             return path.position(since)
@@ -126,6 +142,9 @@ class AlternatingPaths:
         """Orientation (x, y, z, w) at a time since the path began [s], or None.
 
         A path without orientations leaves the last one as it is.
+
+        Args:
+            time: Time since the first path began [s].
         """
         path, before, since = self._at(time)
         now = orientation_at(path, since)
@@ -158,29 +177,50 @@ class RampedIn:
     turn: np.ndarray | None = None
 
     def position(self, time: float) -> np.ndarray:
-        """Position [m], shape (3,), at a time since the path began [s]."""
+        """Position [m], shape (3,), at a time since the path began [s].
+
+        Args:
+            time: Time since the path began [s].
+        """
         return _blend(self.start, self.path.position(time), time, self.ramp_time)
 
     def orientation(self, time: float) -> np.ndarray | None:
-        """Orientation (x, y, z, w) at a time since the path began [s], or None."""
+        """Orientation (x, y, z, w) at a time since the path began [s], or None.
+
+        Args:
+            time: Time since the path began [s].
+        """
         now = orientation_at(self.path, time)
         return None if now is None else _blend_turns(self.turn, now, time, self.ramp_time)
 
 
 def orientation_at(path: TargetPath, time: float) -> np.ndarray | None:
-    """Orientation (x, y, z, w) of a path at a time since it began [s]; None of one without."""
+    """Orientation (x, y, z, w) of a path at a time since it began [s]; None of one without.
+
+    Args:
+        path: The path.
+        time: Time since it began [s].
+    """
     find = getattr(path, "orientation", None)
     return None if find is None else find(time)
 
 
 def notes_of(path: TargetPath) -> tuple[str, ...]:
-    """What the user should know about the files of a path, or of the paths of a sequence."""
+    """What the user should know about the files of a path, or of the paths of a sequence.
+
+    Args:
+        path: The path.
+    """
     return tuple(dict.fromkeys(
         note for one in getattr(path, "paths", (path,)) for note in getattr(one, "notes", ())))
 
 
 def has_orientations(path: TargetPath) -> bool:
-    """Whether a path, or one in a sequence, gives orientations."""
+    """Whether a path, or one in a sequence, gives orientations.
+
+    Args:
+        path: The path.
+    """
     return any(orientation_at(one, 0.0) is not None for one in getattr(path, "paths", (path,)))
 
 
@@ -209,7 +249,11 @@ class ToAndFro:
             raise ParameterError(of_period, self.period, "s", "must be finite and above zero")
 
     def value(self, time: float) -> float:
-        """Setpoint at a time since it began [s]."""
+        """Setpoint at a time since it began [s].
+
+        Args:
+            time: Time since it began [s].
+        """
         share = 0.5 - 0.5 * math.cos(2.0 * math.pi * time / self.period)
         return self.ends[0] + share * (self.ends[1] - self.ends[0])
 
@@ -262,6 +306,13 @@ def make_sequence(
     names: Sequence[str], effector: str, around: ClosedCurve, duration: float, ramp_time: float
 ) -> TargetPath:
     """Makes a sequence of paths from their names; a single one continues without end.
+
+    Args:
+        names: Names of the paths, or of their files.
+        effector: Name of the effector that follows.
+        around: The circle, whose place and size the others take.
+        duration: How long each path lasts [s].
+        ramp_time: How long the change from one to the next takes [s].
 
     Raises:
         ParameterError: A name is unknown, or the duration of a path is too short.

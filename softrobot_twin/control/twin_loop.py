@@ -89,13 +89,22 @@ def owner_of(loop: TwinLoop, name: str) -> tuple[object | None, str]:
     """The part of a loop that takes a call, and the name of its method; see `TwinLoop.calls`.
 
     The part is None where the loop's scene or mode does not call for that input.
+
+    Args:
+        loop: The loop.
+        name: Name of the call.
     """
     part, _, method = name.rpartition(".")
     return (getattr(loop, part) if part else loop), method
 
 
 def is_call(loop: TwinLoop, name: str) -> bool:
-    """Whether a loop of any scene or mode has a call of this name."""
+    """Whether a loop of any scene or mode has a call of this name.
+
+    Args:
+        loop: The loop.
+        name: Name of the call, as a recording has it.
+    """
     part, _, method = name.rpartition(".")
     has_part = part in TwinLoop.__annotations__ or part in loop.inputs
     return has_part and method.startswith("accept") if part else method in SERVICES
@@ -408,7 +417,11 @@ class TwinLoop:
         check_settings(settings, self.simulation, self.mode)
 
     def apply(self, settings: LoopSettings) -> None:
-        """Uses changed settings from the next tick on."""
+        """Uses changed settings from the next tick on.
+
+        Args:
+            settings: The changed settings.
+        """
         self.check(settings)
         self.settings = settings
         for one in self.inputs.values():
@@ -436,6 +449,9 @@ class TwinLoop:
 
     def enable(self, now: float) -> tuple[bool, str]:
         """Allows commands again, from where the device is now; old targets are forgotten.
+
+        Args:
+            now: Time on the clock of the ticks [s].
 
         Returns:
             Whether commands are allowed now, and a sentence that says what happens next.
@@ -500,7 +516,11 @@ class TwinLoop:
             self._guidance.sent[name] = Pose(*(np.array(part, float) for part in pose))
 
     def give_up(self, reason: str) -> None:
-        """Publishes no command from the next tick on, and says why until it is enabled."""
+        """Publishes no command from the next tick on, and says why until it is enabled.
+
+        Args:
+            reason: Why, for the status.
+        """
         self._engagement.give_up(reason)
 
     def disable(self) -> None:
@@ -561,13 +581,21 @@ class TwinLoop:
         return self.use_device and self.device.places.is_disputed(now)
 
     def device_is_lost(self, now: float) -> bool:
-        """True when a device is in use and its measured setpoints do not arrive."""
+        """True when a device is in use and its measured setpoints do not arrive.
+
+        Args:
+            now: Time on the clock of the ticks [s].
+        """
         return self.use_device and (
             self.device.setpoints is None or self.device.age(now) > self.settings.device_timeout
         )
 
     def unheard(self, now: float) -> str:
-        """What does not arrive of a lost device: names of actuators, or the device."""
+        """What does not arrive of a lost device: names of actuators, or the device.
+
+        Args:
+            now: Time on the clock of the ticks [s].
+        """
         missing = self.device.unheard(now, self.settings.device_timeout)
         some = len(missing) < len(self.simulation.actuator_names)
         return ", ".join(missing) if some else "the device"

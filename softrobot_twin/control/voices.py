@@ -104,7 +104,11 @@ class PublisherWatch:
         return voice is self._used
 
     def is_contested(self, now: float) -> bool:
-        """Whether two publishers were heard by turns lately; `now` is a time [s]."""
+        """Whether two publishers were heard by turns lately; `now` is a time [s].
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         return now - self._contested < CONTESTED_TIME
 
 
@@ -159,10 +163,18 @@ class PlaceWatch:
         return True
 
     def is_contested(self, now: float) -> bool:
-        """Whether two places were measured by turns lately; `now` is a time [s]."""
+        """Whether two places were measured by turns lately; `now` is a time [s].
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         return now - self._contested < CONTESTED_TIME
 
     def is_disputed(self, now: float) -> bool:
-        """Whether the newest measurement is not used yet, or two places are contested."""
+        """Whether the newest measurement is not used yet, or two places are contested.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
         is_new = (now - self._elsewhere <= SILENT_AFTER * _FIRST_INTERVAL).any()
         return bool(is_new) or self.is_contested(now)

@@ -25,7 +25,11 @@ class Audience:
         self._heard: dict[Publisher, bool] = {}
 
     def hears(self, publisher: Publisher) -> bool:
-        """Whether somebody has subscribed to it, as asked at most `PERIOD` ago."""
+        """Whether somebody has subscribed to it, as asked at most `PERIOD` ago.
+
+        Args:
+            publisher: The publisher.
+        """
         now = self._now()
         if now >= self._due:
             self._heard.clear()
@@ -36,5 +40,9 @@ class Audience:
         return heard
 
     def hears_any(self, publishers: Iterable[Publisher]) -> bool:
-        """Whether somebody has subscribed to one of them."""
+        """Whether somebody has subscribed to one of them.
+
+        Args:
+            publishers: The publishers.
+        """
         return any(map(self.hears, publishers))

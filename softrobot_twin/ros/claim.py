@@ -145,7 +145,12 @@ class TopicClaim:
 
     @staticmethod
     def has_precedence(rival: Rival, own: Rival) -> bool:
-        """Whether the one of two comes first; of any two just one does."""
+        """Whether the one of two comes first; of any two just one does.
+
+        Args:
+            rival: The one.
+            own: The other.
+        """
         if rival.is_enabled is not own.is_enabled:
             return rival.is_enabled
         if abs(rival.began - own.began) > _SAME_AGE:

@@ -105,6 +105,10 @@ def share_of_others(before: ProcessorTimes, after: ProcessorTimes) -> float:
 
     Both readings must be taken while all processes of the demo run: the time of a process that has
     ended is no longer listed.
+
+    Args:
+        before: The earlier reading.
+        after: The later one.
     """
     whole = (after.moment - before.moment) * after.cores
     others = (after.busy - before.busy) - (after.own - before.own)
@@ -177,7 +181,11 @@ class DemoPlan:
         return f"rerun+http://127.0.0.1:{self.view_port}/proxy"
 
     def command(self, node: str) -> list[str]:
-        """Module and arguments of a node, to follow ``python -m``."""
+        """Module and arguments of a node, to follow ``python -m``.
+
+        Args:
+            node: ``twin``, ``device`` or ``target``.
+        """
         view = {} if self.view_port is None else {"view_port": self.view_port}
         # The target's other parameters belong to paths.
         of_paths = {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
@@ -334,7 +342,11 @@ class ProcessorShare(NamedTuple):
     cores: frozenset[int]
 
     def give(self, process: int) -> None:
-        """Applies this share to a process and to its future children; 0 is this process."""
+        """Applies this share to a process and to its future children; 0 is this process.
+
+        Args:
+            process: Number of the process.
+        """
         try:
             os.sched_setaffinity(process, self.cores)
             if self.nice:
@@ -438,12 +450,20 @@ class DemoProcess:
         return f"{self.name} {found[0]}" if found else ""
 
     def send(self, number: signal.Signals) -> None:
-        """Sends a signal to the process and its children; does nothing when it has ended."""
+        """Sends a signal to the process and its children; does nothing when it has ended.
+
+        Args:
+            number: The signal.
+        """
         if self.exit_code is None:
             os.killpg(self._process.pid, number)
 
     def wait(self, seconds: float) -> bool:
-        """Waits for the end; True when the process ended within this time."""
+        """Waits for the end; True when the process ended within this time.
+
+        Args:
+            seconds: The longest time [s].
+        """
         try:
             self._process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -453,6 +473,9 @@ class DemoProcess:
 
 def stop_all(processes: Sequence[DemoProcess]) -> dict[str, int | None]:
     """Ends all processes at the same time, with stronger signals for those that stay.
+
+    Args:
+        processes: The processes.
 
     Returns:
         Exit code by name; 0 for a process that ended cleanly at the first signal.
@@ -483,13 +506,23 @@ class Samples:
         self.values: list[list[float]] = []
 
     def add(self, time: float, value: list[float]) -> None:
-        """Adds a sample; a sample that is not newer than the last one is ignored."""
+        """Adds a sample; a sample that is not newer than the last one is ignored.
+
+        Args:
+            time: Its time [s].
+            value: Its numbers, as many as those of the others.
+        """
         if not self.times or time > self.times[-1]:
             self.times.append(time)
             self.values.append(value)
 
     def between(self, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Times [s], shape (n,), and values, shape (n, width), of ``start <= time < end``."""
+        """Times [s], shape (n,), and values, shape (n, width), of ``start <= time < end``.
+
+        Args:
+            start: The first time that counts [s].
+            end: The first time that does not count any more [s].
+        """
         times = np.array(self.times)
         first, last = np.searchsorted(times, (start, end)) if len(times) else (0, 0)
         width = len(self.values[0]) if self.values else 0
@@ -703,7 +736,11 @@ class DemoOutcome:
     others: float | None = None
 
     def span(self, run: str) -> tuple[float, float]:
-        """Start and end of a run [s]."""
+        """Start and end of a run [s].
+
+        Args:
+            run: Name of the run.
+        """
         later = [start for start in self.starts.values() if start > self.starts[run]]
         return self.starts[run], min(later, default=self.end)
 
@@ -884,7 +921,11 @@ class Demo:
                                 f"{self._plan.folder}")
 
     def status(self, now: float) -> DemoStatus:
-        """The present status at a monotonic time [s]."""
+        """The present status at a monotonic time [s].
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         loop_reports = self._recorder.loop_reports
         before = loop_reports[self._reports_before - 1].missed if self._reports_before else 0
         return DemoStatus(

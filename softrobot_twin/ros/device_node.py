@@ -164,7 +164,11 @@ class DeviceNode(TickingNode):
         return refusal
 
     def take(self, message: JointState) -> Refusal | None:
-        """Takes a command of the twin; gives why it is refused."""
+        """Takes a command of the twin; gives why it is refused.
+
+        Args:
+            message: The command.
+        """
         if not message.position:
             return self.refusals.add(Refusal.WRONG_SIZE)
         arrival = self.arrival(message.header)
@@ -175,7 +179,11 @@ class DeviceNode(TickingNode):
         return refusal
 
     def work(self, now: float) -> None:
-        """Measures, and publishes all measurements with the same stamp."""
+        """Measures, and publishes all measurements with the same stamp.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         stamp = stamp_of(self.stamp)
         reading = self.device.read(now)
         header = Header(stamp=stamp, frame_id=self._frame)

@@ -59,7 +59,13 @@ def first_of(values: dict[str, object], fine: str, *rows: tuple[object, bytes, s
 
 
 def status_message(name: str, robot: str, part: Part) -> DiagnosticStatus:
-    """A part of a robot as a message; numbers have six digits."""
+    """A part of a robot as a message; numbers have six digits.
+
+    Args:
+        name: Name of the status.
+        robot: Name of the robot.
+        part: Level, sentence, and values by name.
+    """
     level, message, values = part
     pairs = [
         KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value))
@@ -169,7 +175,11 @@ class TwinDiagnostics:
         return float("nan") if self._mesh_error is None else self._mesh_error.newest
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """All statuses at a time on the clock of the ticks [s]."""
+        """All statuses at a time on the clock of the ticks [s].
+
+        Args:
+            now: Time on the clock of the ticks [s].
+        """
         loop, node, window = self._loop, self._node, self._window
         contact = loop.simulation.scene.contact
         recording = None if node is None else node.recording

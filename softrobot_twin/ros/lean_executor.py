@@ -119,12 +119,20 @@ class LeanExecutor(SingleThreadedExecutor):
         super().wake()
 
     def add_node(self, node) -> bool:
-        """Adds a node; see `rclpy.executors.Executor.add_node`."""
+        """Adds a node; see `rclpy.executors.Executor.add_node`.
+
+        Args:
+            node: The node.
+        """
         self._entities = None
         return super().add_node(node)
 
     def remove_node(self, node) -> None:
-        """Removes a node; see `rclpy.executors.Executor.remove_node`."""
+        """Removes a node; see `rclpy.executors.Executor.remove_node`.
+
+        Args:
+            node: The node.
+        """
         self._entities = None
         super().remove_node(node)
 

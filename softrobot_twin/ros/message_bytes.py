@@ -132,19 +132,31 @@ def exact_bytes(message: object) -> bytes:
     The middleware estimates the size of a message, and where an empty sequence of doubles stands in
     it, as `velocity` in a `sensor_msgs/JointState`, bytes without a meaning follow its end. Readers
     of bags that check the size refuse it.
+
+    Args:
+        message: The message.
     """
     return _ENCAPSULATION + _fields_of(message)
 
 
 def to_bytes(message: object) -> bytes:
-    """A message in CDR; one that is serialized already stays as it is."""
+    """A message in CDR; one that is serialized already stays as it is.
+
+    Args:
+        message: The message, or its bytes.
+    """
     if isinstance(message, bytes):
         return message
     return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
 
 
 def put_stamp(content: bytearray, stamp: int) -> None:
-    """Writes a time [ns] into the header of a message in CDR, its first field."""
+    """Writes a time [ns] into the header of a message in CDR, its first field.
+
+    Args:
+        content: The message in CDR; is changed.
+        stamp: The time [ns].
+    """
     _STAMP.pack_into(content, len(_ENCAPSULATION), *divmod(stamp, NANOSECONDS))
 
 

@@ -19,7 +19,11 @@ _PLAIN = {"float": "float32", "double": "float64", "boolean": "bool", "octet": "
 
 
 def type_name(kind: type) -> str:
-    """Full name of a type of messages, such as ``sensor_msgs/msg/JointState``."""
+    """Full name of a type of messages, such as ``sensor_msgs/msg/JointState``.
+
+    Args:
+        kind: Class of the messages.
+    """
     package, folder, *_ = kind.__module__.split(".")
     return f"{package}/{folder}/{kind.__name__}"
 

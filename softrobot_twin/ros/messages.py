@@ -41,40 +41,75 @@ _MARKER_FIELDS = {"x": ("f4", "f8"), "y": ("f4", "f8"), "z": ("f4", "f8"), "id":
 
 
 def stamp_of(nanoseconds: int) -> Time:
-    """A message's time from nanoseconds."""
+    """A message's time from nanoseconds.
+
+    Args:
+        nanoseconds: The time [ns].
+    """
     seconds, rest = divmod(int(nanoseconds), NANOSECONDS)
     return Time(sec=seconds, nanosec=rest)
 
 
 def arrival_of(header: Header, ros_time: int, time: float) -> Arrival:
-    """A message's header with its time of arrival on both clocks [ns, s]."""
+    """A message's header with its time of arrival on both clocks [ns, s].
+
+    Args:
+        header: Header of the message.
+        ros_time: Time of arrival on the clock of stamps [ns].
+        time: Time of arrival on the monotonic clock [s].
+    """
     stamp = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
     return Arrival(header.frame_id, stamp, ros_time, time)
 
 
 def coordinates(kind: type, numbers: np.ndarray):
-    """A message of a kind that has the fields x, y, z, or x, y, z, w."""
+    """A message of a kind that has the fields x, y, z, or x, y, z, w.
+
+    Args:
+        kind: Class of the message, such as `Point` or `Quaternion`.
+        numbers: Its values, shape (3,) or (4,).
+    """
     return kind(**dict(zip("xyzw", map(float, numbers))))
 
 
 def point_message(position: np.ndarray, header: Header) -> PointStamped:
-    """A position [m], shape (3,), as a message."""
+    """A position [m], shape (3,), as a message.
+
+    Args:
+        position: The position [m], shape (3,).
+        header: Header of the message.
+    """
     return PointStamped(header=header, point=coordinates(Point, position))
 
 
 def vector_message(vector: np.ndarray, header: Header) -> Vector3Stamped:
-    """A vector, shape (3,), as a message."""
+    """A vector, shape (3,), as a message.
+
+    Args:
+        vector: The vector, shape (3,).
+        header: Header of the message.
+    """
     return Vector3Stamped(header=header, vector=coordinates(Vector3, vector))
 
 
 def pose_message(position: np.ndarray, quaternion: np.ndarray, header: Header) -> PoseStamped:
-    """A position [m], shape (3,), and a quaternion (x, y, z, w) as a message."""
+    """A position [m], shape (3,), and a quaternion (x, y, z, w) as a message.
+
+    Args:
+        position: The position [m], shape (3,).
+        quaternion: The turn (x, y, z, w), shape (4,).
+        header: Header of the message.
+    """
     pose = Pose(position=coordinates(Point, position), orientation=coordinates(Quaternion, quaternion))
     return PoseStamped(header=header, pose=pose)
 
 
 def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Position [m] and quaternion (x, y, z, w) of a message, as they are."""
+    """Position [m] and quaternion (x, y, z, w) of a message, as they are.
+
+    Args:
+        message: The message.
+    """
     p, q = message.pose.position, message.pose.orientation
     return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
 
@@ -107,12 +142,23 @@ def cables_message(
 
 
 def wrench_message(force: np.ndarray, header: Header) -> WrenchStamped:
-    """A force [N], shape (3,), as a message without torque."""
+    """A force [N], shape (3,), as a message without torque.
+
+    Args:
+        force: The force [N], shape (3,).
+        header: Header of the message.
+    """
     return WrenchStamped(header=header, wrench=Wrench(force=coordinates(Vector3, force)))
 
 
 def pressure_message(pressure: float, header: Header, variance: float = 0.0) -> FluidPressure:
-    """An absolute pressure [Pa] as a message; a variance [Pa²] of 0 is unknown."""
+    """An absolute pressure [Pa] as a message; a variance [Pa²] of 0 is unknown.
+
+    Args:
+        pressure: The absolute pressure [Pa].
+        header: Header of the message.
+        variance: Its variance [Pa²]; 0 for unknown.
+    """
     return FluidPressure(header=header, fluid_pressure=float(pressure), variance=float(variance))
 
 
@@ -188,6 +234,9 @@ def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusa
 
     Any layout with scalar fields x, y, z and id is accepted, in both byte orders, with or without
     padding.
+
+    Args:
+        message: The message.
     """
     found = _marker_fields(message)
     if found is None:

@@ -35,7 +35,11 @@ class Output(NamedTuple):
 
 
 def rows_of(*arrays: Iterable | None) -> list[tuple]:
-    """The values of each object; nothing where an array is None."""
+    """The values of each object; nothing where an array is None.
+
+    Args:
+        *arrays: Values of each object, of one length; None where there are none.
+    """
     return [] if any(array is None for array in arrays) else list(zip(*arrays, strict=True))
 
 

@@ -50,7 +50,11 @@ class Entry(NamedTuple):
         return "on" in self.choices
 
     def in_words(self, value: object) -> object:
-        """A value, a truth value of a switch as its word."""
+        """A value, a truth value of a switch as its word.
+
+        Args:
+            value: The value.
+        """
         return ("off", "on")[value] if self.is_switch and isinstance(value, bool) else value
 
     def descriptor(self) -> ParameterDescriptor:
@@ -71,6 +75,9 @@ class Entry(NamedTuple):
     def check(self, value: object) -> None:
         """Checks what a descriptor cannot express.
 
+        Args:
+            value: The value.
+
         Raises:
             ParameterError: The value is not one of the choices, or not finite.
         """
@@ -82,6 +89,10 @@ class Entry(NamedTuple):
 
 def declare(node: Node, table: Iterable[Entry]) -> dict[str, object]:
     """Declares every parameter of a table.
+
+    Args:
+        node: The node.
+        table: The parameters.
 
     Returns:
         Their values by name; arrays as tuples.
@@ -104,7 +115,11 @@ def declare(node: Node, table: Iterable[Entry]) -> dict[str, object]:
 
 
 def plain(parameter: Parameter) -> object:
-    """Value of a parameter, an array as a tuple."""
+    """Value of a parameter, an array as a tuple.
+
+    Args:
+        parameter: The parameter.
+    """
     value = parameter.value
     if isinstance(value, (str, bytes)) or not hasattr(value, "__len__"):
         return value
@@ -112,7 +127,11 @@ def plain(parameter: Parameter) -> object:
 
 
 def given_values(node: Node) -> dict[str, object]:
-    """Values from parameter files and the command line, declared by the node or not."""
+    """Values from parameter files and the command line, declared by the node or not.
+
+    Args:
+        node: The node.
+    """
     # rclpy ignores undeclared parameters silently and has no public function to list them.
     overrides: dict[str, Parameter] = getattr(node, "_parameter_overrides", {})
     return {name: plain(parameter) for name, parameter in overrides.items()}
@@ -136,7 +155,12 @@ def unknown_parameters(node: Node, tables: Iterable[Iterable[Entry]]) -> list[st
 
 
 def similar(name: str, known: Iterable[str]) -> str:
-    """A hint at the known name most similar to an unknown one; empty when none is similar."""
+    """A hint at the known name most similar to an unknown one; empty when none is similar.
+
+    Args:
+        name: The unknown name.
+        known: The known ones.
+    """
     near = get_close_matches(name.replace(".", "_"), sorted(known), n=1)
     return f"; did you mean {near[0]}?" if near else ""
 

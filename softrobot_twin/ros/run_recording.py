@@ -72,7 +72,11 @@ class RunRecording:
             raise ParameterError(PARAMETER, str(self.path), "", error.reason) from None
 
     def publisher(self, publisher: Publisher) -> RecordedPublisher:
-        """A publisher whose messages are recorded."""
+        """A publisher whose messages are recorded.
+
+        Args:
+            publisher: The publisher.
+        """
         return RecordedPublisher(publisher, self.recorder)
 
     def receiver(self, kind: type, topic: str, receive: Callable) -> Callable:
@@ -109,7 +113,11 @@ class RecordedPublisher:
         self._topic = _described(publisher.msg_type, publisher.topic_name, "out")
 
     def publish(self, message) -> None:
-        """Publishes a message, which must not be changed any more."""
+        """Publishes a message, which must not be changed any more.
+
+        Args:
+            message: The message.
+        """
         self._publisher.publish(message)
         self._recorder.note_message(self._topic, message)
 

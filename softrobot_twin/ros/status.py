@@ -63,7 +63,11 @@ class StatusOutput:
         })  # fmt: skip
 
     def tell_failure(self, failure: str) -> None:
-        """Publishes that a tick ended with an exception, in one line."""
+        """Publishes that a tick ended with an exception, in one line.
+
+        Args:
+            failure: What the exception says, in one line.
+        """
         loop = self._loop
         found = (failure, loop.why_given_up)
         if found == self._sent:

@@ -148,7 +148,11 @@ class TargetNode(TickingNode):
         return f"the commands of {file}"
 
     def take_start(self, message: PointStamped | PoseStamped) -> None:
-        """Takes the start from the effector's first position or pose; ignores later messages."""
+        """Takes the start from the effector's first position or pose; ignores later messages.
+
+        Args:
+            message: Where the effector is.
+        """
         start = [np.array(part) for part in READERS[type(message)](message)]
         if self.began < math.inf or not all(np.isfinite(part).all() for part in start):
             return
@@ -165,7 +169,11 @@ class TargetNode(TickingNode):
         self.began = self.monotonic()
 
     def work(self, now: float) -> None:
-        """Publishes the present target, or the present commands."""
+        """Publishes the present target, or the present commands.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         if not self.began < math.inf:
             self.get_logger().info(f"waiting for {self._topic}", throttle_duration_sec=_WAIT_WARNING)
             return

@@ -49,13 +49,23 @@ class Clash(NamedTuple):
 
 
 def publishing_nodes(node: Node, topic: str) -> set[tuple[str, str]]:
-    """Names and namespaces of the nodes that publish on a topic, as `node` sees them."""
+    """Names and namespaces of the nodes that publish on a topic, as `node` sees them.
+
+    Args:
+        node: The node that looks.
+        topic: Full name of the topic.
+    """
     publishers = node.get_publishers_info_by_topic(topic)
     return {(one.node_name, one.node_namespace) for one in publishers}
 
 
 def publisher_names(node: Node, topic: str) -> str:
-    """Full names of the nodes that publish on a topic, as `node` sees them."""
+    """Full names of the nodes that publish on a topic, as `node` sees them.
+
+    Args:
+        node: The node that looks.
+        topic: Full name of the topic.
+    """
     publishers = node.get_publishers_info_by_topic(topic)
     names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
     return ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
@@ -147,6 +157,9 @@ class TickingNode(Node):
 
         The next tick is not later than before: a timer that restarted at every change would never
         fire if the period changes often.
+
+        Args:
+            period: Time between two ticks [s].
         """
         until_next = self._timer.time_until_next_call()
         self._timer.timer_period_ns = round(period * NANOSECONDS)
@@ -203,20 +216,36 @@ class TickingNode(Node):
             return False
 
     def work(self, now: float) -> None:
-        """The work of a tick; `now` is a time on the monotonic clock [s]."""
+        """The work of a tick; `now` is a time on the monotonic clock [s].
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         raise NotImplementedError
 
     def after_work(self, now: float) -> None:
-        """Work that can wait until after a tick."""
+        """Work that can wait until after a tick.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
 
     def after_failure(self, now: float) -> None:
-        """What is left to do in a tick that ended with an exception."""
+        """What is left to do in a tick that ended with an exception.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
 
     def request_diagnostics(self) -> None:
         """Called when diagnostics should be published at once."""
 
     def arrival(self, header) -> Arrival:
-        """A message's header with the present time as its time of arrival."""
+        """A message's header with the present time as its time of arrival.
+
+        Args:
+            header: Header of the message.
+        """
         return arrival_of(header, self.ros_time(), self.monotonic())
 
     def ros_time(self) -> int:
@@ -293,18 +322,32 @@ class TickingNode(Node):
         self.get_logger().error(sentence, throttle_duration_sec=_WARN_EVERY)
 
     def noted(self, kind: type, topic: str, take: Callable) -> Callable:
-        """A function that takes messages of a topic as `take` does, and may record them."""
+        """A function that takes messages of a topic as `take` does, and may record them.
+
+        Args:
+            kind: Class of the messages.
+            topic: Name of the topic.
+            take: Takes a message.
+        """
         return take
 
     def refuse_request(self, error: Exception) -> None:
-        """Counts and logs a message that rclpy failed to process; the node continues."""
+        """Counts and logs a message that rclpy failed to process; the node continues.
+
+        Args:
+            error: What rclpy raised.
+        """
         self.refused_requests += 1
         words = one_line(error) or type(error).__name__
         self.get_logger().error(f"a message or request was refused: {words}",
                                 throttle_duration_sec=_WARN_EVERY)
 
     def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Sets all parameters or none; a name that the node does not have is refused by name."""
+        """Sets all parameters or none; a name that the node does not have is refused by name.
+
+        Args:
+            parameters: The parameters with their new values.
+        """
         known = self.get_parameters_by_prefix("")
         for parameter in parameters:
             if parameter.name not in known:

@@ -118,12 +118,20 @@ class Service(NamedTuple):
 
 
 def type_name(kind: type) -> str:
-    """Name of the class of a message or service, such as ``sensor_msgs/JointState``."""
+    """Name of the class of a message or service, such as ``sensor_msgs/JointState``.
+
+    Args:
+        kind: Class of a message or service.
+    """
     return f"{kind.__module__.split('.')[0]}/{kind.__name__}"
 
 
 def quality_in_words(quality: QoSProfile) -> str:
-    """A quality of service, such as ``reliable, newest 1``, ``reliable, latched, newest 1``."""
+    """A quality of service, such as ``reliable, newest 1``, ``reliable, latched, newest 1``.
+
+    Args:
+        quality: The quality of service.
+    """
     words = ["reliable" if quality.reliability == RELIABLE else "best effort"]
     if quality.durability == DurabilityPolicy.TRANSIENT_LOCAL:
         words.append("latched")
@@ -316,13 +324,21 @@ def _of_twin(name: str, direction: Direction, quality: QoSProfile, meaning: str)
 
 
 def channel_topic(channel: Channel) -> Topic:
-    """The topic by which the twin publishes a channel that was added from outside."""
+    """The topic by which the twin publishes a channel that was added from outside.
+
+    Args:
+        channel: The channel.
+    """
     return Topic(f"~/{channel.name}/<object>", OUT, JointState, NEWEST, channel.unit,
                  f"names {', '.join(channel.parts)}, `position` = their values")
 
 
 def measured_topic(channel: Channel) -> Topic:
-    """The topic by which the twin takes measured numbers of such a channel."""
+    """The topic by which the twin takes measured numbers of such a channel.
+
+    Args:
+        channel: The channel.
+    """
     name = channel.measured_name
     return Topic(f"~/{name}/<{channel.name}>", IN, JointState, STREAM, channel.unit,
                  f"as `~/{channel.name}/<object>`; larger than {channel.most:g} is refused",

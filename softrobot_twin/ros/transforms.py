@@ -112,7 +112,12 @@ class TransformOutput:
         self.publisher = node.create_publisher(TFMessage, topic.name, topic.quality)
 
     def publish(self, outcome: TickOutcome, make_header: Callable[[], Header]) -> bool:
-        """Publishes a tick to those who listen; false where nobody does."""
+        """Publishes a tick to those who listen; false where nobody does.
+
+        Args:
+            outcome: What the tick told.
+            make_header: Gives the header of the tick's messages.
+        """
         if self.publisher is None or not self._audience.hears(self.publisher):
             return False
         header = make_header()

@@ -90,24 +90,43 @@ class RepeatedMessages:
         self.forget()
 
     def send(self, publisher: Publisher, message: object) -> None:
-        """Publishes a message, serialized or not, whose first field is its header."""
+        """Publishes a message, serialized or not, whose first field is its header.
+
+        Args:
+            publisher: Where it is published.
+            message: The message, or its bytes.
+        """
         content = to_bytes(message)
         publisher.publish(content)
         self._sent.append((publisher, bytearray(content)))
 
     def offer(self, publisher: Publisher, make: Callable[..., object], *values: object) -> None:
-        """Makes and publishes a message if somebody receives it."""
+        """Makes and publishes a message if somebody receives it.
+
+        Args:
+            publisher: Where it is published.
+            make: Makes the message of the values.
+            *values: The values.
+        """
         if self.is_heard(publisher):
             self.send(publisher, make(*values))
         else:
             self.leave_out(publisher)
 
     def leave_out(self, *publishers: Publisher) -> None:
-        """Makes no messages of some publishers, which nobody receives."""
+        """Makes no messages of some publishers, which nobody receives.
+
+        Args:
+            *publishers: The publishers.
+        """
         self._left_out.extend(publishers)
 
     def is_heard(self, publisher: Publisher) -> bool:
-        """Whether messages are received or, as those of a recorded run, kept."""
+        """Whether messages are received or, as those of a recorded run, kept.
+
+        Args:
+            publisher: The publisher.
+        """
         return type(publisher) is not Publisher or self._audience.hears(publisher)
 
     def forget(self) -> None:
@@ -117,6 +136,9 @@ class RepeatedMessages:
 
     def send_again(self, stamp: int) -> bool:
         """Publishes all messages since `forget` again, with another stamp [ns].
+
+        Args:
+            stamp: The other stamp [ns].
 
         Returns:
             Whether it did: somebody may have subscribed to what was not made.
@@ -234,7 +256,12 @@ class ComplianceOutputs:
         )  # fmt: skip
 
     def publish(self, outcome: TickOutcome, header: Callable[[], Header]) -> bool:
-        """Publishes a tick to those who listen; false where nobody does."""
+        """Publishes a tick to those who listen; false where nobody does.
+
+        Args:
+            outcome: What the tick told.
+            header: Gives the header of the tick's messages.
+        """
         if not self._audience.hears_any((*self._compliances, *self._jacobians)):
             return False
         loop = self._loop
@@ -351,12 +378,23 @@ class TwinNode(TickingNode):
         self._log_ready(path)
 
     def create_publisher(self, *arguments, **options) -> Publisher:
-        """Opens a publisher, whose messages are recorded with `record`."""
+        """Opens a publisher, whose messages are recorded with `record`.
+
+        Args:
+            *arguments: As of `rclpy.node.Node.create_publisher`.
+            **options: As there.
+        """
         publisher = super().create_publisher(*arguments, **options)
         return publisher if self.recording is None else self.recording.publisher(publisher)
 
     def noted(self, kind: type, topic: str, take: Callable) -> Callable:
-        """A function that also records the messages with `record`; see `TickingNode.noted`."""
+        """A function that also records the messages with `record`; see `TickingNode.noted`.
+
+        Args:
+            kind: Class of the messages.
+            topic: Name of the topic.
+            take: Takes a message.
+        """
         return take if self.recording is None else self.recording.receiver(kind, topic, take)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
@@ -387,7 +425,11 @@ class TwinNode(TickingNode):
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
 
     def publishers_on(self, topic: str) -> dict[str, Publisher]:
-        """Publishers of an output's topic in `TWIN_TOPICS`, by the names of their objects."""
+        """Publishers of an output's topic in `TWIN_TOPICS`, by the names of their objects.
+
+        Args:
+            topic: Name of the topic in the table.
+        """
         return {output.names[index]: publisher
                 for output, _, publishers in (*self._orders, *self._outputs)
                 if output.topic.name == topic for index, publisher in publishers.items()}  # fmt: skip
@@ -491,7 +533,12 @@ class TwinNode(TickingNode):
         return publishing_nodes(self, self.claim.claimed_on) if self.claim.is_alone else set()
 
     def enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Answers ``~/enable``; refused beside another twin that commands."""
+        """Answers ``~/enable``; refused beside another twin that commands.
+
+        Args:
+            request: Whether to enable or to disable.
+            response: The answer; is filled.
+        """
         refusals: list[str] = []
         if request.data and not self.loop.is_enabled:
             clashes, rival = self.look_for_clashes(), self.claim.why_not()
@@ -509,13 +556,22 @@ class TwinNode(TickingNode):
         return response
 
     def reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Answers ``~/reset``."""
+        """Answers ``~/reset``.
+
+        Args:
+            request: Has no content.
+            response: The answer; is filled.
+        """
         response.success, response.message = True, self.loop.reset()
         self.get_logger().info(f"reset: {response.message}")
         return response
 
     def work(self, now: float) -> None:
-        """Steps the loop and publishes the results, all with the same stamp."""
+        """Steps the loop and publishes the results, all with the same stamp.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         outcome = self.loop.tick(now, self.stamp)
         self._publish(outcome, self.stamp)
         if self.loop.is_repeating and self.window.ticks:
@@ -556,7 +612,11 @@ class TwinNode(TickingNode):
                 self._repeated.send(publisher, make(stamp, *row))
 
     def after_failure(self, now: float) -> None:
-        """Tells the failure, and publishes the last safe command."""
+        """Tells the failure, and publishes the last safe command.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         command = self.loop.after_failure(self.failure, self.failures_in_a_row)
         self.status.tell_failure(self.failure)
         if self.recording is not None:
@@ -571,7 +631,11 @@ class TwinNode(TickingNode):
 
     def after_work(self, now: float) -> None:
         """Publishes markers and the status when they are due and diagnostics once a second, and
-        logs problems of the last tick."""
+        logs problems of the last tick.
+
+        Args:
+            now: Time on the monotonic clock [s].
+        """
         newest = self.window.newest
         if self.has_worked:
             self.visualization.offer(newest, self.stamp, now)

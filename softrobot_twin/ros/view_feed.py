@@ -39,7 +39,11 @@ class ViewFeed:
 
     @staticmethod
     def is_wanted(parameters: Mapping[str, object]) -> bool:
-        """True when the parameters request viewers or a recording."""
+        """True when the parameters request viewers or a recording.
+
+        Args:
+            parameters: Values of the node's parameters by name.
+        """
         return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
 
     def offer(

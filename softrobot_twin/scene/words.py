@@ -8,22 +8,39 @@ from typing import Any
 
 
 def count(things: Sized, name: str) -> str:
-    """A number with a noun: ``3 nodes``, ``1 node``."""
+    """A number with a noun: ``3 nodes``, ``1 node``.
+
+    Args:
+        things: What is counted.
+        name: The noun, for one of them.
+    """
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def number(value: float) -> str:
-    """A number with at most six digits."""
+    """A number with at most six digits.
+
+    Args:
+        value: The number.
+    """
     return f"{value + 0.0:.6g}"  # 0 in place of -0
 
 
 def vector(values: Any) -> str:
-    """Numbers in brackets."""
+    """Numbers in brackets.
+
+    Args:
+        values: The numbers.
+    """
     return "[" + ", ".join(number(float(value)) for value in values) + "]"
 
 
 def words(*parts: str | None) -> str:
-    """The parts of a description that are not empty."""
+    """The parts of a description that are not empty.
+
+    Args:
+        *parts: The parts; None or an empty text is left out.
+    """
     return ", ".join(filter(None, parts))
 
 

@@ -45,14 +45,23 @@ from softrobot_twin.study.terminal import (
 
 
 def limits(bounds, unit: str) -> str:
-    """A lower and an upper limit as text; each may be infinite."""
+    """A lower and an upper limit as text; each may be infinite.
+
+    Args:
+        bounds: The lower and the upper limit.
+        unit: Their unit.
+    """
     if np.isfinite(bounds).any():
         return f"{vector(bounds)} {unit}"
     return "without limit"
 
 
 def describe_material(material: Material) -> str:
-    """A material entry, after its law."""
+    """A material entry, after its law.
+
+    Args:
+        material: The entry.
+    """
     law = _describe_law(material.law, law_at_rest(material, material.law), material.constants)
     return words(law, material.describe())
 
@@ -68,13 +77,24 @@ def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | No
 
 
 def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
-    """A material of some cells of a body."""
+    """A material of some cells of a body.
+
+    Args:
+        part: The material as the body has it.
+        entry: The entry that it comes from.
+    """
     return words(f"{entry.place}: {_describe_law(part.law, part, entry.constants)}",
                  f"{number(part.density)} kg/m³", f"{number(part.volume)} m³", entry.describe())
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
-    """An actuator: its entry as its kind describes it, and its limits with their units."""
+    """An actuator: its entry as its kind describes it, and its limits with their units.
+
+    Args:
+        group: All actuators of a section.
+        index: Number of the actuator among them.
+        entry: Its entry.
+    """
     kind = group.kinds[index] if group.kinds else group.kind
     parts = [kind.details(entry, group, index)]
     for quantity, bounds in ((kind.displacement, group.displacement_bounds[index]),
@@ -186,7 +206,11 @@ class Effect(NamedTuple):
 
 
 def effects(simulation: Simulation) -> list[Effect]:
-    """All effects of the scene; entries that are zero or empty are neither built nor listed."""
+    """All effects of the scene; entries that are zero or empty are neither built nor listed.
+
+    Args:
+        simulation: The simulation of the scene.
+    """
     return list(_effects(simulation, [term.name for term in simulation.terms]))
 
 
@@ -450,7 +474,11 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> Iterator[Effec
 
 
 def terms(simulation: Simulation) -> list[tuple[str, str]]:
-    """Name, and kind, size and class of the terms that a step sums; alike ones are one row."""
+    """Name, and kind, size and class of the terms that a step sums; alike ones are one row.
+
+    Args:
+        simulation: The simulation of the scene.
+    """
     lines = Counter()
     for term in simulation.terms:
         is_force = not hasattr(term, "row_count")
@@ -462,7 +490,11 @@ def terms(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 def sizes(simulation: Simulation) -> list[tuple[str, str]]:
-    """What a user asks first: what moves, how large and heavy it is, and the sizes of the system."""
+    """What a user asks first: what moves, how large and heavy it is, and the sizes of the system.
+
+    Args:
+        simulation: The simulation of the scene.
+    """
     model = simulation.model
     named = {
         "actuators": simulation.actuator_names, "effectors": simulation.effector_names,
@@ -512,7 +544,11 @@ def _across(part: ThinnestPart, element: str) -> str:
 
 
 def thinnest_parts(simulation: Simulation) -> list[ThinnestPart]:
-    """Thinnest part of each deformable body at rest; bodies with one mesh are measured once."""
+    """Thinnest part of each deformable body at rest; bodies with one mesh are measured once.
+
+    Args:
+        simulation: The simulation of the scene.
+    """
     found: dict[tuple, ThinnestPart] = {}
     parts = []
     for body in simulation.model.bodies:
@@ -524,7 +560,11 @@ def thinnest_parts(simulation: Simulation) -> list[ThinnestPart]:
 
 
 def thin_warnings(simulation: Simulation) -> list[str]:
-    """A warning for elements with four nodes that are too few across the thinnest part of a body."""
+    """A warning for elements with four nodes that are too few across the thinnest part of a body.
+
+    Args:
+        simulation: The simulation of the scene.
+    """
     thin = by_key(
         (_across(part, body.entry.element), body.name)
         for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True)
@@ -539,6 +579,9 @@ def rest_paths(simulation: Simulation) -> list[tuple[str, str]]:
     """Length at rest and path of each cable: its pull point, points between, its last point.
 
     Of many cables, those that are alike in their names and equally long share a row.
+
+    Args:
+        simulation: The simulation of the scene.
     """
     kind_of, paths = simulation.actuators.kind_of, simulation.actuator_paths()
     rest = dict(zip(simulation.actuator_names, simulation.rest_setpoints, strict=True))
