@@ -235,14 +235,17 @@ class DrawList:
                     for skin, part in zip(skins, parts, strict=True)]  # fmt: skip
         lengths = np.array([min(_FRAME_SHARE * self.size, _OWN_SHARE * np.ptp(skin.points, axis=0).max())
                             for skin in skins])  # fmt: skip
-        axes = np.repeat(np.arange(len(skins)), 3), np.tile(np.eye(3), (len(skins), 1))
-        if skins:
-            entities.append(_frames("/rigid_frames", "frame", _AXIS_COLOURS))
+        numbers = np.arange(3 * len(skins)) % 3
+        if not skins:
+            return (), None
+        entities.append(_frames("/rigid_frames", "frame", _AXIS_COLOURS))
 
         def present(_: Shown) -> Iterator[Drawn]:
-            poses = simulation.rigid_poses()
-            yield from map(Drawn, *poses)
-            yield _arrows(*poses, *axes, lengths)
+            places, turns = simulation.rigid_poses()
+            yield from map(Drawn, places, turns)
+            axes = Rotation.from_quat(turns).as_matrix().transpose(0, 2, 1)
+            vectors = lengths[:, None, None] * axes
+            yield Drawn(np.repeat(places, 3, axis=0), vectors.reshape(-1, 3), numbers)
 
         return entities, present
 
@@ -283,8 +286,7 @@ class DrawList:
         if not found:
             return (), None
         owners, axes, numbers = map(np.array, zip(*found, strict=True))
-        lengths = np.full(owners.max() + 1, AXIS_SHARE * self.size)
-        place = partial(_arrows, owners=owners, axes=axes, lengths=lengths, numbers=numbers)
+        place = partial(_arrows, owners=owners, axes=axes, length=AXIS_SHARE * self.size, numbers=numbers)
         # Those of a target are at the effector where it has no position.
         return [
             _frames("/robot/effector_axes", "frame", _AXIS_COLOURS),
@@ -358,14 +360,13 @@ def _asked_axes(orientation) -> Iterator[tuple[np.ndarray, int]]:
 
 
 def _arrows(places: np.ndarray, turns: np.ndarray | None, owners: np.ndarray, axes: np.ndarray,
-            lengths: np.ndarray, numbers: np.ndarray | None = None) -> Drawn:  # fmt: skip
+            length: float, numbers: np.ndarray) -> Drawn:  # fmt: skip
     """Axes of owners at places [m] with turns (x, y, z, w); of turns that are NaN none."""
     assert turns is not None  # where effectors have orientations
     known = (np.isfinite(turns).all(axis=1) & np.isfinite(places).all(axis=1))[owners]
-    numbers = np.arange(len(owners)) % 3 if numbers is None else numbers
     owners = owners[known]
     vectors = Rotation.from_quat(turns[owners]).apply(axes[known]) if len(owners) else _NOWHERE
-    return Drawn(places[owners], lengths[owners, None] * vectors, numbers[known])
+    return Drawn(places[owners], length * vectors, numbers[known])
 
 
 def _nearest(points: np.ndarray) -> int:
