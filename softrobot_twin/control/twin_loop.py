@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -278,7 +279,7 @@ def inputs_of(
     apart = (
         [name for name, kind in zip(names, kinds) if not kind.takes_efforts],
         [name for name, kind in zip(names, kinds) if kind.is_effort_driven],
-        [names[index] for index in np.flatnonzero(pulleys.is_wound)],
+        [*compress(names, pulleys.is_wound)],
     )
     units = [_SHOWN_UNITS.get(kind.setpoint.unit, kind.setpoint.unit) for kind in kinds]
     device = MeasuredSetpoints(ActuatorNames(names, None, rest, *apart), rest, simulation.limits,

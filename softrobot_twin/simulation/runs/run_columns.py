@@ -173,7 +173,6 @@ class RunColumns:
 
     Attributes:
         names: The columns, in their order.
-        actuators: Those that tell of actuators, as name and quantity.
     """
 
     def __init__(
@@ -192,7 +191,6 @@ class RunColumns:
         """
         self._simulation, model = simulation, simulation.model
         self._pairs = pair_names(simulation)
-        self.actuators = actuator_columns(simulation.actuators)
         self._judged: tuple[str, ...] = ()
         if with_reduction_errors and not simulation.falls_back:
             spare = reduced_bodies(model) if has_spare_modes(model) else ()
@@ -200,7 +198,7 @@ class RunColumns:
         self._parts = [
             Cells((STEP, TIME), lambda row: (row.step, row.time)),
             *self._of_channels("effector_names", followed),
-            Cells([column(*one) for one in self.actuators],
+            Cells([column(*one) for one in actuator_columns(simulation.actuators)],
                   lambda row: actuator_cells(row.result, simulation.actuators)),
             self._of_bodies(),
             *(cells for kind in dict.fromkeys(one.objects for one in channels())
