@@ -34,59 +34,73 @@ if TYPE_CHECKING:
 _SIDES = 8
 
 
-def tube(path: np.ndarray, radius: float) -> np.ndarray:
-    """Triangles of a tube along a polyline.
+def swept(
+    starts: np.ndarray, vectors: np.ndarray, radii: Sequence[float],
+    shares: Sequence[float] = (0.0, 1.0),
+) -> np.ndarray:  # fmt: skip
+    """Triangles of round shapes about straight axes; none about an axis without length.
 
     Args:
-        path: Points of the polyline [m], shape (point_count, 3).
-        radius: Radius of the tube [m].
+        starts: Where the axes begin [m], shape (axis_count, 3).
+        vectors: From there to their ends [m], shape (axis_count, 3).
+        radii: Radii at the shares [m], shape (share_count,).
+        shares: Places along the axes, from 0 to 1, shape (share_count,).
 
     Returns:
         Corners of the triangles [m], shape (triangle_count, 3, 3).
     """
-    return np.concatenate([np.empty((0, 3, 3)), *(
-        _swept(np.array(ends), (radius, radius)) for ends in zip(path[:-1], path[1:])
-        if np.linalg.norm(ends[1] - ends[0]) > 0.0)])  # fmt: skip
+    lengths = np.linalg.norm(vectors, axis=1)
+    starts, vectors, lengths = (one[lengths > 0.0] for one in (starts, vectors, lengths))
+    circles = _circle(vectors / lengths[:, None], _SIDES)[:, None, :-1]
+    centres = starts[:, None] + np.asarray(shares)[:, None] * vectors[:, None]
+    rings = centres[:, :, None] + np.asarray(radii)[:, None, None] * circles
+    here, there = rings[:, :-1], rings[:, 1:]
+    here_next, there_next = np.roll(here, -1, axis=2), np.roll(there, -1, axis=2)
+    both = np.stack([here, here_next, there_next, here, there_next, there], axis=3)
+    return both.reshape(-1, 3, 3)
 
 
-def _swept(centres: np.ndarray, radii: Sequence[float]) -> np.ndarray:
-    """Triangles between rings of some radii on a straight axis."""
-    axis = centres[-1] - centres[0]
-    axis = axis / np.linalg.norm(axis)
-    ring = _circle(axis, _SIDES)[:-1]
-    rings = centres[:, None, :] + np.multiply.outer(np.asarray(radii), ring)
-    here, there = rings[:-1], rings[1:]
-    here_next, there_next = np.roll(here, -1, axis=1), np.roll(there, -1, axis=1)
-    lower = np.stack([here, here_next, there_next], axis=2)
-    upper = np.stack([here, there_next, there], axis=2)
-    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
-
-
-def across_of(axis: np.ndarray) -> np.ndarray:
-    """A unit vector at right angles to an axis, shape (3,).
+def tubes(paths: Sequence[np.ndarray], radius: float) -> np.ndarray:
+    """Triangles of tubes along polylines.
 
     Args:
-        axis: The axis, not zero, shape (3,).
+        paths: Points of each polyline [m], shape (point_count, 3).
+        radius: Radius of the tubes [m].
+
+    Returns:
+        Corners of the triangles [m], shape (triangle_count, 3, 3).
     """
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    return across / np.linalg.norm(across)
+    starts = np.concatenate([np.empty((0, 3)), *(path[:-1] for path in paths)])
+    ends = np.concatenate([np.empty((0, 3)), *(path[1:] for path in paths)])
+    return swept(starts, ends - starts, (radius, radius))
 
 
-def _circle(axis: np.ndarray, sides: int) -> np.ndarray:
-    """Points of a unit circle about an axis, the last one the first again, (sides + 1, 3)."""
-    across, angles = across_of(axis), np.linspace(0.0, 2.0 * np.pi, sides + 1)
-    return np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
-
-
-def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
-    """Triangles of a sphere, corners [m], shape (triangle_count, 3, 3).
+def across_of(axes: np.ndarray) -> np.ndarray:
+    """Unit vectors at right angles to axes, shape (..., 3).
 
     Args:
-        centre: Its centre [m], shape (3,).
-        radius: Its radius [m].
+        axes: The axes, not zero, shape (..., 3).
     """
-    points, triangles = Sphere(centre, radius).surface(np.pi * radius / _SIDES)
-    return points[triangles]
+    across = np.cross(axes, np.eye(3)[np.argmin(np.abs(axes), axis=-1)])
+    return across / np.linalg.norm(across, axis=-1, keepdims=True)
+
+
+def _circle(axes: np.ndarray, sides: int) -> np.ndarray:
+    """Unit circles about unit axes, the last point the first again, shape (..., sides + 1, 3)."""
+    across, angles = across_of(axes), np.linspace(0.0, 2.0 * np.pi, sides + 1)[:, None]
+    aside = np.cross(axes, across)[..., None, :]
+    return np.cos(angles) * across[..., None, :] + np.sin(angles) * aside
+
+
+def balls(centres: np.ndarray, radius: float) -> np.ndarray:
+    """Triangles of spheres, corners [m], shape (triangle_count, 3, 3).
+
+    Args:
+        centres: Their centres [m], shape (ball_count, 3).
+        radius: Their radius [m].
+    """
+    points, triangles = Sphere(np.zeros(3), radius).surface(np.pi * radius / _SIDES)
+    return (centres[:, None, None] + points[triangles]).reshape(-1, 3, 3)
 
 
 def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
@@ -100,33 +114,8 @@ def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
     length = np.linalg.norm(vector)
     head = min(6.0 * radius, 0.6 * length)
     neck = 1.0 - head / length
-    return _swept(start + np.multiply.outer([0.0, neck, neck, 1.0], vector),
-                  (radius, radius, 0.5 * head, 0.0))
-
-
-def ring_around(centre: np.ndarray, radius: float, axis: np.ndarray, width: float) -> np.ndarray:
-    """Triangles of a thin ring about an axis, corners [m], shape (triangle_count, 3, 3).
-
-    Args:
-        centre: Its centre [m], shape (3,).
-        radius: Its radius [m].
-        axis: Direction at right angles to its plane, shape (3,).
-        width: How thick it is [m].
-    """
-    return tube(centre + radius * _circle(axis, 24), 0.5 * width)
-
-
-def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
-    """Triangles of three crossed bars along the axes, corners [m], (triangle_count, 3, 3).
-
-    Args:
-        centre: Where the bars cross [m], shape (3,).
-        length: Length of each bar [m].
-        radius: Radius of each bar [m].
-    """
-    half = 0.5 * length * np.eye(3)
-    return np.concatenate([tube(np.array([centre - arm, centre + arm]), radius)
-                           for arm in half])
+    return swept(start[None], vector[None], (radius, radius, 0.5 * head, 0.0),
+                 (0.0, neck, neck, 1.0))  # fmt: skip
 
 
 def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarray:
@@ -294,7 +283,7 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
     every = [(entity, now.get(entity.path, Drawn(entity.points))) for entity in drawing.entities]
     solids = [solid for entity, drawn in every for solid in _solids(entity, drawn, size)]
     if effector_path is not None and len(effector_path) > 1:
-        solids += [Solid(tube(path, 0.0022 * size), LEGEND["effector"][1], "thin")
+        solids += [Solid(tubes([path], 0.0022 * size), LEGEND["effector"][1], "thin")
                    for path in np.moveaxis(effector_path, 1, 0)]
     paths = simulation.actuator_paths()
     rings = [Ring("hold", place, cable.hold_radius, 0.004 * size)
@@ -324,17 +313,26 @@ def _solids(entity: Entity, drawn: Drawn, size: float) -> Iterator[Solid]:
         value = 0.0 if drawn.values is None else 1e-3 * float(drawn.values[0])
         yield Solid(points[entity.triangles], look.colour, look.look, look.legend, value)
         if entity.shape == "solid":
-            yield from _edges(points, entity.triangles, look.colour, size)
+            edges = creases(points, entity.triangles, _SHARP)
+            yield Solid(tubes(edges, 0.0015 * size), 0.7 * look.colour, "rigid")
     elif entity.shape == "arrows":
         for start, vector, number in zip(*drawn, strict=True):
-            bar = tube(np.array([start, start + vector]), 0.045 * np.linalg.norm(vector))
+            bar = swept(start[None], vector[None], 2 * (0.045 * np.linalg.norm(vector),))
             yield Solid(bar, AXIS_COLOURS[number], look.look, look.legend)
+    elif entity.shape == "points":
+        places = drawn.points[np.isfinite(drawn.points).all(axis=1)]
+        arms = 0.04 * size * np.eye(3)
+        marks = balls(places, look.radius * size) if entity.kind != "target" else tubes(
+            [place + side for place in places for side in np.stack([-arms, arms], axis=1)],
+            look.radius * size)  # fmt: skip
+        if len(places):
+            yield Solid(marks, look.colour, look.look, look.legend)
+    elif drawn.values is None:
+        yield Solid(tubes(drawn.points, look.radius * size), look.colour, look.look, look.legend)
     else:
-        values = np.zeros(len(drawn.points)) if drawn.values is None else drawn.values
-        for own, value in zip(drawn.points, values, strict=True):
-            if np.isfinite(own).all():
-                mark = _mark_of(entity, own, look.radius * size, size)
-                yield Solid(mark, look.colour, look.look, look.legend, float(value))
+        for path, value in zip(drawn.points, drawn.values, strict=True):
+            mark = tubes([path], look.radius * size)
+            yield Solid(mark, look.colour, look.look, look.legend, float(value))
 
 
 def _mark(triangles: np.ndarray, kind: str) -> Solid:
@@ -342,25 +340,11 @@ def _mark(triangles: np.ndarray, kind: str) -> Solid:
     return Solid(triangles, LEGEND[kind][1], "thin", kind)
 
 
-def _mark_of(entity: Entity, own: np.ndarray, radius: float, size: float) -> np.ndarray:
-    """Triangles of a point or a line."""
-    if entity.shape == "lines":
-        return tube(own, radius)
-    return cross(own, 0.08 * size, radius) if entity.kind == "target" else sphere(own, radius)
-
-
 def _points(entity: Entity, drawn: Drawn) -> np.ndarray:
     """Points of a surface or solid where it is now [m], shape (point_count, 3)."""
     if entity.shape == "surface" or drawn.vectors is None:
         return drawn.points
     return drawn.points + Rotation.from_quat(drawn.vectors).apply(entity.points)
-
-
-def _edges(points: np.ndarray, triangles: np.ndarray, colour: np.ndarray, size: float) -> list[Solid]:
-    """Bars along the sharp edges of a rigid shape."""
-    edges = creases(points, triangles, _SHARP)
-    bars = [tube(edge, 0.0015 * size) for edge in edges]
-    return [Solid(np.concatenate(bars), 0.7 * colour, "rigid")] if bars else []
 
 
 # More things of one kind than this share one label for each pattern of their names.
@@ -559,8 +543,8 @@ def _all_solids(snapshot: Snapshot, maps: dict, camera: Camera, most: float) -> 
     size = snapshot.size
     solids = [solid._replace(colour=np.array(maps[solid.kind].to_rgba(solid.value)[:3]))
               if solid.kind in maps else solid for solid in snapshot.solids]
-    solids += [_mark(ring_around(ring.centre, ring.radius, camera.eye, ring.width), ring.kind)
-               for ring in snapshot.rings]
+    solids += [_mark(tubes([ring.centre + ring.radius * _circle(camera.eye, 24)],
+                           0.5 * ring.width), ring.kind) for ring in snapshot.rings]  # fmt: skip
     return solids + [
         _mark(arrow(start, force * (_LONGEST_ARROW * size / most), 0.005 * size), "force")
         for start, force in zip(*snapshot.forces, strict=True) if force.any()]

@@ -213,3 +213,20 @@ def test_a_small_mark_keeps_its_colour_and_white_stays_white(tmp_path):
     colours = picture.reshape(-1, 3)
     assert (colours == 1.0).all(axis=1).mean() > 0.2
     assert (np.abs(colours - np.array([0x20, 0x80, 0x40]) / 255.0).max(axis=1) < 0.08).any()
+
+
+def test_a_tube_is_round_and_has_no_part_where_two_points_are_the_same():
+    path = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 2.0, 1.0]])
+    corners = scene_picture.tubes([path], 0.1)
+    assert len(corners) == 2 * len(scene_picture.tubes([path[:2]], 0.1))
+    upright = corners[np.ptp(corners[:, :, 2], axis=1) > 0.9].reshape(-1, 3)
+    np.testing.assert_allclose(np.linalg.norm(upright[:, :2], axis=1), 0.1)
+    assert scene_picture.tubes([], 0.1).shape == (0, 3, 3)
+
+
+def test_an_arrow_ends_in_a_tip_that_is_wider_than_its_shaft():
+    corners = scene_picture.arrow(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.02).reshape(-1, 3)
+    widths = np.linalg.norm(corners[:, :2], axis=1)
+    assert widths[corners[:, 2] == 0.0] == pytest.approx(0.02)
+    assert widths[corners[:, 2] == 1.0].max() == 0.0
+    assert widths.max() == pytest.approx(0.06)
