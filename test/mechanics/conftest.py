@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import bulk_modulus, lame_parameters, shear_modulus
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
@@ -34,6 +35,45 @@ class Bound(NamedTuple):
         forces = np.zeros((len(self.free), 3))
         inverted = sum(term.add_forces(positions, forces) for term in self.terms)
         return forces, inverted
+
+    def energy(self, positions):
+        return sum(term.energy(positions) for term in self.terms)
+
+    def assert_slopes(self, x, nodes=None, step=1e-6, bar=(1e-6, 1e-6), has_energy=True):
+        """At some nodes forces are the energy's slope down, and the matrix is that of the forces.
+
+        The bars are shares of the largest force and of the largest entry of the matrix.
+        """
+        nodes = self.free if nodes is None else np.intersect1d(nodes, self.free)
+        own = np.searchsorted(self.free, nodes)
+        forces, K = self.assemble(x)
+        np.testing.assert_allclose(self.forces(x)[0], forces, atol=1e-12 * np.abs(forces).max())
+        if has_energy:
+            gradient = central_slopes(self.energy, x, nodes, step)
+            np.testing.assert_allclose(
+                forces[own].ravel(), -gradient, atol=bar[0] * np.abs(forces).max()
+            )
+        columns = central_slopes(lambda at: self.forces(at)[0].ravel(), x, nodes, step)
+        found = K.toarray()[:, (3 * own[:, None] + np.arange(3)).ravel()]
+        np.testing.assert_allclose(found, -columns, atol=bar[1] * np.abs(K).max())
+
+    def least_curvatures(self, x):
+        """The least eigenvalue of the exact and of the projected matrix, by the largest entry."""
+        matrices = [self.assemble(x, projected)[1].toarray() for projected in (False, True)]
+        scale = np.abs(matrices[0]).max()
+        return [np.linalg.eigvalsh(K)[0] / scale for K in matrices]
+
+
+def central_slopes(function, x, nodes, step):
+    """Central differences of a function by each coordinate of some nodes, the last axis."""
+    columns = []
+    for node in nodes:
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[node, axis] += step
+            behind[node, axis] -= step
+            columns.append((function(ahead) - function(behind)) / (2.0 * step))
+    return np.stack(columns, axis=-1)
 
 
 SHARES = {
@@ -64,18 +104,20 @@ def parameters_of():
 
 
 @pytest.fixture
-def bind():
-    """Binds terms, each given as (class, mesh, E, ν), with some nodes fixed."""
+def bind(parameters_of):
+    """Binds terms, each given as (class or name of a law, mesh, E, ν), with some nodes fixed."""
+
+    def term_of(made, mesh, free_index, young, poisson):
+        if isinstance(made, str):
+            return Elements(mesh, free_index, parameters_of(made, young, poisson))
+        return made(mesh, free_index, lame_parameters(young, poisson))
 
     def make(*parts, fixed=()) -> Bound:
         node_count = len(parts[0][1].node_positions)
         free = np.setdiff1d(np.arange(node_count), fixed)
         free_index = np.full(node_count, -1)
         free_index[free] = np.arange(len(free))
-        terms = [
-            law(part, free_index, lame_parameters(young, poisson))
-            for law, part, young, poisson in parts
-        ]
+        terms = [term_of(made, part, free_index, *moduli) for made, part, *moduli in parts]
         pairs = [stencil_pairs(term.stencils()) for term in terms]
         rows, columns = (np.concatenate(side) for side in zip(*pairs, strict=True))
         matrix = SuperLU(rows, columns, len(free))
@@ -88,19 +130,8 @@ def bind():
 
 @pytest.fixture
 def slopes():
-    """Central differences of a function by each coordinate of some nodes, the last axis."""
-
-    def make(function, x, nodes, step):
-        columns = []
-        for node in nodes:
-            for axis in range(3):
-                ahead, behind = x.copy(), x.copy()
-                ahead[node, axis] += step
-                behind[node, axis] -= step
-                columns.append((function(ahead) - function(behind)) / (2.0 * step))
-        return np.stack(columns, axis=-1)
-
-    return make
+    """Central differences; see `central_slopes`."""
+    return central_slopes
 
 
 @pytest.fixture

@@ -1,39 +1,31 @@
-"""Facts of corotational tetrahedra."""
+"""Facts of corotational tetrahedra: linear ones, quadratic ones, and those of smoothed strain."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
-from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.laws.corotational import Corotational
+from softrobot_twin.geometry.shape_functions import quadratic_values
+from softrobot_twin.geometry.smoothed_mesh import smooth
 from softrobot_twin.mechanics.material import lame_parameters
-from softrobot_twin.mechanics.stencil import stencil_pairs
-from softrobot_twin.solvers.superlu import SuperLU
 
 YOUNG, POISSON = 2.0e5, 0.4
+GRADIENT = np.array([[1.1, 0.2, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.05, 1.05]])
 
 
-def corotational(mesh, free_index, lame):
-    return Elements(mesh, free_index, Corotational(*lame))
+@pytest.fixture(params=["linear", "quadratic", "smoothed"])
+def body(request, block, bind):
+    """A box of tetrahedra of each kind."""
 
+    def make(fixed=(), **shape):
+        mesh = part = block(**shape)
+        if request.param == "quadratic":
+            mesh = part = add_mid_edge_nodes(mesh)
+        elif request.param == "smoothed":
+            part = smooth(mesh).strained_blocks(None)[0].mesh
+        return mesh, bind(("corotational", part, YOUNG, POISSON), fixed=fixed)
 
-def make(mesh, fixed=(), young=YOUNG, poisson=POISSON):
-    """A term over a mesh, bound to a matrix."""
-    free_index = np.full(mesh.node_count, -1)
-    free = np.setdiff1d(np.arange(mesh.node_count), fixed)
-    free_index[free] = np.arange(len(free))
-    term = corotational(mesh, free_index, lame_parameters(young, poisson))
-    matrix = SuperLU(*stencil_pairs(term.stencils()), len(free))
-    term.bind(matrix.elimination_rank, matrix.slots)
-    return term, matrix, free
-
-
-def assemble(term, matrix, positions, projected=False):
-    forces = np.zeros((len(matrix.elimination_rank), 3))
-    matrix.clear()
-    term.add(positions, forces, matrix.storage, projected)
-    return forces, matrix.matrix().toarray()
+    return make
 
 
 def deformed(mesh, amount, seed=0):
@@ -42,81 +34,58 @@ def deformed(mesh, amount, seed=0):
     return mesh.node_positions + amount * size * rng.standard_normal((mesh.node_count, 3))
 
 
+def inside(mesh):
+    low, high = mesh.node_positions.min(axis=0), mesh.node_positions.max(axis=0)
+    return np.all((mesh.node_positions > low + 1e-9) & (mesh.node_positions < high - 1e-9), axis=1)
+
+
 @pytest.mark.parametrize("degrees", [0, 1, 45, 90, 135, 180, 270, 359, 360])
-def test_rigid_rotation_stores_no_energy_and_makes_no_force(block, degrees):
-    mesh = block()
+def test_rigid_rotation_stores_no_energy_and_makes_no_force(body, degrees):
+    mesh, bound = body(cells=(1, 2, 2))
     axis = np.array([0.36, 0.48, 0.8])
     turned = Rotation.from_rotvec(np.radians(degrees) * axis).apply(mesh.node_positions)
-    term, matrix, _ = make(mesh)
-    forces, K = assemble(term, matrix, turned + [1.0, -2.0, 3.0])
-    stress_times_area = YOUNG * 0.1**2
-    assert np.abs(forces).max() < 1e-12 * stress_times_area
-    assert term.energy(turned) < 1e-24 * YOUNG * mesh.volume
-    assert np.linalg.eigvalsh(K)[:6] == pytest.approx(0.0, abs=1e-10 * np.abs(K).max())
+    forces, K = bound.assemble(turned + [1.0, -2.0, 3.0])
+    assert np.abs(forces).max() < 1e-12 * YOUNG * 0.1**2
+    assert bound.energy(turned) < 1e-24 * YOUNG * mesh.volume
+    values = np.linalg.eigvalsh(K.toarray())
+    assert values[:6] == pytest.approx(0.0, abs=1e-10 * values[-1])
+    assert values[6] > 1e-6 * values[-1]
 
 
-def test_force_is_minus_the_gradient_of_the_energy(block):
-    mesh = block(cells=(1, 1, 2))
-    term, matrix, _ = make(mesh)
-    x = deformed(mesh, 0.05)
-    forces, _ = assemble(term, matrix, x)
-    step = 1e-6
-    for node in range(mesh.node_count):
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            slope = (term.energy(ahead) - term.energy(behind)) / (2 * step)
-            assert forces[node, axis] == pytest.approx(-slope, abs=1e-5 * np.abs(forces).max())
-
-
-@pytest.mark.parametrize("amount", [0.01, 0.08])
-def test_tangent_is_minus_the_derivative_of_the_force(block, amount):
-    mesh = block(cells=(1, 2, 1))
-    term, matrix, free = make(mesh, fixed=[0, 1, 2])
-    x = deformed(mesh, amount)
-    _, K = assemble(term, matrix, x)
-    step = 1e-7
-    for index, node in enumerate(free):
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            f_ahead, f_behind = np.zeros((2, len(free), 3))
-            term.add_forces(ahead, f_ahead)
-            term.add_forces(behind, f_behind)
-            column = -(f_ahead - f_behind).ravel() / (2 * step)
-            np.testing.assert_allclose(
-                K[:, 3 * index + axis], column, atol=1e-6 * np.abs(K).max()
-            )
+@pytest.mark.parametrize("amount", [0.01, 0.04, 0.08])
+def test_forces_and_stiffness_are_the_slopes_of_the_energy(body, amount):
+    mesh, bound = body(cells=(1, 2, 1), fixed=[0, 1, 2])
+    bound.assert_slopes(deformed(mesh, amount))
 
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
-def test_keeping_the_deformation_of_a_state_changes_no_bit(block, element):
+def test_keeping_the_deformation_of_a_state_changes_no_bit(block, bind, element):
     mesh = block(cells=(2, 2, 3))
     mesh = mesh if element == "linear" else add_mid_edge_nodes(mesh)
-    term, matrix, _ = make(mesh, fixed=[0, 3])
-    mild, wild = deformed(mesh, 0.001), deformed(mesh, 0.3)
+
+    def made():
+        return bind(("corotational", mesh, YOUNG, POISSON), fixed=[0, 3])
+
+    bound, mild, wild = made(), deformed(mesh, 0.001), deformed(mesh, 0.3)
     for positions in (mild, wild, mild):
-        forces = np.zeros((len(matrix.elimination_rank), 3))
-        assert (term.add_forces(positions, forces) > 0) == (positions is wild)
-        kept = assemble(term, matrix, positions)
+        forces, inverted = bound.forces(positions)
+        assert (inverted > 0) == (positions is wild)
+        kept = bound.assemble(positions)
         # Written to in place, it is another state.
         moved = positions.copy()
-        term.add_forces(moved, np.zeros_like(forces))
+        bound.forces(moved)
         moved[5, 1] += 1e-3
-        other = assemble(term, matrix, moved)
+        other = bound.assemble(moved)
         for found, at in ((kept, positions), (other, moved)):
-            anew = assemble(make(mesh, fixed=[0, 3])[0], matrix, at)
+            anew = made().assemble(at)
             np.testing.assert_array_equal(found[0], anew[0])
-            np.testing.assert_array_equal(found[1], anew[1])
+            np.testing.assert_array_equal(found[1].toarray(), anew[1].toarray())
         np.testing.assert_array_equal(forces, kept[0])
 
 
-def test_tangent_at_rest_is_linear_elasticity(block):
-    mesh = block(cells=(1, 1, 1))
-    term, matrix, _ = make(mesh)
-    _, K = assemble(term, matrix, mesh.node_positions)
+def test_tangent_at_rest_is_linear_elasticity(body):
+    mesh, bound = body(cells=(1, 1, 1))
+    _, K = bound.assemble(mesh.node_positions)
     strain = np.array([[2.0, 0.3, -0.1], [0.3, -1.0, 0.4], [-0.1, 0.4, 0.5]])
     u = (mesh.node_positions @ strain).ravel()
     lame, shear = lame_parameters(YOUNG, POISSON)
@@ -124,82 +93,77 @@ def test_tangent_at_rest_is_linear_elasticity(block):
     assert 0.5 * u @ K @ u == pytest.approx(density * mesh.volume)
 
 
-def test_projected_tangent_has_no_negative_curvature_where_the_exact_one_has(block):
-    mesh = block(cells=(1, 1, 2))
-    term, matrix, _ = make(mesh)
-    squeezed = mesh.node_positions * [0.35, 1.0, 0.6]
-    _, exact = assemble(term, matrix, squeezed)
-    _, projected = assemble(term, matrix, squeezed, projected=True)
-    scale = np.abs(exact).max()
-    assert np.linalg.eigvalsh(exact)[0] < -1e-3 * scale
-    assert np.linalg.eigvalsh(projected)[0] > -1e-12 * scale
+def test_projected_tangent_has_no_negative_curvature_where_the_exact_one_has(body):
+    mesh, bound = body(cells=(1, 1, 2))
+    exact, projected = bound.least_curvatures(deformed(mesh, 0.01) * [0.35, 1.0, 0.6])
+    assert exact < -1e-3 and projected > -1e-12
 
 
-def test_projected_tangent_is_the_exact_one_where_nothing_is_negative(block):
-    mesh = block(cells=(1, 1, 2))
-    term, matrix, _ = make(mesh)
+def test_projected_tangent_is_the_exact_one_where_nothing_is_negative(body):
+    mesh, bound = body(cells=(1, 1, 2))
     stretched = mesh.node_positions * 1.1
-    np.testing.assert_array_equal(
-        assemble(term, matrix, stretched)[1],
-        assemble(term, matrix, stretched, projected=True)[1],
-    )
+    exact, projected = (bound.assemble(stretched, p)[1].toarray() for p in (False, True))
+    np.testing.assert_array_equal(exact, projected)
 
 
-def test_patch_of_uniform_strain_is_in_balance_inside(block):
-    mesh = block(cells=(3, 3, 3), shake=0.3)
-    term, matrix, _ = make(mesh)
-    gradient = np.array([[1.1, 0.2, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.05, 1.05]])
-    forces, _ = assemble(term, matrix, mesh.node_positions @ gradient.T)
-    low, high = mesh.bounding_box
-    x = mesh.node_positions
-    inside = np.all((x > low + 1e-9) & (x < high - 1e-9), axis=1)
-    assert inside.sum() == 8
-    assert np.abs(forces[inside]).max() < 1e-12 * np.abs(forces).max()
+def test_patch_of_uniform_strain_is_in_balance_inside(body):
+    mesh, bound = body(cells=(3, 3, 3), shake=0.3)
+    forces, _ = bound.assemble(mesh.node_positions @ GRADIENT.T)
+    assert inside(mesh).sum() >= 8
+    assert np.abs(forces[inside(mesh)]).max() < 1e-12 * np.abs(forces).max()
 
 
-def test_a_collapsed_element_is_pushed_back_to_positive_volume(block):
-    mesh = block(cells=(1, 1, 1))
-    term, _, _ = make(mesh)
+def test_a_collapsed_element_is_counted_and_pushed_back_to_positive_volume(body):
+    mesh, bound = body(cells=(1, 1, 1))
+    assert bound.forces(mesh.node_positions)[1] == 0
     for scale in (0.0, -0.3):
         flat = mesh.node_positions * [1.0, 1.0, scale]
-        forces = np.zeros((mesh.node_count, 3))
-        term.add_forces(flat, forces)
+        forces, inverted = bound.forces(flat)
+        assert inverted == len(mesh.cells)
         assert np.all(np.isfinite(forces))
-        upwards = np.sum(forces[:, 2] * (mesh.node_positions[:, 2] - flat[:, 2]))
-        assert upwards > 0.0
+        assert np.all(np.isfinite(bound.assemble(flat, projected=True)[1].toarray()))
+        assert np.sum(forces[:, 2] * (mesh.node_positions[:, 2] - flat[:, 2])) > 0.0
 
 
-def solve_manufactured(mesh):
-    """L2 error of a small, smooth displacement that vanishes on the faces of a unit cube."""
-    x = mesh.node_positions
-    boundary = np.flatnonzero(np.any((x < 1e-9) | (x > 1 - 1e-9), axis=1))
-    term, matrix, free = make(mesh, fixed=boundary, young=1.0, poisson=0.3)
+def smooth_load(x):
+    """A smooth displacement that vanishes on the faces of a unit cube, and -div σ of it."""
     lame, shear = lame_parameters(1.0, 0.3)
     s, c = np.sin(np.pi * x), np.cos(np.pi * x)
-    exact = 1e-7 * np.prod(s, axis=1)
-    # -div σ for u = (exact, 0, 0).
-    load = np.stack(
-        [
-            1e-7 * np.pi**2 * (lame + 4 * shear) * np.prod(s, axis=1),
-            -1e-7 * np.pi**2 * (lame + shear) * c[:, 0] * c[:, 1] * s[:, 2],
-            -1e-7 * np.pi**2 * (lame + shear) * c[:, 0] * s[:, 1] * c[:, 2],
-        ],
-        axis=1,
-    )
-    corners = load[mesh.cells]
-    share = (corners + corners.sum(axis=1, keepdims=True)) * mesh.volumes[:, None, None] / 20
-    nodal = np.zeros_like(load)
-    np.add.at(nodal, mesh.cells, share)
-    assemble(term, matrix, x)
-    assert matrix.factor()
-    u = np.zeros_like(x)
-    u[free] = matrix.solve(nodal[free])
-    error = u - np.column_stack([exact, 0 * exact, 0 * exact])
-    at_tets = error[mesh.cells].mean(axis=1)
-    return np.sqrt(np.sum(mesh.volumes * np.sum(at_tets**2, axis=1))) / 1e-7
+    exact = np.zeros_like(x)
+    exact[..., 0] = np.prod(s, axis=-1)
+    load = np.pi**2 * np.stack([
+        (lame + 4 * shear) * np.prod(s, axis=-1),
+        -(lame + shear) * c[..., 0] * c[..., 1] * s[..., 2],
+        -(lame + shear) * c[..., 0] * s[..., 1] * c[..., 2],
+    ], axis=-1)  # fmt: skip
+    return exact, load
 
 
-def test_displacement_converges_with_the_square_of_the_mesh_size(block):
-    errors = [solve_manufactured(block(size=(1, 1, 1), cells=(n, n, n), shake=0)) for n in (6, 12)]
-    rate = np.log2(errors[0] / errors[1])
-    assert 1.6 < rate < 2.4
+def solve_manufactured(mesh, bind, points, weights):
+    """L2 error of the small displacement under that load."""
+    N = points if mesh.cells.shape[1] == 4 else quadratic_values(points)
+    exact, load = smooth_load(np.einsum("qa,kai->kqi", N, mesh.node_positions[mesh.cells]))
+    volumes = mesh.volumes[:, None] * weights
+    nodal = np.zeros((mesh.node_count, 3))
+    np.add.at(nodal, mesh.cells, np.einsum("kq,qa,kqi->kai", volumes, N, load))
+    bound = bind(("corotational", mesh, 1.0, 0.3), fixed=np.flatnonzero(~inside(mesh)))
+    bound.assemble(mesh.node_positions)
+    assert bound.matrix.factor()
+    u = np.zeros((mesh.node_count, 3))
+    u[bound.free] = bound.matrix.solve(nodal[bound.free])
+    error = np.einsum("qa,kai->kqi", N, u[mesh.cells]) - exact
+    return np.sqrt(np.sum(volumes * np.sum(error**2, axis=2)))
+
+
+@pytest.mark.parametrize("kind, counts, order, bar", [
+    ("linear", (6, 12), 2.0, 0.4), ("quadratic", (3, 6), 3.0, 0.3),
+])  # fmt: skip
+def test_displacement_converges_by_the_order_of_the_element(
+    block, bind, tet_rule, kind, counts, order, bar
+):
+    errors = []
+    for n in counts:
+        mesh = block(size=(1, 1, 1), cells=(n, n, n), shake=0)
+        mesh = mesh if kind == "linear" else add_mid_edge_nodes(mesh)
+        errors.append(solve_manufactured(mesh, bind, *tet_rule()))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=bar)

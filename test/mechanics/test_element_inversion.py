@@ -10,15 +10,9 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import integration_points
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.element_inversion import is_folded, least_coefficient
-from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.laws.corotational import Corotational
 
 # Barycentric coordinates of points all over a tetrahedron, its corners among them.
 FINE = np.array([p for p in itertools.product(range(13), repeat=4) if sum(p) == 12]) / 12.0
-
-
-def corotational(mesh, free_index, lame):
-    return Elements(mesh, free_index, Corotational(*lame))
 
 
 def least_determinant(corners):
@@ -64,7 +58,7 @@ def test_an_element_with_positive_determinant_at_sampled_points_may_be_inverted(
     """
     tet = np.vstack([np.zeros(3), np.eye(3)])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
-    bound = bind((corotational, mesh, 1.0, 0.3))
+    bound = bind(("corotational", mesh, 1.0, 0.3))
     gradients = integration_points(
         mesh.node_positions, mesh.cells, mesh.shape_functions
     ).gradients
@@ -93,7 +87,7 @@ def test_an_element_with_positive_determinant_at_sampled_points_may_be_inverted(
 def test_elements_of_a_bent_and_rotated_body_are_not_inverted(bind, block, seed):
     """Nor are those whose rotation varies: a roll of almost a full turn."""
     mesh = add_mid_edge_nodes(block(size=(0.01, 0.02, 0.3), cells=(1, 2, 12), shake=0.0))
-    bound = bind((corotational, mesh, 1.0, 0.3))
+    bound = bind(("corotational", mesh, 1.0, 0.3))
     x, y, z = mesh.node_positions.T
     radius = 0.3 / np.radians(330.0)
     angle = z / radius

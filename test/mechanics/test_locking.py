@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
-from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.laws.corotational import Corotational
 
 LENGTH, DEPTH, YOUNG, LOAD = 1.0, 0.05, 1.0e6, 1.0e-4
 POISSONS = (0.3, 0.45, 0.49, 0.499)
-
-
-def corotational(mesh, free_index, lame):
-    return Elements(mesh, free_index, Corotational(*lame))
 
 
 def timoshenko(poisson):
@@ -48,7 +42,7 @@ def deflection(block, bind):
         linear = block(size=(LENGTH, DEPTH, DEPTH), cells=cells, shake=0)
         mesh = linear if element == "linear" else add_mid_edge_nodes(linear)
         fixed = np.flatnonzero(mesh.node_positions[:, 0] < 1e-9)
-        bound = bind((corotational, mesh, YOUNG, poisson), fixed=fixed)
+        bound = bind(("corotational", mesh, YOUNG, poisson), fixed=fixed)
         forces = end_load(mesh)
         assert forces[:, 2].sum() == pytest.approx(LOAD)
         bound.assemble(mesh.node_positions)

@@ -5,21 +5,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
-from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.smoothed_mesh import edge_rings, smooth
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.mechanics.volume_barrier import BARRIER_VOLUME
 
 YOUNG, POISSON = 2.0e5, 0.4
 LAWS = ("corotational", "linear", "neo_hookean", "mooney_rivlin", "yeoh", "ogden")
-
-
-def corotational(rings, free_index, lame):
-    return Elements(rings, free_index, Corotational(*lame))
 
 
 def rings_of(mesh, cells=None):
@@ -31,7 +24,7 @@ def rings_of(mesh, cells=None):
 def body(block, bind):
     """A box of tetrahedra with smoothed strain."""
 
-    def make(law=corotational, fixed=(), **shape):
+    def make(law="corotational", fixed=(), **shape):
         mesh = block(**shape)
         return mesh, bind((law, rings_of(mesh), YOUNG, POISSON), fixed=fixed)
 
@@ -89,81 +82,24 @@ def test_rings_do_not_cross_from_one_material_to_another(block):
     assert set(rings_of(mesh, left).cells.ravel()) == set(mesh.cells[left].ravel())
 
 
-@pytest.mark.parametrize("degrees", [0, 1, 45, 90, 135, 180, 270, 359])
-def test_rigid_rotation_stores_no_energy_and_makes_no_force(body, degrees):
-    mesh, bound = body(cells=(1, 2, 2), shake=0.2)
-    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.36, 0.48, 0.8]))
-    turned = turn.apply(mesh.node_positions) + [1.0, -2.0, 3.0]
-    forces, _ = bound.assemble(turned)
-    assert np.abs(forces).max() < 1e-12 * YOUNG * 0.1**2
-    assert bound.terms[0].energy(turned) < 1e-24 * YOUNG * mesh.volume
-
-
 @pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.slow)])
 def test_random_meshes_have_six_zero_energies_and_no_others(bind, drawn_rng, count):
     for _ in range(count):
         mesh = random_mesh(drawn_rng)
-        _, K = bind((corotational, rings_of(mesh), 1.0, 0.3)).assemble(mesh.node_positions)
+        _, K = bind(("corotational", rings_of(mesh), 1.0, 0.3)).assemble(mesh.node_positions)
         values = np.linalg.eigvalsh(K.toarray())
         assert np.abs(values[:6]).max() < 1e-10 * values[-1]
         assert values[6] > 1e3 * np.abs(values[:6]).max()
         # Linear tetrahedra, which have six, are stiffer against every motion.
-        _, stiffer = bind((corotational, mesh, 1.0, 0.3)).assemble(mesh.node_positions)
+        _, stiffer = bind(("corotational", mesh, 1.0, 0.3)).assemble(mesh.node_positions)
         assert np.linalg.eigvalsh((stiffer - K).toarray())[0] > -1e-10 * values[-1]
         assert values[6] > 1e-3 * np.linalg.eigvalsh(stiffer.toarray())[6]
 
 
-@pytest.fixture
-def law_of_body(parameters_of):
-    def made(name):
-        def law(rings, free_index, lame):
-            return Elements(rings, free_index, parameters_of(name, YOUNG, POISSON))
-
-        return law
-
-    return made
-
-
 @pytest.mark.parametrize("law", LAWS)
-def test_force_is_minus_the_gradient_of_the_energy(body, law_of_body, law):
-    mesh, bound = body(law_of_body(law), cells=(1, 2, 1), shake=0.2)
-    x = deformed(mesh, 0.03)
-    np.testing.assert_allclose(bound.forces(x)[0], bound.assemble(x)[0], rtol=1e-12, atol=1e-9)
-    assert_slopes(bound, x, range(0, mesh.node_count, 3))
-
-
-def assert_slopes(bound, x, nodes):
-    """Forces are minus the gradient of the energy."""
-    forces, energy, step = bound.forces(x)[0], bound.terms[0].energy, 1e-6
-    for node in nodes:
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            slope = (energy(ahead) - energy(behind)) / (2 * step)
-            assert forces[node, axis] == pytest.approx(-slope, abs=1e-5 * np.abs(forces).max())
-
-
-def assert_tangent(mesh, bound, x, nodes):
-    K, step = bound.assemble(x)[1].toarray(), 1e-7
-    assert np.abs(K - K.T).max() < 1e-12 * np.abs(K).max()
-    for index, node in enumerate(bound.free):
-        if node not in nodes:
-            continue
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            column = -(bound.forces(ahead)[0] - bound.forces(behind)[0]).ravel() / (2 * step)
-            np.testing.assert_allclose(
-                K[:, 3 * index + axis], column, atol=1e-6 * np.abs(K).max()
-            )
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_tangent_is_minus_the_derivative_of_the_force(body, law_of_body, law):
-    mesh, bound = body(law_of_body(law), cells=(1, 2, 1), shake=0.2, fixed=[0, 1, 2, 10])
-    assert_tangent(mesh, bound, deformed(mesh, 0.03), range(0, mesh.node_count, 3))
+def test_forces_and_stiffness_are_the_slopes_of_the_energy(body, law):
+    mesh, bound = body(law, cells=(1, 2, 1), shake=0.2, fixed=[0, 1, 2, 10])
+    bound.assert_slopes(deformed(mesh, 0.03), range(0, mesh.node_count, 3))
 
 
 def test_tangent_of_strain_rate_damping_is_minus_the_derivative_of_the_force(body):
@@ -173,27 +109,11 @@ def test_tangent_of_strain_rate_damping_is_minus_the_derivative_of_the_force(bod
     mesh, bound = body(damping, cells=(1, 2, 1), shake=0.2, fixed=[0, 1])
     bound.terms[0].begin_step(deformed(mesh, 0.02), np.zeros_like(mesh.node_positions), 0.01)
     x = deformed(mesh, 0.02, seed=1)
-    assert_tangent(mesh, bound, x, range(0, mesh.node_count, 5))
+    bound.assert_slopes(x, range(0, mesh.node_count, 5), 1e-7, has_energy=False)
     assert bound.terms[0].heat(x) > 0.0
 
 
-def test_projected_tangent_has_no_negative_curvature_where_the_exact_one_has(body):
-    mesh, bound = body(cells=(1, 1, 2))
-    squeezed = deformed(mesh, 0.01) * [0.35, 1.0, 0.6]
-    exact = np.linalg.eigvalsh(bound.assemble(squeezed)[1].toarray())
-    projected = np.linalg.eigvalsh(bound.assemble(squeezed, projected=True)[1].toarray())
-    assert exact[0] < -1e-3 * exact[-1]
-    assert projected[0] > -1e-12 * exact[-1]
-
-
 GRADIENT = np.array([[1.1, 0.2, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.05, 1.05]])
-
-
-def test_patch_of_uniform_strain_is_in_balance_inside(body):
-    mesh, bound = body(cells=(3, 3, 3), shake=0.3)
-    forces, _ = bound.assemble(mesh.node_positions @ GRADIENT.T)
-    assert len(inside(mesh)) >= 8
-    assert np.abs(forces[inside(mesh)]).max() < 1e-12 * np.abs(forces).max()
 
 
 def test_patch_of_slivers_is_in_balance_inside(bind, drawn_rng):
@@ -203,7 +123,7 @@ def test_patch_of_slivers_is_in_balance_inside(bind, drawn_rng):
         volumes = np.linalg.det(points[tets[:, 1:]] - points[tets[:, :1]])
         tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
         mesh = TetMesh(points, tets)
-        forces, _ = bind((corotational, rings_of(mesh), YOUNG, POISSON)).assemble(points @ GRADIENT.T)
+        forces, _ = bind(("corotational", rings_of(mesh), YOUNG, POISSON)).assemble(points @ GRADIENT.T)
         assert len(inside(mesh)) > 10
         assert np.abs(forces[inside(mesh)]).max() < 1e-11 * np.abs(forces).max()
 
@@ -213,7 +133,7 @@ def test_a_bar_of_two_materials_strains_as_one_in_series(block, bind):
     mesh = block(size=(0.4, 0.1, 0.1), cells=(4, 2, 2), shake=0.0)
     x = mesh.node_positions
     left = mesh.centres_at(x)[:, 0] < 0.2
-    bound = bind(*((corotational, rings_of(mesh, np.flatnonzero(part)), young, 0.0)
+    bound = bind(*(("corotational", rings_of(mesh, np.flatnonzero(part)), young, 0.0)
                    for part, young in ((left, 1.0e5), (~left, 3.0e5))))  # fmt: skip
     strain = 0.03
     stretched = x.copy()
@@ -233,7 +153,7 @@ def ring(bind):
     rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=1)
     x = np.vstack([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], rim])
     mesh = TetMesh(x, np.array([[0, 1, 2 + i, 2 + (i + 1) % 6] for i in range(6)]))
-    return mesh, bind((corotational, rings_of(mesh), YOUNG, POISSON))
+    return mesh, bind(("corotational", rings_of(mesh), YOUNG, POISSON))
 
 
 def with_thin_tet(mesh, volume):
@@ -270,8 +190,7 @@ def test_the_barrier_of_tetrahedra_has_exact_derivatives(ring):
     mesh, bound = ring
     x = with_thin_tet(mesh, 0.3 * BARRIER_VOLUME) + 1e-3 * deformed(mesh, 1.0)
     assert bound.forces(x)[1] == 0 and bound.terms[0].nearly_flat_count > 0
-    assert_tangent(mesh, bound, x, range(mesh.node_count))
-    assert_slopes(bound, x, range(mesh.node_count))
+    bound.assert_slopes(x)
 
 
 def test_no_move_may_fold_a_tetrahedron(ring):
@@ -283,7 +202,7 @@ def test_no_move_may_fold_a_tetrahedron(ring):
 
 
 def test_linear_tetrahedra_watch_no_ring(block, bind):
-    bound = bind((corotational, block(), YOUNG, POISSON))
+    bound = bind(("corotational", block(), YOUNG, POISSON))
     assert bound.terms[0]._fold_barrier is None
 
 

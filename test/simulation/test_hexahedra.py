@@ -12,7 +12,7 @@ from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
-from test.scene_changes import changed, repeat_step
+from test.scene_changes import change_scene, changed, repeat_step
 
 FOOT = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 
@@ -60,8 +60,7 @@ def bar(simulate, body_of_hexahedra):
             "cables": [cable("east", 0.018), cable("west", 0.002)],
             "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]]}],
         }  # fmt: skip
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, change)
         return simulate(**mapping)
 
     return make

@@ -11,7 +11,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
-from test.scene_changes import repeat_step
+from test.scene_changes import change_scene, repeat_step
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
@@ -30,8 +30,7 @@ def trunk():
             ends = [[-0.1, 0.03, 0.15], [0.1, 0.03, 0.15]]
             mapping["obstacles"] = [{"name": "rod", "cylinder": {"ends": ends, "radius": 0.008}}]
             mapping["contact"] = {"between": [{"pair": ["trunk", "rod"]}]}
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, change)
         return Simulation(scene_from_mapping(mapping, TRUNK_FILE))
 
     return make

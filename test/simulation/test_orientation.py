@@ -11,7 +11,7 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.schema import EffectorOrientation
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
-from test.scene_changes import repeat_step
+from test.scene_changes import change_scene, repeat_step
 
 FETCH = Path(__file__).resolve().parents[2] / "config/scenes/fetch_reduced.yaml"
 TIP_PATCH = [[0.004, 0, 0.195], [0, 0.004, 0.195], [-0.004, 0, 0.195], [0, -0.004, 0.195]]
@@ -40,8 +40,7 @@ def posed(beam):
             else:
                 orientation.setdefault("points", CORNERS)
             effector["orientation"] = orientation
-            if change is not None:
-                change(mapping)
+            change_scene(mapping, change)
 
         return beam(asks)
 

@@ -21,7 +21,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.study.direct_run import run_commands
-from test.scene_changes import LEFT_OUT, changed, repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = CONFIG / "scenes"
@@ -33,8 +33,7 @@ def robot(name, change=None) -> Simulation:
     """A robot of the package; a function may change its scene first."""
     path = SCENES / f"{name}.yaml"
     mapping = copy.deepcopy(written_out(yaml.safe_load(path.read_text())))
-    if change is not None:
-        change(mapping)
+    change_scene(mapping, change)
     return Simulation(scene_from_mapping(mapping, path))
 
 

@@ -16,7 +16,7 @@ from softrobot_twin.simulation.building.reduced_body import (
     reduction_fingerprints,
     write_body_reduction,
 )
-from test.scene_changes import changed
+from test.scene_changes import change_scene, changed
 
 STEP = 0.02
 BLOCK = {"size": (0.03, 0.03, 0.03), "cells": (3, 3, 3), "hole": ((1, 2), (1, 2), (1, 2))}
@@ -46,8 +46,7 @@ def pair(inflatable, tmp_path):
         save_whole_basis(path, full.model.bodies[0])
 
         def reduce(mapping):
-            if change is not None:
-                change(mapping)
+            change_scene(mapping, change)
             mapping["body"]["reduced"] = {"file": str(path)}
 
         return full, inflatable(reduce, body=BLOCK, **entries)

@@ -9,7 +9,7 @@ import pytest
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
 from softrobot_twin.simulation.step.time_budget import StageClock
-from test.scene_changes import LEFT_OUT, changed, repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
 AXIS = np.array([0.6, 0.0, 0.8])
 SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
@@ -32,8 +32,7 @@ def sliding(beam):
             mapping["slides"] = [copy.deepcopy(SLIDE)]
             for cable in mapping["cables"]:
                 cable["pull_point_on"] = "cart"
-            if change is not None:
-                change(mapping)
+            change_scene(mapping, change)
 
         return beam(add)
 

@@ -9,7 +9,7 @@ import pytest
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
-from test.scene_changes import LEFT_OUT, changed, repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 TIME_STEP = 0.02
@@ -28,8 +28,7 @@ def trunk():
         mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
         mapping["body"]["element"] = "linear"
         mapping["solver"] = {"newton_iterations": newton_iterations}
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, change)
         return Simulation(scene_from_mapping(mapping, CONFIG / "scenes" / f"{name}.yaml"))
 
     return make

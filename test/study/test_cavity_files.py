@@ -21,6 +21,7 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
+from test.scene_changes import LEFT_OUT, change_scene, changed
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +54,7 @@ def simulation_of(springy):
     def make(change=None, **cavity) -> Simulation:
         content = written_out(yaml.safe_load(springy.read_text()))
         content["cavities"][0].update(cavity)
-        if change is not None:
-            change(content)
+        change_scene(content, change)
         return Simulation(scene_from_mapping(content, springy))
 
     return make
@@ -254,10 +254,7 @@ def test_a_picture_without_cavities_has_no_pressures(simulation_of):
 def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_limits(
     simulation_of, springy
 ):
-    def blind(content):
-        del content["effectors"]
-
-    simulation = simulation_of(blind)
+    simulation = simulation_of(changed({"effectors": LEFT_OUT}))
     swept = swept_setpoints(simulation)
     setpoints = np.array([next(swept).setpoints for _ in range(500)])
     np.testing.assert_allclose(setpoints[:, 1].min(), -100.0, rtol=1e-3)

@@ -34,7 +34,7 @@ from softrobot_twin.study.superelement_fit import (
 from softrobot_twin.study.vertebrae_reduction import accuracy_of, brought_to, divisions
 
 from .conftest import ROOT
-from test.scene_changes import repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
 SCENE_FILE = ROOT / "config" / "scenes" / "fetch_reduced.yaml"
 SEED = 5
@@ -64,8 +64,7 @@ def scene(workshop):
 
     def make(change=None):
         mapping = copy.deepcopy(written_out(yaml.safe_load(workshop.read_text())))
-        if change is not None:
-            change(mapping)
+        change_scene(mapping, change)
         return scene_from_mapping(mapping, workshop)
 
     return make
@@ -81,8 +80,7 @@ def reduced(scene):
     return make
 
 
-def weightless(mapping) -> None:
-    mapping["gravity"] = [0.0, 0.0, 0.0]
+weightless = changed({"gravity": [0.0, 0.0, 0.0]})
 
 
 # --- the division ---------------------------------------------------------------------------------
@@ -266,12 +264,10 @@ def test_turning_the_robot_turns_its_answer(reduced):
 
 def test_newton_converges_quadratically(reduced):
     """Rows that depend on the pressure are taken at the pressure that is found."""
-    def free(mapping):
-        mapping["solver"]["newton_iterations"] = 1
-        mapping["solver"]["residual_tolerance"] = 1e-12
-        for cavity in mapping["cavities"]:
-            cavity.pop("rate")
-
+    free = changed({
+        "solver.newton_iterations": 1, "solver.residual_tolerance": 1e-12,
+        "cavities.*.rate": LEFT_OUT,
+    })  # fmt: skip
     simulation = reduced(free)
     residuals = [
         simulation.step(CommandSetpoints([3e3, 0.0, 1e3, 0.0, 2e3, 0.0], 0.02)).report.residual
@@ -285,19 +281,13 @@ def test_newton_converges_quadratically(reduced):
 
 
 def test_pressure_and_volume_control_reach_the_same_state(reduced):
-    def unrated(mapping):
-        for cavity in mapping["cavities"]:
-            cavity.pop("rate")
-
+    unrated = changed({"cavities.*.rate": LEFT_OUT})
     by_pressure = reduced(unrated)
     pressures = np.array([3e3, 500.0, 1e3, 0.0, 2e3, 800.0])
     first = repeat_step(by_pressure, CommandSetpoints(pressures, 0.02), 3)
-
-    def by_volume_too(mapping):
-        unrated(mapping)
-        for cavity in mapping["cavities"]:
-            cavity["control"], cavity["pressure"] = "volume", [-5e3, 5e4]
-
+    by_volume_too = changed(unrated, {
+        "cavities.*.control": "volume", "cavities.*.pressure": [-5e3, 5e4],
+    })  # fmt: skip
     by_volume = reduced(by_volume_too)
     volumes = by_volume.rest_setpoints + first.displacements
     for share in (0.5, 1.0, 1.0, 1.0):
@@ -312,11 +302,7 @@ def test_pressure_and_volume_control_reach_the_same_state(reduced):
 
 def test_work_of_the_pressures_is_stored(reduced):
     """∫ p dδ over a slow inflation is the change of the elastic energy, without weight."""
-    def slow(mapping):
-        weightless(mapping)
-        for cavity in mapping["cavities"]:
-            cavity.pop("rate")
-
+    slow = changed(weightless, {"cavities.*.rate": LEFT_OUT})
     simulation, work, before = reduced(slow), 0.0, None
     energy = simulation.model.superelements["fetch"].energy
     for share in np.linspace(0.0, 1.0, 41):
@@ -347,10 +333,7 @@ def test_targets_are_reached_by_pressures(reduced):
 
 
 def test_motion_comes_to_rest_at_the_equilibrium(reduced):
-    def moving(mapping):
-        mapping["integration"] = "dynamic"
-        mapping["body"]["damping"] = {"mass": 20.0}
-
+    moving = changed({"integration": "dynamic", "body.damping": {"mass": 20.0}})
     simulation, still = reduced(moving), reduced()
     result = repeat_step(simulation, Hold(0.01), 400)
     rest = repeat_step(still, Hold(), 3)
@@ -373,12 +356,7 @@ def test_reset_gives_the_same_bits(reduced):
 
 
 def test_a_state_outside_of_the_sampled_range_is_told(reduced):
-    def stronger(mapping):
-        for cavity in mapping["cavities"]:
-            cavity["pressure"] = [0.0, 9e3]
-            cavity.pop("rate")
-
-    simulation = reduced(stronger)
+    simulation = reduced(changed({"cavities.*.pressure": [0.0, 9e3], "cavities.*.rate": LEFT_OUT}))
     inside = simulation.step(CommandSetpoints(np.full(6, 2e3), 0.02))
     near = simulation.reduction_state()["fetch"]
     assert 0.0 < inside.report.sampled_range <= 1.0

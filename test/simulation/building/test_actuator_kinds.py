@@ -34,7 +34,7 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_com
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import take_snapshot
-from test.scene_changes import changed, repeat_step
+from test.scene_changes import change_scene, changed, repeat_step
 
 STEP = 0.02
 
@@ -186,8 +186,7 @@ def inflated(chambers, beam):
         def add(mapping):
             mapping["chambers"] = [chamber("left", 0.0), chamber("right", 0.02)]
             mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-9}
-            if change is not None:
-                change(mapping)
+            change_scene(mapping, change)
 
         return beam(add)
 

@@ -9,6 +9,7 @@ from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.effects.fallback import CHECK_EVERY
+from test.scene_changes import change_scene
 
 TRAINED, PERIOD = 0.011, 0.01
 WANTED = 2.0e-5
@@ -17,8 +18,7 @@ WANTED = 2.0e-5
 def scene_of(half_trained, change=None, **reduced):
     mapping = yaml.safe_load(half_trained.read_text())
     mapping["body"]["reduced"].update(reduced)
-    if change is not None:
-        change(mapping)
+    change_scene(mapping, change)
     return scene_from_mapping(mapping, half_trained)
 
 
